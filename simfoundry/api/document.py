@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
+from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, to_plain
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.spec.change.diff.changes import Rename, copied, renamed
 from simfoundry.spec.change.edit_text import edit_text, own_data
@@ -16,7 +17,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.types import field_type, file_patterns, models_at
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
@@ -65,8 +66,7 @@ class EditableDocument(DocumentEntry):
 
         base: Any = ABSENT
         if self._loaded.bases:
-            base = load(self._loaded.bases[0]).document
-            base = base.data if base is not None else read(self._loaded.bases[0]).data
+            base = (load(self._loaded.bases[0]).document or read(self._loaded.bases[0])).data
         own = own_data(parse(self._source).data, self._before, self._data, base)
         return edit_text(self._source, own, self._model)
 
@@ -79,13 +79,10 @@ class EditableDocument(DocumentEntry):
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
         """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
-        loaded = self._load()
-        findings = loaded.all_findings()
-        if lints:
-            from simfoundry.lint.lints import lint
+        from simfoundry.lint.lints import lint
 
-            findings += lint(loaded)
-        return findings
+        loaded = self._load()
+        return [*loaded.all_findings(), *(lint(loaded) if lints else ())]
 
     def save(self, path: str | Path | None = None) -> Path:
         """Write the document, preserving the comments and layout around the edits.
@@ -155,16 +152,8 @@ class EditableDocument(DocumentEntry):
 
     def _files(self) -> list[str]:
         """Return the file paths in the document that are relative to its folder."""
-        from simfoundry.spec.models.types import file_patterns
-
-        found: list[str] = []
-        for pattern in file_patterns(self._model):
-            values: list[Any] = [self._data]
-            for part in pattern:
-                dicts = [v for v in values if isinstance(v, dict)]
-                values = [x for v in dicts for x in (v.values() if part == "*" else [v[part]] if part in v else [])]
-            found += [v for v in values if isinstance(v, str) and ":" not in v and not v.startswith("/")]
-        return found
+        found = (value for pattern in file_patterns(self._model) for value in _values(self._data, pattern))
+        return [value for value in found if isinstance(value, str) and ":" not in value and not value.startswith("/")]
 
     # -- access by entries ------------------------------------------------------------------------------------------
 
@@ -199,6 +188,15 @@ class EditableDocument(DocumentEntry):
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
         self._data = renamed(self._data, [Rename(section, old, new)])
+
+
+def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
+    """Yield the values at the paths that match a pattern."""
+    if not pattern:
+        yield data
+    elif isinstance(data, dict):
+        for key in data if pattern[0] == "*" else pattern[:1]:
+            yield from _values(data.get(key), pattern[1:])
 
 
 def _validate(model: type[Model], path: DataPath, value: Any) -> None:

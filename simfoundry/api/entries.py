@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping, MutableSequence, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, MutableSequence, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 from pydantic import TypeAdapter
 
@@ -13,6 +13,7 @@ from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.types import field_type
 from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
@@ -120,21 +121,27 @@ class ValueField(_Field[Given], Generic[Got, Given]):
 
 
 E = TypeVar("E", bound=DocumentEntry)
+View = TypeVar("View")
 
 
-class EntryField(_Field[E | Model | Mapping[str, object] | None], Generic[E]):
-    """A field that is itself an entry, such as a pose; set its fields individually, or assign a mapping."""
+class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[View]):
+    """A field with parts, such as a pose or a section; edit its parts individually, or assign a mapping."""
 
-    def __init__(self, kind: type[E]) -> None:
-        self.kind = kind
+    def __init__(self, view: Callable[[EditableDocument, DataPath], View]) -> None:
+        self.view = view
 
     @overload
     def __get__(self, entry: None, owner: type) -> Self: ...
     @overload
-    def __get__(self, entry: DocumentEntry, owner: type) -> E: ...
-    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | E:
-        """Return the entry."""
-        return self if entry is None else self.kind(entry._document, (*entry._at, self.name))
+    def __get__(self, entry: DocumentEntry, owner: type) -> View: ...
+    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | View:
+        """Return a view of the field's parts."""
+        return self if entry is None else self.view(entry._document, (*entry._at, self.name))
+
+
+def section(kind: type[E]) -> EntryField[EntryMapping[E]]:
+    """Declare a section of a document, such as its objects by name."""
+    return EntryField(lambda document, path: EntryMapping(document, path, kind))
 
 
 class EntryMapping(MutableMapping[str, E]):
@@ -256,16 +263,10 @@ def to_plain(value: Any) -> Any:
         return to_data(value)
     if hasattr(value, "tolist"):  # numpy arrays and numbers
         value = value.tolist()
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return tuple(to_plain(item) for item in value)
     if isinstance(value, Path):
         return value.as_posix()
     return value.to_data() if hasattr(value, "to_data") else value
-
-
-def field_type(model: type[Model], name: str) -> Any:
-    """Return the type of a field, annotated with its constraints."""
-    info = model.model_fields[name]
-    return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation

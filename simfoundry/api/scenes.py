@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.api.document import EditableDocument
-from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
+from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models import base, robot, scene
 
@@ -145,34 +145,14 @@ class SceneDocument(EditableDocument):
     viewpoint = Text()
     gravity = Position()
     background = ValueField[scene.BackgroundSpec | None, scene.BackgroundSpec | Values | None]()
+    objects = section(ObjectEntry)
+    materials = section(MaterialEntry)
+    robots = section(RobotEntry)
+    cameras = section(CameraEntry)
+    lights = section(LightEntry)
     no_contact = ValueField[tuple[tuple[str, str], ...], Sequence[Sequence[str]] | None]()
     allow = ValueField[Mapping[str, object], Values | None]()
     origin = Origin()
-
-    @property
-    def objects(self) -> EntryMapping[ObjectEntry]:
-        """The objects in the scene, by name."""
-        return EntryMapping(self, ("objects",), ObjectEntry)
-
-    @property
-    def materials(self) -> EntryMapping[MaterialEntry]:
-        """The materials in the scene, by name."""
-        return EntryMapping(self, ("materials",), MaterialEntry)
-
-    @property
-    def robots(self) -> EntryMapping[RobotEntry]:
-        """The robots in the scene, by name."""
-        return EntryMapping(self, ("robots",), RobotEntry)
-
-    @property
-    def cameras(self) -> EntryMapping[CameraEntry]:
-        """The cameras in the scene, by name."""
-        return EntryMapping(self, ("cameras",), CameraEntry)
-
-    @property
-    def lights(self) -> EntryMapping[LightEntry]:
-        """The lights in the scene, by name."""
-        return EntryMapping(self, ("lights",), LightEntry)
 
     @property
     def relations(self) -> ExpressionList:
@@ -205,15 +185,24 @@ class SceneDocument(EditableDocument):
         Raises:
             OutputError: If a target folder contains files that are not from a build and ``force`` is False.
         """
-        from simfoundry.api.build import build_scene
+        from simfoundry.api.build import Build
+        from simfoundry.targets.build import TARGETS, build
 
-        return build_scene(self.lower(), targets, Path(out), force)
+        scene, folder = self.lower(), Path(out)
+        return Build(folder, scene, tuple(build(scene, targets or TARGETS, folder, force)))
 
     def to_mujoco_spec(self) -> mujoco.MjSpec:
         """Return the scene as an editable MuJoCo model without writing any files."""
-        from simfoundry.api.build import mujoco_spec
+        import mujoco
 
-        return mujoco_spec(self.lower())
+        from simfoundry.backends import compile_scene
+
+        artifact = compile_scene(self.lower(), "mjcf")
+        files = dict(artifact.files)
+        text = files.pop(artifact.entry).decode()
+        included = {name: data for name, data in files.items() if name.endswith(".xml")}
+        assets = {name: data for name, data in files.items() if name.startswith("assets/")}
+        return mujoco.MjSpec.from_string(text, include=included, assets=assets)
 
     def to_mujoco(self) -> mujoco.MjModel:
         """Return the scene as a compiled MuJoCo model without writing any files."""
@@ -221,9 +210,16 @@ class SceneDocument(EditableDocument):
 
     def to_usd(self) -> Usd.Stage:
         """Return the scene as a USD stage; its temporary files are deleted together with the stage."""
-        from simfoundry.api.build import usd_stage
+        from pxr import Usd
 
-        return usd_stage(self.lower())
+        from simfoundry.backends import compile_scene
+
+        artifact = compile_scene(self.lower(), "usd")
+        folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
+        artifact.write(Path(folder.name) / "usd")
+        stage = Usd.Stage.Open(str(Path(folder.name) / "usd" / artifact.entry))
+        weakref.finalize(stage, folder.cleanup)
+        return stage
 
     def open(self, engine: str = "mujoco") -> World:
         """Load the scene into a simulator.

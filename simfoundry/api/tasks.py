@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.api.document import EditableDocument
-from simfoundry.api.entries import DocumentEntry, EntryMapping, ValueField
+from simfoundry.api.entries import DocumentEntry, ValueField, section
 from simfoundry.api.scenes import Origin, SceneDocument, Text, Values
 from simfoundry.spec.models import task
 
@@ -40,11 +40,7 @@ class TaskDocument(EditableDocument):
     horizon = ValueField[int, int | None]()
     allow = ValueField[Mapping[str, object], Values | None]()
     origin = Origin()
-
-    @property
-    def subtasks(self) -> EntryMapping[SubtaskEntry]:
-        """The steps of the task by name, in order."""
-        return EntryMapping(self, ("subtasks",), SubtaskEntry)
+    subtasks = section(SubtaskEntry)
 
     def load_scene(self) -> SceneDocument:
         """Load the scene in which the task takes place."""

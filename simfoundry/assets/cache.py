@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,11 +63,9 @@ class Cache:
         path = self._path(key)
         if len(data) > self.most // SHELVES:
             return
-        try:
+        with suppress(OSError):
             write_atomically(path, data)
             _trim(path.parent, self.most // SHELVES)
-        except OSError:
-            return
 
     def _path(self, key: str) -> Path:
         return self.folder / key[:2] / key

@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.deviation import deviation, simplified
 from simfoundry.assets.errors import MeshError, flat
+from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.mass import mesh as solid_of
 from simfoundry.assets.mesh_summary import NEARLY_CONVEX, file_digest
 from simfoundry.assets.primitives import KINDS, Primitive, fitted_primitives
 from simfoundry.runtime.workers import Limits, Worker, WorkerError
-
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
 
 # Resource limits per mesh; YCB meshes take up to a minute on one core.
 LIMITS = Limits(seconds=300.0, memory=8 * 2**30)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
+from simfoundry.assets.mass import Array, Faces
 
 # Numbers of sample points on the mesh and on the parts; on a 20 cm object, mesh samples are about 1 mm apart.
 ON_MESH, ON_PARTS = 20_000, 4_000
@@ -40,12 +39,6 @@ def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -
     short = distances_outside(points[::step], planes)
     outer = _outer(parts, planes, TOUCHING * float(np.ptp(vertices, axis=0).max()))
     return max(0.0, float(short.max()), _greatest_distance(outer, vertices[faces], points, owner))
-
-
-def greatest_distance(points: Array, vertices: Array, faces: Faces) -> float:
-    """Return the maximum distance [m] from points, shape (n, 3), to the surface of a mesh."""
-    samples, owner = surface_samples(vertices, faces, ON_MESH)
-    return _greatest_distance(points, vertices[faces], samples, owner)
 
 
 def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, NDArray[np.int64]]:
@@ -169,9 +162,10 @@ def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tup
     count = enough
     while count < len(faces) // 2:
         corners, sides = fast_simplification.simplify(vertices, faces, target_count=count)
-        fewer = np.asarray(corners, dtype=np.float64), np.asarray(sides, dtype=np.int32)
-        lost = greatest_distance(points, *fewer) if len(sides) else np.inf
-        if lost <= ALLOWED * size:
-            return *fewer, lost
+        corners, sides = np.asarray(corners, dtype=np.float64), np.asarray(sides, dtype=np.int32)
+        if len(sides):
+            lost = _greatest_distance(points, corners[sides], *surface_samples(corners, sides, ON_MESH))
+            if lost <= ALLOWED * size:
+                return corners, sides, lost
         count *= 4
     return vertices, faces, 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Faces = NDArray[np.int32]  # Vertex indices of triangles, shape (m, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def revolution(profile: Array) -> SolidMoments:
     return SolidMoments(volume, np.array([0.0, 0.0, middle + origin]), _diagonal(across, across, spin))
 
 
-def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
+def mesh(vertices: Array, faces: Faces) -> SolidMoments:
     """Return the moments of the solid inside a closed surface, summed over signed tetrahedra.
 
     The volume is negative if the faces point inward.

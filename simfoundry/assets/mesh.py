@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -13,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
-
-Array = NDArray[np.float64]
+from simfoundry.assets.mass import Array, Faces
+from simfoundry.assets.textures import gltf_tree
 
 # Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
 #
@@ -41,7 +39,7 @@ class MeshPart:
     """
 
     vertices: Array
-    faces: NDArray[np.int32]
+    faces: Faces
     uv: Array | None = None
     texture: bytes | None = None
     rgba: tuple[float, float, float, float] | None = None
@@ -87,7 +85,10 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles that refer to nonexistent vertices", "export it again")
     parts = tuple(_part(path, m, scale) for m in meshes)
-    _check_numbers(path.name, np.concatenate([p.vertices for p in parts]))
+    bad = sum(int((~np.isfinite(part.vertices)).any(axis=1).sum()) for part in parts)
+    if bad:
+        message = f"{path.name} has {bad} vertices with non-finite coordinates"
+        raise MeshError("SF301", message, "repair or export it again")
     return parts
 
 
@@ -158,13 +159,7 @@ def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
     return stream.getvalue()
 
 
-def _check_numbers(name: str, vertices: Array) -> None:
-    if not np.isfinite(vertices).all():
-        bad = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise MeshError("SF301", f"{name} has {bad} vertices with non-finite coordinates", "repair or export it again")
-
-
-def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
+def merged(parts: Sequence[MeshPart]) -> tuple[Array, Faces]:
     """Concatenate the geometries of a mesh file.
 
     Returns:
@@ -175,7 +170,7 @@ def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
     return np.concatenate([p.vertices for p in parts]), faces.astype(np.int32)
 
 
-def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Merge coincident vertices (texture seams duplicate them) and remove degenerate triangles and unused vertices."""
     tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
@@ -186,7 +181,7 @@ def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.i
     return vertices[first][used], corners.reshape(-1, 3).astype(np.int32)
 
 
-def open_edges(faces: NDArray[np.int32]) -> int:
+def open_edges(faces: Faces) -> int:
     """Return the number of directed edges in welded faces without an opposite edge; 0 for a closed surface."""
     if not len(faces):
         return 0
@@ -262,15 +257,11 @@ def _ply(path: Path) -> tuple[int, int]:
 def _glb(path: Path) -> tuple[int, int]:
     """Return the total numbers of triangles and points; primitives count once for each node that uses them."""
     try:
-        with path.open("rb") as stream:
-            head = stream.read(20)
-            binary = head[:4] == b"glTF"
-            text = stream.read(int.from_bytes(head[12:16], "little")) if binary else head + stream.read()
-        tree = json.loads(text)
+        tree = gltf_tree(path, MAX_BYTES)
         counts = [int(accessor["count"]) for accessor in tree["accessors"]]
         meshes = [[_primitive(part, counts) for part in mesh["primitives"]] for mesh in tree["meshes"]]
         shown = [meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node] or meshes
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         return 0, 0
     return sum(n for mesh in shown for n, _ in mesh), sum(n for mesh in shown for _, n in mesh)
 

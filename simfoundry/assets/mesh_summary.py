@@ -104,14 +104,10 @@ def mesh_facts(path: Path, store: Cache | None = None) -> MeshFacts:
     """
     try:
         stat = path.stat()
+        return _facts(path, (stat.st_size, stat.st_mtime_ns), store or Cache.default())
     except OSError as error:
-        raise _unreadable(path, error) from None
-    return _facts(path, (stat.st_size, stat.st_mtime_ns), store or Cache.default())
-
-
-def _unreadable(path: Path, error: OSError) -> MeshError:
-    reason = error.strerror or error
-    return MeshError("SF301", f"{path.name} could not be read as a mesh: {reason}", "make it readable")
+        message = f"{path.name} could not be read as a mesh: {error.strerror or error}"
+        raise MeshError("SF301", message, "make it readable") from None
 
 
 @lru_cache(maxsize=4096)
@@ -123,10 +119,7 @@ def _facts(path: Path, version: tuple[int, int], store: Cache) -> MeshFacts:
     size, _ = version
     if size > errors.MAX_BYTES:
         raise errors.too_large(path.name, size)
-    try:
-        key = file_digest(path)
-    except OSError as error:
-        raise _unreadable(path, error) from None
+    key = file_digest(path)
     with suppress(ValueError):  # the entry is missing, or corrupt and must be recomputed
         return _reader().validate_json(store.get(key) or b"")
     facts = measure(path)

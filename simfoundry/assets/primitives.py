@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from simfoundry.assets.mass import Array
+
 Kind = Literal["box", "cylinder", "sphere"]
 KINDS: tuple[Kind, ...] = ("box", "cylinder", "sphere")
 

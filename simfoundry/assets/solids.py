@@ -8,16 +8,13 @@ from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.assets.deviation import distances_outside, face_planes
 from simfoundry.assets.errors import MeshError, shape_crosses_itself
+from simfoundry.assets.mass import Array, Faces
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
-
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
 
 # Number of sides of the visual mesh, whose radius is up to 0.2 % too small. The mass is that of the exact solid.
 SIDES = 48
@@ -128,7 +125,9 @@ def _bands(profile: Array) -> list[Polygon]:
     reach = float(profile[:, 0].max()) + 1.0
     bands: list[Polygon] = []
     for low, high in pairwise(heights):
-        bands += _polygons(whole.intersection(box(-1.0, low, reach, high)))
+        band = whole.intersection(box(-1.0, low, reach, high))
+        parts = getattr(band, "geoms", [band])
+        bands += [part for part in parts if part.geom_type == "Polygon" and part.area > 1e-10]
     while (pair := next(_joinable(bands), None)) is not None:
         first, second, union = pair
         bands[first] = union
@@ -143,11 +142,6 @@ def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
             union = bands[first].union(bands[second])
             if _fits(union):
                 yield first, second, union
-
-
-def _polygons(shape: Any) -> list[Polygon]:
-    parts = list(getattr(shape, "geoms", [shape]))
-    return [p for p in parts if p.geom_type == "Polygon" and p.area > 1e-10]
 
 
 def _fits(union: Any) -> bool:
@@ -227,7 +221,8 @@ def convex_outlines(outline: Array) -> list[Array]:
     for start, end in sorted(edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner):
         kept, gone = owner[start, end], owner[end, start]
         union = _joined(polygons[kept], polygons[gone], start, end)
-        if _is_convex(outline[union]):
+        edges = np.roll(outline[union], -1, axis=0) - outline[union]
+        if (_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all():
             moved = polygons[gone]
             owner |= {(moved[i - 1], moved[i]): kept for i in range(len(moved))}
             polygons[kept] = union
@@ -269,11 +264,6 @@ def _without_straights(points: Array) -> Array:
         else:
             k += 1
     return np.array(corners)
-
-
-def _is_convex(points: Array) -> bool:
-    edges = np.roll(points, -1, axis=0) - points
-    return bool((_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all())
 
 
 def _cross(a: Array, b: Array) -> Array:

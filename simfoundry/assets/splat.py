@@ -63,7 +63,7 @@ def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
     rotations = _columns(raw, _ROTATION)
     lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
     turned = lengths != 0
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # infinite values are reported below
         found = Gaussians(
             positions=_single(_columns(raw, _XYZ) * scale),
             scales=_single(np.exp(_columns(raw, _SCALE)) * scale),
@@ -71,9 +71,8 @@ def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
             opacities=_single(1.0 / (1.0 + np.exp(-_columns(raw, ("opacity",))[:, 0]))),
             harmonics=_single(_harmonics(path, raw, names)),
         )
-    for values in (found.positions, found.scales, found.rotations, found.opacities, found.harmonics):
-        if not np.isfinite(values).all():
-            raise MeshError("SF301", f"{path.name} has Gaussians with non-finite values", EXPORT)
+    if not all(np.isfinite(values).all() for values in vars(found).values()):
+        raise MeshError("SF301", f"{path.name} has Gaussians with non-finite values", EXPORT)
     return found
 
 
@@ -118,7 +117,6 @@ def _harmonics(path: Path, raw: Any, names: tuple[str, ...]) -> NDArray[np.float
 
 
 def _single(values: NDArray[np.float64]) -> Array:
-    with np.errstate(over="ignore"):
-        out = values.astype(np.float32)
+    out = values.astype(np.float32)
     out.setflags(write=False)
     return out

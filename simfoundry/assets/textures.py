@@ -90,18 +90,19 @@ def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
             names = map(_text, _DAE_PICTURE.findall(_head(path)))
             yield from ((path, name) for name in names if "." in name)  # names without a suffix are surface ids
         case ".gltf" | ".glb":
-            images = _gltf(path).get("images", [])
+            images = gltf_tree(path, MAX_HEAD).get("images", [])
             uris = [image["uri"] for image in images if isinstance(image, dict) and isinstance(image.get("uri"), str)]
             yield from ((path, uri) for uri in uris)
 
 
-def _gltf(path: Path) -> dict[str, Any]:
+def gltf_tree(path: Path, max_bytes: int) -> dict[str, Any]:
+    """Return the JSON tree of a glTF or GLB file; it is empty if it is invalid or longer than ``max_bytes``."""
     with path.open("rb") as stream:
         head = stream.read(20)
         if head[:4] == b"glTF":
-            text = stream.read(min(int.from_bytes(head[12:16], "little"), MAX_HEAD))
+            text = stream.read(min(int.from_bytes(head[12:16], "little"), max_bytes))
         else:
-            text = head + stream.read(MAX_HEAD)
+            text = head + stream.read(max_bytes)
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):

@@ -14,7 +14,7 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.spec.load import load_capture
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.targets.build import TARGETS, build
 from simfoundry.worlds import open_world, world_names
@@ -71,12 +71,11 @@ def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, fo
         except MissingEngineError as error:
             motions[engine] = f"did not run: {error}"
     worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
-    return Demo(run, worlds, motions, _truth(capture, frame, scene), out / "scene" / "compare.png")
+    return Demo(run, worlds, motions, _truth(run.document, frame, scene), out / "scene" / "compare.png")
 
 
-def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
+def _truth(loaded: Loaded, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
     """Compare with the ground-truth scene, if the capture specifies one that contains the camera of this frame."""
-    loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:
         return []

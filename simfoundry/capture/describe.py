@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.capture.support_object import Thickness
+from simfoundry.capture.support_object import DEFAULT_THICKNESS
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, tessellate
 from simfoundry.scene.meshfile import obj_with_material
@@ -83,17 +83,21 @@ def unique_names(wanted: Iterable[str]) -> list[str]:
     return out
 
 
-def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
-    """Return the spec of the support: a fixed prism whose top is at z = 0."""
+def support_spec(capture: str, support: SupportSurface, measured: float | None) -> ObjectSpec:
+    """Return the spec of the support: a fixed prism whose top is at z = 0.
+
+    ``measured`` is its measured thickness [m], or None to assume the default thickness.
+    """
     outline = tuple((meters(x), meters(y)) for x, y in support.outline)
-    note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
+    note = "thickness measured at its edge" if measured else "thickness assumed: no edge was seen"
+    thickness = measured or DEFAULT_THICKNESS
     return ObjectSpec(
         category="table",
         fixed=True,
-        shape=spec.PrismShape(prism=spec.Prism(outline=outline, height=slab.value)),
+        shape=spec.PrismShape(prism=spec.Prism(outline=outline, height=thickness)),
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
-        pose=spec.PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
+        pose=spec.PoseSpec(xyz=(0.0, 0.0, -thickness / 2)),
         origin=spec.Origin(capture=capture, fit_error=meters(support.residual), note=note),
     )
 

@@ -155,8 +155,9 @@ class _Reader:
         file = self.loaded.file(image)
         try:
             picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
-        except _UnreadableError as error:
-            self.fail("SF501", path, f"{image} could not be read as an image: {error}", "export it again")
+        except (OSError, ValueError, SyntaxError, EOFError, OverflowError, AttributeError) as error:
+            reason = " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
+            self.fail("SF501", path, f"{image} could not be read as an image: {reason}", "export it again")
             return None
         if picture.size == 0 or picture.ndim == 0 or picture.dtype.kind not in "buif":
             self.fail("SF501", path, f"{image} does not contain an image: {picture.dtype}, shape {picture.shape}")
@@ -224,18 +225,11 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
     return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
 
 
-class _UnreadableError(Exception):
-    """An error for an image file that cannot be read; the message states the reason."""
-
-
 def _numpy(file: Path) -> NDArray[Any]:
-    try:
-        stored = np.load(file, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than declared
-        if stored.size > NUMBERS_MAX:
-            raise ValueError(f"it contains {stored.size:.2g} numbers; the maximum is {NUMBERS_MAX:.2g}")
-        return np.array(stored)
-    except (OSError, ValueError, EOFError, OverflowError, AttributeError) as error:
-        raise _UnreadableError(_first_line(error)) from None
+    stored = np.load(file, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than declared
+    if stored.size > NUMBERS_MAX:
+        raise ValueError(f"it contains {stored.size:.2g} numbers; the maximum is {NUMBERS_MAX:.2g}")
+    return np.array(stored)
 
 
 def _decoded(file: Path, mode: str) -> NDArray[Any]:
@@ -244,16 +238,9 @@ def _decoded(file: Path, mode: str) -> NDArray[Any]:
 
     try:
         with Image.open(file) as image:
-            if mode and image.mode != mode:
-                return np.array(image.convert(mode))
-            return np.array(image)
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
-        raise _UnreadableError(_first_line(error)) from None
-
-
-def _first_line(error: Exception) -> str:
-    """Return the first line of a reader's error message, without the path, which the finding already contains."""
-    return " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
+            return np.array(image.convert(mode) if mode and image.mode != mode else image)
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from None
 
 
 def _size(picture: NDArray[np.generic] | Array) -> str:

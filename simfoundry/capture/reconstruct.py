@@ -16,7 +16,7 @@ from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.support_object import beneath, support_mesh, thickness
+from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.spec.models.base import Material, Origin
@@ -62,9 +62,9 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
     names = _names(frame, labels, shapes, given_names)
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(support, outline=beneath(support.outline, grounded))
-    slab = thickness(frame, support)
-    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, labels, slab.value))
-    objects = {SUPPORT_NAME: describe.support_spec(name, support, slab)}
+    measured = measured_thickness(frame, support)
+    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, labels, measured or DEFAULT_THICKNESS))
+    objects = {SUPPORT_NAME: describe.support_spec(name, support, measured)}
     for done, (k, shape) in enumerate(shapes.items()):
         progress(names[k], 0.7 + 0.3 * done / len(shapes))
         files |= mesh_files(names[k], textured_mesh(shape, frame, support, labels == k))

@@ -40,6 +40,7 @@ EXAMPLE = (
 class CaptureRun:
     """The result of a capture: the scene document, and a report on how well the scene fits and settles."""
 
+    document: Loaded
     scene_file: Path
     reconstruction: Reconstruction
     settled: SettleResult
@@ -83,7 +84,7 @@ def run_capture(
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(out / scene_name, built, settled, report)
+    return CaptureRun(loaded, out / scene_name, built, settled, report)
 
 
 def _document(path: Path) -> Loaded:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,21 +12,19 @@ from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 
-if TYPE_CHECKING:
-    from shapely.geometry import Polygon
-
 DEFAULT_THICKNESS = 0.03  # Thickness [m] of a tabletop whose edge is not visible; common tops are 18 to 40 mm thick
 
 THINNEST = 0.012  # Minimum thickness of a tabletop [m]; anything thinner is noise at its rim
-EDGE = 0.015  # Points below the top and within this distance of the outline [m] are on the edge of the support
+EDGE = 0.015  # Maximum distance [m] from the outline of points on the edge of the support, which are below its top
 
 # Size of a texture pixel on the top [m], unless this would exceed the size limit of the texture.
 TEXTURE_STEP = 0.002
-TEXTURE_LIMIT = 1024  # Longer side of the texture [px]: at most 3 MB, and more detail than a camera sees from 1 m away
+# Maximum length of the longer side of the texture [px]: at most 3 MB, and more detail than a camera sees from 1 m away.
+TEXTURE_LIMIT = 1024
 
-IN_FRONT = 0.02  # A reading closer than the top by this much [m] hides the top, even if it is not part of an object
+IN_FRONT = 0.02  # Minimum distance [m] in front of the top of a reading that hides it, even if it is not on an object
 
-MARGIN = 0.01  # Distance by which a support extends past the objects on it [m] if its own edge is not visible there
+MARGIN = 0.01  # Distance [m] by which a support extends past the objects on it if its own edge is not visible there
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
@@ -42,29 +37,14 @@ def beneath(outline: Array, footprints: list[Array]) -> Array:
         if not whole.contains(ground):
             joined = whole.union(ground)
             # Connect a footprint that is separate from the visible surface by the shortest path.
-            whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
+            bridge = shapely.shortest_line(whole, ground).buffer(MARGIN, quad_segs=2)
+            whole = joined if joined.geom_type == "Polygon" else joined.union(bridge)
     simple = simplified(shapely.Polygon(whole.exterior), 0.002, growth=1.5)
     return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
 
 
-def _bridge(a: Polygon, b: Polygon) -> Polygon:
-    import shapely
-    from shapely.ops import nearest_points
-
-    start, end = nearest_points(a, b)
-    return shapely.LineString([start, end]).buffer(MARGIN, quad_segs=2)
-
-
-@dataclass(frozen=True)
-class Thickness:
-    """The thickness ``value`` [m] of the support; ``measured`` is True if its edge was visible."""
-
-    value: float
-    measured: bool
-
-
-def thickness(frame: Frame, support: SupportSurface) -> Thickness:
-    """Measure the thickness of the support if enough points on its edge are visible; otherwise use the default."""
+def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
+    """Return the thickness of the support [m], or None if too few points on its edge are visible."""
     import shapely
 
     points = support.X_WC.apply(frame.points[np.isfinite(frame.depth)])
@@ -72,13 +52,11 @@ def thickness(frame: Frame, support: SupportSurface) -> Thickness:
     ring = shapely.Polygon(support.outline).exterior
     near = below[shapely.distance(ring, shapely.points(below[:, :2])) < EDGE] if len(below) else below
     if len(near) < 300:
-        return Thickness(DEFAULT_THICKNESS, False)
+        return None
     counts, edges = np.histogram(-near[:, 2], bins=np.arange(0.004, 0.124, 0.004))
     dense = counts > 0.02 * len(near)
     end = int(np.argmin(dense))  # the edge is a single band that starts at the top
-    if not dense[0] or dense.all() or edges[end] < THINNEST:
-        return Thickness(DEFAULT_THICKNESS, False)
-    return Thickness(float(edges[end]), True)
+    return None if not dense[0] or dense.all() or edges[end] < THINNEST else float(edges[end])
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:

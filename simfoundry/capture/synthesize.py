@@ -148,9 +148,7 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
     slack = 2 * np.nan_to_num(ray.depth) * steepness
     near_side, far_side = np.zeros(z.shape, dtype=np.bool_), np.zeros(z.shape, dtype=np.bool_)
     for axis in (0, 1):
-        low, high = (slice(None, -1), slice(1, None))
-        one = (low, slice(None)) if axis == 0 else (slice(None), low)
-        two = (high, slice(None)) if axis == 0 else (slice(None), high)
+        one, two = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
         with np.errstate(invalid="ignore"):
             gap = np.nan_to_num(z[two] - z[one], posinf=np.inf, neginf=-np.inf)
         limit = model.edge_jump * np.minimum(z[one], z[two]) + np.maximum(slack[one], slack[two])
@@ -166,14 +164,9 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
 
 def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Dilate a mask by ``steps`` pixels (Manhattan distance) along paths that stay ``within`` another mask."""
-    for _ in range(max(0, steps)):
-        wide = mask.copy()
-        wide[1:] |= mask[:-1]
-        wide[:-1] |= mask[1:]
-        wide[:, 1:] |= mask[:, :-1]
-        wide[:, :-1] |= mask[:, 1:]
-        mask = wide if within is None else wide & within
-    return mask
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(mask, iterations=steps, mask=within)) if steps > 0 else mask
 
 
 def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:

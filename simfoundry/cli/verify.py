@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -172,8 +173,8 @@ def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngi
         "ok": verified.ok,
         "engines": engines,
         "readings": [r.to_json() for r in verified.readings],
-        "behaviors": [m.to_json() for m in verified.results],
-        "left_alone": [r.to_json() for r in verified.rested],
+        "behaviors": [asdict(m) for m in verified.results],
+        "left_alone": [asdict(r) for r in verified.rested],
     }
 
 
@@ -221,7 +222,7 @@ def doctor_command(as_json: bool) -> int:
 
     parts = examine()
     if as_json:
-        output.print_json({"parts": [part.to_json() for part in parts]})
+        output.print_json({"parts": [asdict(part) for part in parts]})
     else:
         for section, group in groupby(parts, lambda part: part.section):
             click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")

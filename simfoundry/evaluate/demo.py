@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -50,15 +50,15 @@ from simfoundry.worlds.rest import center_of_mass
 # The robot that the demo uses; this arm does not need to be downloaded.
 ARM = "demo_arm"
 
-# The distances from the base to the midpoint between object and target, in order of preference, and the minimum
-# clearance between the base and any object [m]. The arm's foot has a radius of 0.09 m, and its elbow needs space beside
-# it.
+# The distances [m] from the base to the midpoint between object and target, in order of preference, and the minimum
+# clearance [m] between the base and any object. The arm's foot has a radius of 0.09 m, and its elbow also needs space.
 NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
 
-# The minimum distance from the base for a grasp from above (measured: 0.28 m), and the safety margin on the reach [m].
+# The minimum distance [m] from the base for a grasp from above (measured: 0.28 m), and the safety margin [m] on the
+# reach.
 NEAREST, MARGIN = 0.30, 0.04
 
-# Directions from the objects to the base, measured from the direction to the camera [deg]. Opposite the camera, the arm
+# Directions [deg] from the objects to the base, measured from the direction to the camera. Opposite the camera, the arm
 # does not occlude anything.
 SIDES = (180, 135, -135, 90, -90)
 
@@ -86,7 +86,7 @@ class ArmDemo:
         instruction: The instruction of the task.
         success: True if the goal held at the end.
         seconds: The duration of the arm's motion [s].
-        reason: An explanation of a failure.
+        reason: An explanation of the failure, or an empty string on success.
         task: The task document, or None if no suitable task was found.
         strip: The strip of images, or None if no suitable task was found.
     """
@@ -179,8 +179,7 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
 
     Containers are preferred over flat supports, and small objects over large ones.
     """
-    robot = lower_robot("arm", RobotSpec(model=ARM), Path())
-    fingers = jaws(robot)
+    fingers = jaws(lower_robot("arm", RobotSpec(model=ARM), Path()))
     assert fingers is not None
     state, judge = SceneState.initial(scene), Judge(scene)
     free = [item for item in scene.objects if not item.fixed]
@@ -193,21 +192,18 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
         item = scene.object(name)
         return bool(grasps(solid(item, state), center_of_mass(item, state.poses[name]), fingers, down()))
 
-    for inside in (True, False):
-        for thing in things:
-            for target in free:
-                if target.name == thing.name or not (inside or size[target.name] > size[thing.name]):
-                    continue
-                idea = _Idea(thing.name, target.name, inside)
-                if is_graspable(thing.name) and _can_hold(judge, idea, state):
-                    for base, yaw in islice(_bases(scene, thing, target), 1):
-                        yield replace(idea, base=base, yaw=yaw)
+    for inside, thing, target in product((True, False), things, free):
+        idea = _Idea(thing.name, target.name, inside)
+        fits = target.name != thing.name and (inside or size[target.name] > size[thing.name])
+        if fits and is_graspable(thing.name) and _can_hold(judge, idea, state):
+            for base, yaw in islice(_bases(scene, thing, target), 1):
+                yield replace(idea, base=base, yaw=yaw)
 
 
 def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
     """Return True if there is a place for the object at which the goal would hold."""
     found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
-    states = [replace(state, poses=MappingProxyType({**state.poses, idea.thing: place.X_WO})) for place in found]
+    states = [replace(state, poses={**state.poses, idea.thing: place.X_WO}) for place in found]
     try:
         return bool(states) and bool(judge.batch(idea.goal, StateBatch.of(judge.scene, states))[0].any())
     except PredicateError:  # raised for objects without a cavity
@@ -218,38 +214,28 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
     """Yield base poses from which the arm can reach both objects, best first, as a position [m] and a heading [rad]."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
-    boxes = {item.name: world_bounds(item, item.X_WO) for item in scene.objects}
-    tables = [boxes[item.name] for item in scene.objects if item.fixed]
-    ground = min(float(boxes[item.name][0][2]) for item in scene.objects if not item.fixed)
+    tables = [world_bounds(item, item.X_WO) for item in scene.objects if item.fixed]
+    obstacles = [world_bounds(item, item.X_WO) for item in scene.objects if not item.fixed]
+    ground = min(float(low[2]) for low, _ in obstacles)
     seen_from = scene.cameras[0].X_WC.p - middle if scene.cameras else np.array([-1.0, 0.0, 0.0])
-    toward = math.atan2(seen_from[1], seen_from[0])
     arm = find_robot(ARM)
     assert arm is not None
-    found: list[tuple[bool, int, Array, float]] = []
-    for side in SIDES:
-        for near in NEAR:
-            angle = toward + math.radians(side)
-            base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
-            away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
-            if min(away) < NEAREST or max(away) > arm.reach - MARGIN:
-                continue
-            if any(not item.fixed and _distance(base, boxes[item.name]) < APART for item in scene.objects):
-                continue
-            stands = any(_distance(base, box) == 0 and _inset(base, box) >= EDGE for box in tables)
-            found.append((not stands, len(found), base, angle + math.pi))
-    for _, _, base, yaw in sorted(found, key=lambda each: each[:2]):
+    found: list[tuple[bool, Array, float]] = []
+    for side, near in product(SIDES, NEAR):
+        angle = math.atan2(seen_from[1], seen_from[0]) + math.radians(side)
+        base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
+        away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
+        blocked = any(np.linalg.norm(np.maximum(_outside(base, box), 0.0)) < APART for box in obstacles)
+        if min(away) >= NEAREST and max(away) <= arm.reach - MARGIN and not blocked:
+            stands = any(_outside(base, box).max() <= -EDGE for box in tables)
+            found.append((stands, base, angle + math.pi))
+    for _, base, yaw in sorted(found, key=lambda each: not each[0]):
         yield base, math.remainder(yaw, 2 * math.pi)
 
 
-def _distance(point: Array, box: tuple[Array, Array]) -> float:
-    """Return the horizontal distance from a point to a box [m]."""
-    off = np.maximum(np.maximum(box[0][:2] - point[:2], point[:2] - box[1][:2]), 0.0)
-    return float(np.linalg.norm(off))
-
-
-def _inset(point: Array, box: tuple[Array, Array]) -> float:
-    """Return the horizontal distance from a point inside a box to the nearest side of the box [m]."""
-    return float(np.minimum(point[:2] - box[0][:2], box[1][:2] - point[:2]).min())
+def _outside(point: Array, box: tuple[Array, Array]) -> Array:
+    """Return how far a point is outside a box along x and y [m], shape (2,); negative values are inside."""
+    return np.asarray(np.maximum(box[0] - point, point - box[1])[:2])
 
 
 def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
@@ -264,9 +250,8 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
             one = rollout(task, start, expert, world)
             strip = _strip(task, start, one, world)
         reason = "" if one.success else "; ".join(dict.fromkeys([*expert.log, one.reason]))
-        done = ArmDemo(
-            idea.instruction, one.success, round(one.steps / task.control_hz, 1), reason, out / TASK, out / STRIP
-        )
+        seconds = round(one.steps / task.control_hz, 1)
+        done = ArmDemo(idea.instruction, one.success, seconds, reason, out / TASK, out / STRIP)
         written = {name: text.encode() for name, text in documents.items()} | {STRIP: png_bytes(strip)}
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in written.items()}
         report = json.dumps(done.to_json() | {"files": hashes}, indent=1, ensure_ascii=False) + "\n"
@@ -275,7 +260,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
-    """Return the text of a scene that adds the arm, and a camera that shows it, to the captured scene."""
+    """Return the text of a scene that adds an arm, and a camera that shows the arm, to the captured scene."""
     toward = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
     aside = np.array([-toward[1], toward[0], 0.0])
     # View the arm from the front and slightly from the side, at a distance [m] that shows its targets too.
@@ -304,10 +289,7 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Return labeled images of a rollout at equal time intervals, side by side.
-
-    The rollout is replayed to render them.
-    """
+    """Replay a rollout and return labeled images at equal time intervals, side by side."""
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
@@ -322,7 +304,10 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """Render the demo's camera; without a GL driver, ray-cast the scene with the arm as an ordinary object."""
+    """Render the image of the demo's camera.
+
+    Without a GL driver, the scene is ray-cast with the arm as an ordinary object.
+    """
     if choose_engine() is not Engine.RAYCAST:
         return np.asarray(world.render(CAMERA, *SIZE))
     scene, state = world.scene, world.state()

@@ -19,17 +19,18 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Policy, PolicyError
 from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
 from simfoundry.evaluate.task import Task, load_task
+from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 
 @dataclass(frozen=True)
 class ExpertChoice:
-    """The scripted expert, which is created for a specific task."""
+    """The scripted expert, which is created separately for each task."""
 
 
 @dataclass(frozen=True)
 class RandomChoice:
-    """A policy that moves at random."""
+    """A policy that moves the robots at random."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ def parse_policy(text: str) -> Choice:
     - ``replay:FILE``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
     - a path to a ``*.policy.yaml`` document
-    - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``; the query accepts
-      the keys of a policy document whose value is a single word or number, and the cameras are those of DROID
+    - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses the
+      cameras of DROID; the query accepts all keys of a policy document whose value is a single word or number
 
     Raises:
         PolicyError: If the text does not select a policy.
@@ -69,7 +70,9 @@ def parse_policy(text: str) -> Choice:
     if kind == "python":
         return _python(rest)
     if text.endswith((".yaml", ".yml")):
-        return _document(Path(text))
+        spec = load_kind(Path(text), "policy/1").spec
+        assert isinstance(spec, PolicySpec)
+        return spec
     if kind in PROTOCOLS:
         return _short(kind, rest)
     words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
@@ -78,7 +81,7 @@ def parse_policy(text: str) -> Choice:
 
 
 def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
-    """Create a selected policy; the expert is created separately, because it needs the task.
+    """Create a selected policy other than the expert, which also requires the task.
 
     A policy behind a server connects when its first rollout starts.
     """
@@ -102,21 +105,12 @@ def _python(rest: str) -> PythonClass:
     if not module or not name.isidentifier():
         raise PolicyError(f"`python:{rest}` does not name a class; use `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
     said = parse_qsl(query, keep_blank_values=True)
-    wrong = next((key for key, _ in said if not key.isidentifier()), None)
-    if wrong is not None or len({key for key, _ in said}) < len(said):
+    if not all(key.isidentifier() for key, _ in said) or len(dict(said)) < len(said):
         raise PolicyError(
             f"`{query}` are not valid arguments for `{name}`; specify each argument once, such as "
             "`?checkpoint=last.pt&horizon=8`"
         )
     return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
-
-
-def _document(path: Path) -> PolicySpec:
-    from simfoundry.spec.load import load_kind
-
-    spec = load_kind(path, "policy/1").spec
-    assert isinstance(spec, PolicySpec)
-    return spec
 
 
 def _short(protocol: str, rest: str) -> PolicySpec:
@@ -152,9 +146,9 @@ def _value(text: str) -> str | int | float:
     """
     if text in ("true", "false"):
         return text == "true"
-    if re.fullmatch(r"[+-]?[0-9]+", text):
-        return int(text)
-    return float(text) if re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text) else text
+    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text):
+        return text
+    return int(text) if text.lstrip("+-").isdigit() else float(text)
 
 
 _LABELED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
@@ -193,7 +187,7 @@ class Contender:
     text: str
 
     def choice(self) -> Choice:
-        """Parse the text that selects the policy; raises :class:`PolicyError` or :class:`SpecError`."""
+        """Parse the text that selects the policy; see :func:`parse_policy`."""
         return parse_policy(self.text)
 
     @property
@@ -225,11 +219,9 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
 
 
 def _label(text: str) -> str:
-    word = text
+    word = text.partition("?")[0] if ":" in text else text
     if text.endswith((".yaml", ".yml")):
         word = Path(text).name.partition(".")[0]
     elif text.startswith("python:"):
-        word = text.partition("?")[0].rpartition(":")[2]
-    elif ":" in text:
-        word = text.partition("?")[0]
+        word = word.rpartition(":")[2]
     return _UNFIT.sub("-", word).strip("-.") or "policy"

@@ -27,13 +27,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, checked_actions
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.control import (
-    Controller,
-    check_cameras,
-    physics_steps,
-    pictures,
-    readings,
-)
+from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
 from simfoundry.evaluate.rollouts.rollout import Progress
 from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array

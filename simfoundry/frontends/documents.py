@@ -12,19 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import (
-    BodyDraft,
-    JointDraft,
-    LinkDraft,
-    LinkPath,
-    MeshDraft,
-    ModelDraft,
-    NameTable,
-    PartDraft,
-    Rgba,
-    plain_name,
-)
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPath, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.meshes import FileShelf
+from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Model
@@ -54,13 +44,13 @@ class BuiltDocuments:
     """The drafts of each part and its link, keyed by the names of asset, link, and part in the documents."""
 
 
-def rounded(value: Any) -> Any:
-    """Return plain data with numbers rounded to :data:`DIGITS` significant digits."""
+def rounded(value: Any, digits: int = DIGITS) -> Any:
+    """Return plain data with numbers rounded to ``digits`` significant digits."""
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") + 0.0
+        return float(f"{value:.{digits}g}") + 0.0
     if isinstance(value, dict):
-        return {key: rounded(item) for key, item in value.items()}
-    return tuple(map(rounded, value)) if isinstance(value, list | tuple) else value
+        return {key: rounded(item, digits) for key, item in value.items()}
+    return tuple(rounded(item, digits) for item in value) if isinstance(value, list | tuple) else value
 
 
 def document_text(spec: Model) -> str:
@@ -85,8 +75,8 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
     return out
 
 
-def color_data(color: Rgba) -> tuple[float, ...]:
-    """Return a color rounded to four decimals, which removes single-precision noise, and without an alpha of 1."""
+def color_data(color: tuple[float, ...]) -> tuple[float, ...]:
+    """Return an RGBA color without an alpha of 1, rounded to four decimals to remove single-precision noise."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
@@ -162,8 +152,7 @@ class _SceneBuilder:
 
     def object_data(self, body: BodyDraft, called: str) -> Data:
         """Return the data of an object, with an inline shape if possible and otherwise with an asset document."""
-        inline = inline_data(body)
-        if inline is not None:
+        if (inline := inline_data(body)) is not None:
             return inline
         asset = self.assets[called] = _asset_spec(body, called, self.shelf, self.built)
         data: Data = {"asset": f"{self.folder}/{called}.asset.yaml", **_placement(body)}
@@ -197,16 +186,16 @@ class _SceneBuilder:
     def cameras(self) -> Data:
         names, out = NameTable("camera"), {}
         for camera in self.draft.cameras:
-            intrinsics = ((key, getattr(camera, key)) for key in ("size", "fx", "fy", "cx", "cy"))
-            data: Data = {key: value for key, value in intrinsics if value is not None}
+            data: Data = _given({key: getattr(camera, key) for key in ("size", "fx", "fy", "cx", "cy")})
             data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
             if camera.mount is not None:
                 body, link = camera.mount
                 if body not in self.objects:  # a robot, whose frame names are not changed
                     data["mount"] = f"{body}.{link}" if link else body
+                elif link == self.bodies[body].root:
+                    data["mount"] = self.objects[body]
                 else:
-                    is_root = link == self.bodies[body].root
-                    data["mount"] = self.objects[body] if is_root else self.link_path(body, link)
+                    data["mount"] = self.link_path(body, link)
             out[names.name(camera.name)] = data
         return out
 
@@ -238,14 +227,21 @@ def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocume
         "links": {link_names[n]: _link_data(body.links[n], shelf, materials) for n in body.link_order},
         "joints": {joint_names[j.name]: _joint_data(j, link_names, joint_names) for j in body.joints},
         "no_contact": tuple((link_names[a], link_names[b]) for a, b in body.no_contact),
+        **_category(body),
     }
-    if body.category is not None:
-        data["category"] = plain_name(body.category)
     return AssetSpec.model_validate(_without_empty(rounded(data)))
 
 
 def _without_empty(data: Data) -> Data:
     return {key: value for key, value in data.items() if value not in ({}, ())}
+
+
+def _given(data: Data) -> Data:
+    return {key: value for key, value in data.items() if value is not None}
+
+
+def _category(body: BodyDraft) -> Data:
+    return {} if body.category is None else {"category": plain_name(body.category)}
 
 
 def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
@@ -256,9 +252,7 @@ def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
             parts[name]["material"] = _material_name(_contact_data(part, link), materials)
     out |= uniform or {}
     if any(isinstance(part.geometry, MeshDraft) for part in link.colliders):
-        out["collision"] = link.collision
-        if link.inertia is None:
-            out["solid"] = "hull"
+        out |= {"collision": link.collision} | ({"solid": "hull"} if link.inertia is None else {})
     return _without_empty({**out, "parts": parts})
 
 
@@ -271,13 +265,10 @@ def _mass_data(link: LinkDraft) -> Data:
 
     if link.mass:
         out["mass"] = quantity(link.mass)
-        com = (0.0, 0.0, 0.0) if link.com is None else tuple(float(v) for v in link.com)
-        if link.inertia is not None:
-            i = link.inertia
-            tensor = tuple(float(v) for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
-            out["inertial"] = {"com": com, "inertia": tensor}
-        elif link.com is not None:
-            out["inertial"] = {"com": com}
+        if link.com is not None or link.inertia is not None:
+            out["inertial"] = {"com": (0.0, 0.0, 0.0) if link.com is None else tuple(link.com.tolist())}
+        if link.inertia is not None:  # ixx, iyy, izz, ixy, ixz, iyz
+            out["inertial"]["inertia"] = tuple(link.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist())
     elif link.density is not None:
         out["density"] = quantity(link.density)
     return out
@@ -285,15 +276,12 @@ def _mass_data(link: LinkDraft) -> Data:
 
 def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
     """Return the contact parameters shared by all parts of a link, or None if they differ or require a material."""
-    found = [_contact_data(part, link) for part in link.colliders]
-    if not found:
-        return {}
-    alike = all(contact == found[0] for contact in found)
-    return found[0] if alike and found[0].keys() <= LINK_KEYS else None
+    first, *others = [_contact_data(part, link) for part in link.colliders] or [{}]
+    return first if first.keys() <= LINK_KEYS and all(contact == first for contact in others) else None
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part, which default to the parameters of its link.
+    """Return the contact parameters of a part, which default to those of its link.
 
     Torsional and rolling friction are omitted if they are zero.
     """
@@ -350,11 +338,11 @@ def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str
     if joint.type in ("fixed", "free"):
         return out
     if joint.type != "ball":
-        out["axis"] = tuple(float(v) for v in joint.axis)
+        out["axis"] = tuple(joint.axis.tolist())
     if joint.limits is not None and joint.type == "prismatic":
-        out["limits"] = tuple(float(v) for v in joint.limits)
+        out["limits"] = tuple(map(float, joint.limits))
     elif joint.limits is not None and joint.type == "revolute":
-        out["limits_deg"] = tuple(math.degrees(v) for v in joint.limits)
+        out["limits_deg"] = tuple(map(math.degrees, joint.limits))
     if joint.closed is not None and joint.type in ("revolute", "prismatic"):
         out["closed"] = joint.closed
     out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
@@ -372,11 +360,9 @@ def _placement(body: BodyDraft) -> Data:
 
 
 def inline_data(body: BodyDraft) -> Data | None:
-    """Return the data of an object with an inline shape, or None if the body requires an asset document."""
-    if body.joints or len(body.links) != 1:
-        return None
-    (link,) = body.links.values()
-    if len(link.parts) != 1 or link.parts[0].use != "both":
+    """Return the data of an object with an inline shape, or None if the body needs an asset document."""
+    link, *others = body.links.values()
+    if body.joints or others or [part.use for part in link.parts] != ["both"]:
         return None
     (part,) = link.parts
     if body.exact and (link.name, part.name) != ("base", "shape"):
@@ -384,16 +370,12 @@ def inline_data(body: BodyDraft) -> Data | None:
     contact = _uniform_contact(link)
     if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or contact is None or not _is_plain(link, part):
         return None
-    out: Data = {"shape": to_data(part.geometry)} | _mass_data(link)
-    out.pop("inertial", None)
-    if body.fixed and link.assumed:
-        out.pop("density", None)
+    unneeded = ("inertial", "density") if body.fixed and link.assumed else ("inertial",)
+    out: Data = {"shape": to_data(part.geometry)} | {k: v for k, v in _mass_data(link).items() if k not in unneeded}
     out |= contact
     if part.color is not None:
         out["color"] = color_data(part.color)
-    if body.category is not None:
-        out["category"] = plain_name(body.category)
-    return out | _placement(body)
+    return out | _category(body) | _placement(body)
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:

@@ -1,13 +1,11 @@
 """Drafts: the intermediate representation between imported files and documents, in SI units.
 
-Drafts are mutable while a file is being read. They use the names in the file, which :class:`NameTable` converts to
-valid document names.
+Drafts are mutable while a file is being read. They use the names in the file, which
+:class:`~simfoundry.frontends.names.NameTable` converts to valid document names.
 """
 
 from __future__ import annotations
 
-import re
-import unicodedata
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -18,50 +16,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.names import free_name
+from simfoundry.frontends.shapes import PrimitiveShape, Rgba
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.asset import DriveSpec
-from simfoundry.spec.models.base import WORLD, BoxShape, CapsuleShape, CylinderShape, SphereShape
+from simfoundry.spec.models.base import BoxShape
 from simfoundry.spec.models.robot import RobotSpec
-
-# Maximum length of a name in documents [characters].
-LONGEST = 64
-
-
-def plain_name(text: str, otherwise: str = "thing") -> str:
-    """Convert a text to a similar valid document name, or to ``otherwise`` if it has no letters or digits."""
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
-    ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
-    name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
-    if not name:
-        return otherwise
-    return (name if name[0].isalpha() else f"{otherwise}_{name}")[:LONGEST].rstrip("_")
-
-
-class NameTable:
-    """Assigns unique document names to elements of one kind.
-
-    ``renamed`` maps original names to new names if they differ. The name ``world`` is never assigned because other
-    formats reserve it for the static world.
-    """
-
-    def __init__(self, otherwise: str = "thing") -> None:
-        self.otherwise = otherwise
-        self.taken: set[str] = {WORLD}
-        self.renamed: dict[str, str] = {}
-
-    def name(self, text: str) -> str:
-        """Return and reserve a unique name for an element called ``text``."""
-        plain = plain_name(text, self.otherwise)
-        name, count = plain, 1
-        while name in self.taken:
-            count += 1
-            name = f"{plain[: LONGEST - 5]}_{count}"
-        self.taken.add(name)
-        if name != text:
-            self.renamed[text] = name
-        return name
-
 
 # Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision.
 UNLIMITED_SLIDE_M = 1000.0
@@ -71,8 +32,6 @@ UNLIMITED_SLIDE_M = 1000.0
 # Its width and depth are the maximum allowed in documents, and it is thick enough to prevent tunneling.
 GROUND = (20.0, 20.0, 0.1)
 
-PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
-Rgba = tuple[float, float, float, float]
 # The name of a body and the name of one of its links.
 LinkPath = tuple[str, str]
 
@@ -328,22 +287,13 @@ class ModelDraft:
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:
-        """Return limits [m] for a prismatic joint that has none, because documents require limits."""
-        self.changed(what, f"it has no limits, so they are set to ±{UNLIMITED_SLIDE_M:g} m")
+        """Record that a prismatic joint lacks limits, and return the limits [m] to use instead."""
+        self.changed(what, f"documents require limits, so the missing limits were set to ±{UNLIMITED_SLIDE_M:g} m")
         return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 
     def free_name(self, wish: str) -> str:
         """Return an unused body name: ``wish``, with a number appended if another body already has that name."""
         return free_name(wish, {body.name for body in self.bodies})
-
-
-def free_name(wish: str, taken: set[str] | list[str]) -> str:
-    """Return ``wish``, with a number appended if that name is already taken."""
-    name, count = wish, 1
-    while name in taken:
-        count += 1
-        name = f"{wish}_{count}"
-    return name
 
 
 def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:

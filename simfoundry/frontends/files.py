@@ -101,9 +101,7 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
         count += 1
         element = Element(path, tag, parser.CurrentLineNumber, attributes)
         if count > MAX_ELEMENTS or len(stack) >= MAX_DEPTH:
-            raise element.refused(
-                f"the file has more than {MAX_ELEMENTS} elements or more than {MAX_DEPTH} nesting levels"
-            )
+            raise element.refused(f"the file has more than {MAX_ELEMENTS} elements or {MAX_DEPTH} nesting levels")
         (stack[-1].children if stack else roots).append(element)
         stack.append(element)
 
@@ -116,9 +114,8 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
     try:
         parser.Parse(_bounded_bytes(path, MAX_XML_BYTES), True)
     except expat.ExpatError as error:
-        raise ImportRefusedError(
-            path, f"the file is not valid XML: {expat.ErrorString(error.code)}", error.lineno
-        ) from None
+        message = f"the file is not valid XML: {expat.ErrorString(error.code)}"
+        raise ImportRefusedError(path, message, error.lineno) from None
     except (ValueError, LookupError) as error:  # an encoding that Python does not support
         raise ImportRefusedError(path, f"the file is not valid XML: {error}") from None
     (root,) = roots

@@ -56,18 +56,12 @@ class ImportReport:
         """Return a plain mapping for ``--json``."""
         if self.error:
             return {"source": self.source, "error": self.error}
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        del data["names"], data["error"]
-        return data | {
-            "notes": [note.to_json() for note in self.notes],
-            "renamed": dict(self.names),
-            "more": list(self.more),
-            "assumed_masses": dict(self.assumed_masses),
-        }
+        data = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("names", "error")}
+        return data | {"notes": [note.to_json() for note in self.notes], "renamed": dict(self.names)}
 
 
 def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> ImportReport:
-    """Import a file to ``out``, which must be NAME.scene.yaml, NAME.asset.yaml or, for tasks, NAME.task.yaml.
+    """Import a file to ``out``, which must be named NAME.scene.yaml, NAME.asset.yaml or, for tasks, NAME.task.yaml.
 
     Meshes are written to the folder NAME_files next to it. Documents are written only if they lower without errors.
 
@@ -145,7 +139,7 @@ def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskR
     return ImportReport(str(path), str(out), draft.format, notes=tuple(draft.notes))
 
 
-def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) -> tuple[BuiltDocuments, Scene | None]:
+def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) -> tuple[BuiltDocuments, Scene]:
     """Write the documents to a temporary folder, validate them, and move them into place.
 
     Returns:
@@ -162,9 +156,9 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
             for document, data in {**{n: t.encode() for n, t in made.documents.items()}, **made.files}.items():
                 write_file(staging / document, data)
             scene, found = _lowered(staging, f"{name}{kind}", root)
-            if not found or not _without_bad_meshes(draft, made, found, source):
+            if scene is not None or not _without_bad_meshes(draft, made, found, source):
                 break
-        if found:
+        if scene is None:
             more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
             place = Path(os.path.relpath(found[0].file, staging)).name
             raise ImportRefusedError(source, f"{found[0].message}{more}", hint=f"{place} {found[0].path}")
@@ -178,7 +172,7 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
 
 
 def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
-    """Lower a written document; return the scene, or None and the errors if lowering fails."""
+    """Return the lowered scene of a document, or None and the errors if lowering fails."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -193,14 +187,12 @@ def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, lis
         return None, [d for d in error.diagnostics if d.severity is Severity.ERROR]
 
 
-def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | None) -> dict[str, float]:
+def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene) -> dict[str, float]:
     """Return the masses [kg] of moving links for which the file specifies no mass.
 
     The keys are `object.link`, or only link names if there is a single object.
     """
     out: dict[str, float] = {}
-    if scene is None:
-        return out
     by_name = {item.name: item for item in scene.objects}
     for body in draft.bodies:
         item = scene.objects[0] if len(by_name) == 1 else by_name[built.names.get(body.name, body.name)]
@@ -213,7 +205,7 @@ def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | Non
 
 
 def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Diagnostic], source: Path) -> bool:
-    """Remove flat colliders and visuals that cannot be rendered from the draft; return True if there were any."""
+    """Remove flat colliders and unusable visuals from the draft; return True if there were any."""
     from simfoundry.frontends.mass_repair import repair_masses
 
     mended = False

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPath, ModelDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import Array
 
@@ -136,15 +136,10 @@ def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: J
     frame.com = None if child.com is None else X_PC.apply(child.com)
     frame.inertia = None if child.inertia is None else X_PC.rotation @ child.inertia @ X_PC.rotation.T
     # The frame itself has no colliders, so its exclusions had no effect.
-    body.no_contact = [pair for pair in body.no_contact if frame.name not in pair]
-    draft.no_contact = [pair for pair in draft.no_contact if (body.name, frame.name) not in pair]
-    names = {child.name: frame.name}
-    body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
-
-    def renamed(end: LinkPath) -> LinkPath:
-        return (body.name, frame.name) if end == (body.name, child.name) else end
-
-    draft.no_contact = [(renamed(a), renamed(b)) for a, b in draft.no_contact]
+    old, new = (body.name, child.name), (body.name, frame.name)
+    names, paths = {child.name: frame.name}, {old: new}
+    body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact if frame.name not in (a, b)]
+    draft.no_contact = [(paths.get(a, a), paths.get(b, b)) for a, b in draft.no_contact if new not in (a, b)]
     _remove_link(draft, body, child.name, frame.name, joint)
     why = "it is merged into its parent link, which has no mass of its own"
     draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
@@ -199,8 +194,9 @@ def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bo
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
     if not is_static:
-        set_by_user = "computed from its shapes at {:g} kg/m^3, as set by --density"
-        reason = set_by_user.format(draft.density) if draft.density else usual
+        reason = (
+            f"computed from its shapes at {draft.density:g} kg/m^3, as set by --density" if draft.density else usual
+        )
         draft.assumed(f"mass of `{link.name}`", f"the file specifies none; {reason}")
 
 

@@ -8,7 +8,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,11 @@ import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, extent, read_parts, texture_png
-from simfoundry.frontends.draft import MeshDraft, plain_name
+from simfoundry.frontends.draft import MeshDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import FileSearch, NotFoundError, read_xml
+from simfoundry.frontends.names import plain_name
+from simfoundry.frontends.shapes import Rgba
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.files import MESH_SUFFIXES
 
@@ -75,13 +77,12 @@ class FileShelf:
 
     def _store(self, files: dict[str, bytes]) -> str:
         main = next(iter(files))
-        for count in range(1, 100_000):
-            place = self.folder if count == 1 else f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{count}"
-            wanted = {f"{place}/{name}": data for name, data in files.items()}
-            if all(self.files.get(name, data) == data for name, data in wanted.items()):
-                self.files |= wanted
-                return f"{place}/{main}"
-        raise AssertionError("no free name")
+        numbered = (f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{k}" for k in count(2))
+        places = chain([self.folder], numbered)
+        free = (p for p in places if all(self.files.get(f"{p}/{name}", data) == data for name, data in files.items()))
+        place = next(free)
+        self.files |= {f"{place}/{name}": data for name, data in files.items()}
+        return f"{place}/{main}"
 
 
 def mesh_width(mesh: MeshDraft) -> float:
@@ -117,7 +118,7 @@ def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> N
 
 
 def _names_after(data: bytes, keyword: str) -> list[str]:
-    """Return the remainder of each line that starts with ``keyword`` in an OBJ or MTL file."""
+    """Return the rest of each line that starts with ``keyword`` in an OBJ or MTL file."""
     lines = (line.decode("utf-8", "replace").strip().partition(" ") for line in data.splitlines())
     return [rest.strip() for word, _, rest in lines if word.lower() == keyword and rest.strip()]
 
@@ -191,7 +192,7 @@ Groups = list[tuple[str, list[tuple[int, int, int]]]]
 
 
 def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
-    """Split an OBJ file into its groups, because PyBullet uses one convex hull per group for URDF collision meshes.
+    """Split an OBJ file into its groups, because PyBullet uses one convex hull per group of a collision mesh.
 
     Returns:
         The name and the mesh in meters of each group. The list is empty if the file is not an OBJ file, has fewer than
@@ -287,14 +288,12 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
             if type(error).__name__ not in HARMLESS or "Geometry" in str(error):
                 raise error
         parts = list(_document_parts(document, path, np.array(scale)))
-    except (ImportRefusedError, MeshError) as error:
-        reason, hint = (error.reason if isinstance(error, ImportRefusedError) else error.message), error.hint
-        raise MeshError(
-            "SF301", f"{path.name} could not be read as a mesh: {reason}", hint or "export it again"
-        ) from None
     except Exception as error:  # pycollada does not wrap the exceptions of its parsers
-        reason = " ".join(str(error).split())[:120]
-        raise MeshError("SF301", f"{path.name} could not be read as a mesh: {reason}", "export it again") from None
+        reason, hint = " ".join(str(error).split())[:120], ""
+        if isinstance(error, ImportRefusedError | MeshError):
+            reason, hint = error.reason if isinstance(error, ImportRefusedError) else error.message, error.hint
+        message = f"{path.name} could not be read as a mesh: {reason}"
+        raise MeshError("SF301", message, hint or "export it again") from None
     if not parts:
         raise MeshError("SF301", f"{path.name} has no triangles", "export the surface, not only points or curves")
     return tuple(parts)
@@ -342,9 +341,7 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
         yield MeshPart(vertices, np.ascontiguousarray(faces, dtype=np.int32), uv, texture, rgba)
 
 
-def _appearance(
-    material: Any, path: Path, has_uv: bool
-) -> tuple[bytes | None, tuple[float, float, float, float] | None]:
+def _appearance(material: Any, path: Path, has_uv: bool) -> tuple[bytes | None, Rgba | None]:
     """Return the texture as PNG, or the color, of a material.
 
     A texture is used only if its file is in the same folder as ``path`` and the mesh has texture coordinates.

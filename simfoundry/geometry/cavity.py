@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -99,20 +99,15 @@ def cavity_upward(form: Form, axis: int, sign: int) -> Cavity | None:
 
     If ``sign`` is negative, the axis points down instead. Links with identical shapes share the cached result.
     """
-    return _cavity(_Key(form), axis, sign)
+    return _cavity(_Key(form.digest, form), axis, sign)
 
 
+@dataclass(frozen=True)
 class _Key:
     """Cache key of a form, equal for forms with the same parts."""
 
-    def __init__(self, form: Form) -> None:
-        self.form, self._digest = form, form.digest
-
-    def __hash__(self) -> int:
-        return hash(self._digest)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other._digest == self._digest
+    digest: bytes
+    form: Form = field(compare=False)
 
 
 @lru_cache(maxsize=256)
@@ -131,9 +126,20 @@ def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
 def _cavity(key: _Key, axis: int, sign: int) -> Cavity | None:
     if (grid := _grid(key)) is None:
         return None
+    from scipy.ndimage import distance_transform_edt
+
     outside, low, cell = grid
     found, out = _hollow(outside, cell, axis, sign)
-    return None if int(found.sum()) < SMALLEST else _measured(found, out, outside, low, cell, axis, sign)
+    if int(found.sum()) < SMALLEST:
+        return None
+    within = found | (outside <= 0)
+    depth = distance_transform_edt(within) - distance_transform_edt(~within)
+    depth = np.where(within, depth - 0.5, depth + 0.5) * cell
+    cells = np.argwhere(found) * cell + low
+    bottom, top = cells.min(axis=0), cells.max(axis=0)
+    middle = (bottom + top) / 2
+    deep, size = float((top - bottom)[axis]) + cell, float(np.linalg.norm(cells - middle, axis=1).max()) + cell
+    return Cavity(np.ascontiguousarray(depth, np.float32), low, cell, np.eye(3)[axis] * sign, out, deep, middle, size)
 
 
 def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) -> NDArray[np.float32]:
@@ -249,45 +255,16 @@ def _shifted(layer: Mask, dy: int) -> Mask:
     return out
 
 
-def _measured(
-    found: Mask, out: Array, outside: NDArray[np.float32], low: Array, cell: float, axis: int, sign: int
-) -> Cavity:
-    from scipy.ndimage import distance_transform_edt
-
-    within = found | (outside <= 0)
-    depth = distance_transform_edt(within) - distance_transform_edt(~within)
-    depth = np.where(within, depth - 0.5, depth + 0.5) * cell
-    cells = np.argwhere(found) * cell + low
-    bottom, top = cells.min(axis=0), cells.max(axis=0)
-    middle = (bottom + top) / 2
-    up = np.zeros(3)
-    up[axis] = sign
-    return Cavity(
-        depth=np.ascontiguousarray(depth, dtype=np.float32),
-        low=low,
-        cell=cell,
-        up=up,
-        out=out,
-        deep=float((top - bottom)[axis]) + cell,
-        middle=middle,
-        size=float(np.linalg.norm(cells - middle, axis=1).max()) + cell,
-    )
-
-
 # Number of candidate points sampled in the bounding box of each part.
 TRIED = 512
 
 
+@lru_cache(maxsize=256)
 def volume_samples(form: Form, count: int) -> Array:
     """Sample about ``count`` points inside a form [m], in the link's frame, shape (k, 3).
 
     Regions where parts overlap are sampled once for each part.
     """
-    return _samples(form, count)
-
-
-@lru_cache(maxsize=256)
-def _samples(form: Form, count: int) -> Array:
     unit = _spread_points()
     low, high, _, _ = form.pieces
     inside = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,19 +172,39 @@ def _clipped(shape: HalfSpaces, room: Array, slope: Array) -> tuple[Array, Array
     return np.maximum.reduceat(first, shape.first, axis=1), np.minimum.reduceat(last, shape.first, axis=1)
 
 
+class Run(NamedTuple):
+    """The intersection of a line with one or more parts, from ``start`` to ``end`` along the line [m].
+
+    ``first`` and ``last`` contain the line index and the part index at the start and at the end.
+    """
+
+    start: float
+    end: float
+    first: tuple[int, int]
+    last: tuple[int, int]
+
+
+def union(runs: Iterable[Run]) -> list[Run]:
+    """Return the union of runs sorted by their start; runs separated by at most :data:`TOGETHER` are merged."""
+    found: list[Run] = []
+    for run in runs:
+        if not found or run.start > found[-1].end + TOGETHER:
+            found.append(run)
+        elif run.end > found[-1].end:
+            found[-1] = Run(found[-1].start, run.end, found[-1].first, run.last)
+    return found
+
+
 def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: Array) -> list[Span]:
     inside = np.flatnonzero(leave > entry)
-    spans: list[tuple[float, float, int, int]] = []
-    for k in inside[np.argsort(entry[inside], kind="stable")]:
-        if spans and entry[k] <= spans[-1][1] + TOGETHER:
-            if leave[k] > spans[-1][1]:
-                spans[-1] = (spans[-1][0], float(leave[k]), spans[-1][2], int(k))
-        else:
-            spans.append((float(entry[k]), float(leave[k]), int(k), int(k)))
-    return [
-        Span(start, end, min(_facing(shape, room, slope, a, start, -1.0), _facing(shape, room, slope, b, end, 1.0)))
-        for start, end, a, b in spans
-    ]
+    ordered = inside[np.argsort(entry[inside], kind="stable")].tolist()
+    spans = []
+    for start, end, (_, first), (_, last) in union(
+        Run(float(entry[k]), float(leave[k]), (0, k), (0, k)) for k in ordered
+    ):
+        enter, exit_ = _facing(shape, room, slope, first, start, -1.0), _facing(shape, room, slope, last, end, 1.0)
+        spans.append(Span(start, end, min(enter, exit_)))
+    return spans
 
 
 def _facing(shape: HalfSpaces, room: Array, slope: Array, part: int, at: float, sign: float) -> float:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,26 +108,25 @@ def quat_multiply(a: Array, b: Array) -> Array:
     """Return the Hamilton product of two wxyz quaternions."""
     aw, ax, ay, az = map(float, a)
     bw, bx, by, bz = map(float, b)
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return np.array([w, x, y, z])
 
 
 def matrix_from_quat(q: Array) -> Array:
     """Convert a unit wxyz quaternion to a rotation matrix, shape (3, 3)."""
-    w, x, y, z = map(float, q)  # numpy scalars are slower than Python floats
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.array(_rotation_rows(*map(float, q)))  # numpy scalars are slower than Python floats
+
+
+def _rotation_rows(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
+    """Return the rows of the rotation matrix for a unit quaternion whose entries are numbers or arrays."""
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
 
 
 def quat_from_matrix(rotation: Array) -> Array:
@@ -159,25 +158,39 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.array([w, x, y, z])
 
 
 def rpy_from_quat(q: Array) -> Array:
     """Convert a unit wxyz quaternion to fixed-axis roll, pitch and yaw [rad] as in URDF, shape (3,)."""
     r = matrix_from_quat(q).tolist()
-    pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
-    if (
-        math.hypot(r[0][0], r[1][0]) < 1e-9
-    ):  # gimbal lock: roll and yaw share one axis; assign the whole rotation to yaw
+    level = math.hypot(r[0][0], r[1][0])
+    pitch = math.atan2(-r[2][0], level)
+    if level < 1e-9:  # gimbal lock: roll and yaw share one axis; assign the whole rotation to yaw
         return np.array([0.0, pitch, math.atan2(-r[0][1], r[1][1])])
     return np.array([math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])])
+
+
+def principal_inertia(inertia: Array) -> tuple[Array, Array]:
+    """Return the principal moments and axes of a symmetric inertia ``I = R diag(moments) R^T``.
+
+    The axes of an inertia that is already diagonal are kept, so that symmetric bodies are not rotated by rounding.
+
+    Returns:
+        The moments [kg m^2], shape (3,), and R as a wxyz quaternion, shape (4,).
+    """
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+    if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
+        return frozen_array((xx, yy, zz)), IDENTITY.q
+    moments, axes = np.linalg.eigh(inertia)
+    for k in range(3):  # the sign of an eigenvector is arbitrary, so make its largest entry positive
+        if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
+            axes[:, k] = -axes[:, k]
+    if np.linalg.det(axes) < 0:
+        axes[:, 2] = -axes[:, 2]
+    return frozen_array(moments), Pose.from_matrix(axes).q
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -204,10 +217,7 @@ def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
     if np.linalg.norm(x) < 1e-6:  # looking straight up or down: keep image x along world x
         x = np.cross(z, np.array([0.0, 1.0, 0.0]))
     x = x / np.linalg.norm(x)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    matrix[:3, 3] = eye
-    return Pose.from_matrix(matrix)
+    return Pose.of(eye, quat_from_matrix(np.column_stack([x, np.cross(z, x), z])))
 
 
 def to_xyzw(q: Array) -> Array:
@@ -268,15 +278,8 @@ def rotate(turn: Array, v: Array) -> Array:
 
 def rotations(q: Array) -> Array:
     """Convert wxyz quaternions, shape (n, 4), to rotation matrices, shape (n, 3, 3)."""
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    out = np.empty((len(q), 3, 3))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return out
-
-
-_UNTURNED = np.eye(3)
+    rows = np.array(_rotation_rows(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T))
+    return np.ascontiguousarray(np.moveaxis(rows, -1, 0))
 
 
 class Turn:
@@ -290,4 +293,4 @@ class Turn:
     def by(self, angle: Array) -> Array:
         """Return the rotation matrices, shape (n, 3, 3), for angles [rad], shape (n,)."""
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-        return np.asarray(_UNTURNED + s * self._skew + (1 - c) * self._square)
+        return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

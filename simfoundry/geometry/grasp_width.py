@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.geometry.crossings import TOGETHER, HalfSpaces, bounds, face_normal, part_spans
+from simfoundry.geometry.crossings import HalfSpaces, Run, bounds, face_normal, part_spans, union
 
 # Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
 # faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
@@ -71,18 +70,6 @@ LINES = 5
 ROWS, ROW = (8, 24), 0.004
 
 
-class _Run(NamedTuple):
-    """The intersection of a finger line with the part of the object above a depth, from ``start`` to ``end`` [m].
-
-    ``first`` and ``last`` contain the line index and part index at the start and at the end.
-    """
-
-    start: float
-    end: float
-    first: tuple[int, int]
-    last: tuple[int, int]
-
-
 def grasp_width(solid: HalfSpaces) -> float:
     """Return the smallest gripper opening [m] that can grasp an object from above in its current pose.
 
@@ -128,7 +115,7 @@ class _Closing:
         self._skipped = 2
         a, z = np.meshgrid(across, high[2] - depths, indexing="xy")
         self._starts = np.column_stack([a.ravel(), np.full(a.size, low[1]), z.ravel()]) @ axes.T
-        self._met: list[list[list[_Run]]] = [[[] for _ in range(lines)] for _ in depths]
+        self._met: list[list[list[Run]]] = [[[] for _ in range(lines)] for _ in depths]
         along = solid.corners @ axes
         for part in range(len(solid.first)):
             own = along[solid.owner == part]
@@ -137,14 +124,14 @@ class _Closing:
             enter, leave = part_spans(solid, part, self._starts[chosen], self._direction)
             for at, first, last in zip(chosen.tolist(), enter.tolist(), leave.tolist(), strict=True):
                 if last > first:
-                    self._met[at // lines][at % lines].append(_Run(first, last, (at, part), (at, part)))
+                    self._met[at // lines][at % lines].append(Run(first, last, (at, part), (at, part)))
 
     def narrowest(self, best: float) -> float:
         """Return the smallest width of a valid grasp [m], or ``best`` if none is smaller."""
         lines = len(self._met[0])
-        above: list[list[_Run]] = [[] for _ in range(lines)]
+        above: list[list[Run]] = [[] for _ in range(lines)]
         for row, met in enumerate(self._met):
-            wider = [_merged([*old, *new]) for old, new in zip(above, met, strict=True)]
+            wider = [union(sorted([*old, *new])) for old, new in zip(above, met, strict=True)]
             changed = [new != old for new, old in zip(wider, above, strict=True)]
             above = wider
             if row < self._skipped:
@@ -155,9 +142,9 @@ class _Closing:
                     best = self._between(above[line : line + LINES], best)
         return best
 
-    def _between(self, above: Sequence[list[_Run]], best: float) -> float:
+    def _between(self, above: Sequence[list[Run]], best: float) -> float:
         """Return the width of the narrowest part that a pad can grasp along its lines [m], or ``best`` if smaller."""
-        runs = _merged([run for line in above for run in line])
+        runs = union(sorted(run for line in above for run in line))
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:
                 continue
@@ -169,7 +156,7 @@ class _Closing:
                     best = last.end - first.start
         return best
 
-    def _holds(self, above: Sequence[list[_Run]], first: _Run, last: _Run) -> bool:
+    def _holds(self, above: Sequence[list[Run]], first: Run, last: Run) -> bool:
         within = [[run for run in line if first.start <= run.start and run.end <= last.end] for line in above]
         if not all(within):
             return False
@@ -187,24 +174,8 @@ class _Closing:
             on_ridge = 0 < ends.index(min(ends)) < LINES - 1
             if not is_flat and not on_ridge:
                 return False
-            facing = (
-                sign * float(normal @ self._direction) if is_flat else math.sqrt(max(0.0, 1 - float(normal[2]) ** 2))
-            )
-            if facing < FACING:
+            level = math.sqrt(max(0.0, 1 - float(normal[2]) ** 2))
+            if (sign * float(normal @ self._direction) if is_flat else level) < FACING:
                 return False
             rise += float(normal[2]) / 2
         return rise <= WEDGE
-
-
-def _merged(runs: list[_Run]) -> list[_Run]:
-    """Return the union of runs, in order; runs separated by at most :data:`TOGETHER` are merged."""
-    if len(runs) < 2:
-        return runs
-    found: list[_Run] = []
-    for run in sorted(runs):
-        if found and run.start <= found[-1].end + TOGETHER:
-            if run.end > found[-1].end:
-                found[-1] = _Run(found[-1].start, run.end, found[-1].first, run.last)
-        else:
-            found.append(run)
-    return found

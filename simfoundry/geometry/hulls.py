@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -72,16 +72,16 @@ class Hulls:
 
     def posed(self, X_AB: Pose) -> Hulls:
         """Return the parts transformed from frame B to frame A."""
-        return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
+        return replace(self, corners=X_AB.apply(self.corners), normals=self.normals @ X_AB.rotation.T)
 
     def moved(self, offset: Array) -> Hulls:
         """Return the parts translated by ``offset`` [m]."""
-        return self._with(self.corners + offset, self.triangles, self.normals)
+        return replace(self, corners=self.corners + offset)
 
     def flipped(self) -> Hulls:
         """Return the mirror image of the parts across the plane z = 0."""
         mirror = np.array([1.0, 1.0, -1.0])
-        return self._with(self.corners * mirror, self.triangles, self.normals * mirror)
+        return replace(self, corners=self.corners * mirror, normals=self.normals * mirror)
 
     def of_link(self, link: int) -> Hulls:
         """Return only the parts of one link; the other parts keep their indices but have no corners."""
@@ -89,19 +89,15 @@ class Hulls:
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
         numbered = np.where(self.beside >= 0, (np.cumsum(triangles) - 1)[self.beside], -1)
-        return Hulls(
-            self.corners[kept],
-            number[self.edges[edges]],
-            number[self.triangles[triangles]],
-            self.normals[triangles],
-            numbered[edges],
-            self.part[kept],
-            self.radius,
-            self.link,
+        return replace(
+            self,
+            corners=self.corners[kept],
+            edges=number[self.edges[edges]],
+            triangles=number[self.triangles[triangles]],
+            normals=self.normals[triangles],
+            beside=numbered[edges],
+            part=self.part[kept],
         )
-
-    def _with(self, corners: Array, triangles: Index, normals: Array) -> Hulls:
-        return Hulls(corners, self.edges, triangles, normals, self.beside, self.part, self.radius, self.link)
 
 
 def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
@@ -119,21 +115,13 @@ def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
         radii.append(radius)
         links.append(link)
         count += len(corners)
-    corners = np.concatenate(points) if points else np.zeros((0, 3))
-    triangles = np.concatenate([np.zeros((0, 3), np.int64), *sides])
+    corners = np.concatenate([np.zeros((0, 3)), *points])
+    triangles, rod = np.concatenate([NO_TRIANGLES, *sides]), np.concatenate([NO_EDGES, *rods])
     normals = _normals(corners, triangles)
     edges, beside = _edges(triangles, normals)
-    rod = np.concatenate([np.zeros((0, 2), np.int64), *rods])
-    return Hulls(
-        corners,
-        np.concatenate([edges, rod]),
-        triangles,
-        normals,
-        np.concatenate([beside, np.full(rod.shape, -1)]),
-        np.concatenate([np.zeros(0, np.int64), *part]),
-        np.array(radii),
-        np.array(links, dtype=np.int64),
-    )
+    edges, beside = np.concatenate([edges, rod]), np.concatenate([beside, np.full(rod.shape, -1)])
+    number, link_of = np.concatenate([np.zeros(0, np.int64), *part]), np.array(links, dtype=np.int64)
+    return Hulls(corners, edges, triangles, normals, beside, number, np.array(radii), link_of)
 
 
 # Corners, triangles, edges that have no adjacent triangles, and radius of a geometry in its own frame.

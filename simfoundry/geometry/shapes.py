@@ -131,11 +131,13 @@ def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> 
     return closed_mesh(*lathe_mesh(np.asarray(profile, dtype=np.float64), segments))
 
 
-def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
+def closed_mesh(
+    vertices: Array, faces: NDArray[np.integer], uv: Array | None = None, texture: bytes | None = None
+) -> Mesh:
     """Return a mesh with read-only arrays."""
     index = np.ascontiguousarray(faces, dtype=np.int32)
     index.setflags(write=False)
-    return Mesh(vertices=frozen_array(vertices), faces=index)
+    return Mesh(frozen_array(vertices), index, None if uv is None else frozen_array(uv), texture)
 
 
 def hull_mesh(points: Array) -> Mesh | None:

@@ -17,36 +17,31 @@ MAX_BYTES = 256 * 2**20  # Maximum response size [bytes]; no usable image or mes
 
 MAX_QUOTE = 300  # Maximum length of a quoted server error [characters], enough for the first sentences
 
-FormFile = tuple[str, tuple[str, bytes, str]]  # A file in a form: field name, then file name, data, media type
-
 
 class ModelError(SimfoundryError):
     """Raised if a model returns no usable response; the message states the model, the reason, and the remedy."""
 
 
-def post(
-    url: str,
-    server: str,
-    json: Mapping[str, Any] | None = None,
-    form: Mapping[str, str] | None = None,
-    files: Sequence[FormFile] = (),
-    headers: Mapping[str, str] | None = None,
-    timeout_s: float = TIMEOUT_S,
-    max_bytes: int = MAX_BYTES,
-) -> bytes:
-    """Send a POST request with a JSON body or a multipart form, and return the response body.
+def post(url: str, server: str, timeout_s: float = TIMEOUT_S, max_bytes: int = MAX_BYTES, **request: Any) -> bytes:
+    """Send a POST request and return the response body.
 
-    ``server`` is the name of the server for error messages, such as `the image model`. Raises :class:`ModelError` if
-    the URL is not HTTP, the server does not respond within ``timeout_s`` or returns an error status, or the response is
-    larger than ``max_bytes``.
+    Args:
+        url: URL of the server, which must use HTTP or HTTPS.
+        server: Name of the server for error messages, such as `the image model`.
+        timeout_s: Time limit for the response [s].
+        max_bytes: Maximum size of the response [bytes].
+        **request: Content of the request, as accepted by ``httpx.stream``: ``json``, ``data``, ``files``, ``headers``.
+
+    Raises:
+        ModelError: The URL is invalid, the server does not respond in time or returns an error status, or the response
+            is too large.
     """
     import httpx
 
     if not url.startswith(("http://", "https://")):
         raise ModelError(f"the URL of {server} must start with http:// or https://, not `{url}`")
-    body: dict[str, Any] = {"json": json} if json is not None else {"data": form, "files": list(files)}
     try:
-        with httpx.stream("POST", url, **body, headers=headers, timeout=timeout_s, follow_redirects=True) as answer:
+        with httpx.stream("POST", url, timeout=timeout_s, follow_redirects=True, **request) as answer:
             data = b""
             for chunk in answer.iter_bytes():
                 data += chunk
@@ -96,7 +91,7 @@ class HttpImages:
         files = [("image[]", _form_file(k, picture)) for k, picture in enumerate(pictures)]
         headers = {"Accept": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
         url = f"{self.url.rstrip('/')}/images/edits"
-        answer = post(url, "the image model", form=fields, files=files, headers=headers, timeout_s=self.timeout_s)
+        answer = post(url, "the image model", self.timeout_s, data=fields, files=files, headers=headers)
         return _picture(answer, self.url)
 
 
@@ -174,7 +169,7 @@ class HttpMeshes:
         }
         try:
             url = f"{self.url.rstrip('/')}/generate"
-            data = post(url, "the mesh model", json=fields, timeout_s=self.timeout_s)
+            data = post(url, "the mesh model", self.timeout_s, json=fields)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
                 hint = "; was it started with --enable_tex? If not, set `texture: false` in the recipe's `models`"

@@ -47,24 +47,14 @@ class Vlm:
     """A vision-language model.
 
     ``model`` is a model name or, as in tests, a pydantic-ai model. ``base_url`` is the URL of a server with an
-    OpenAI-compatible API; if the server requires a key, it is read from the environment variable ``OPENAI_API_KEY``. If
-    ``temperature`` is None, the provider's default is used.
+    OpenAI-compatible API; if the server requires a key, it is read from the environment variable ``OPENAI_API_KEY``.
+    ``timeout_s`` is the time limit for one response [s].
     """
 
     def __init__(
-        self,
-        model: str | Model,
-        base_url: str | None = None,
-        mode: Mode = "native",
-        temperature: float | None = None,
-        timeout_s: float = TIMEOUT_S,
-        max_tokens: int = MAX_TOKENS,
+        self, model: str | Model, base_url: str | None = None, mode: Mode = "native", timeout_s: float = TIMEOUT_S
     ) -> None:
-        self._model = _model(model, base_url)
-        self._mode = mode
-        self._settings: dict[str, Any] = {"max_tokens": max_tokens, "timeout": timeout_s}
-        if temperature is not None:
-            self._settings["temperature"] = temperature
+        self._model, self._mode, self._timeout_s = _model(model, base_url), mode, timeout_s
 
     @property
     def name(self) -> str:
@@ -93,10 +83,11 @@ class Vlm:
 
         agent: Any = Agent(self._model, output_type=output, retries=RETRIES)
         limits = UsageLimits(request_limit=RETRIES + 1)
-        budget_s = self._settings["timeout"] * (RETRIES + 1)
+        settings = {"max_tokens": MAX_TOKENS, "timeout": self._timeout_s}
+        budget_s = self._timeout_s * (RETRIES + 1)
         parts = _message(prompt, pictures)
         try:
-            result = agent.run_sync(parts, model_settings=self._settings, usage_limits=limits, timeout=budget_s)
+            result = agent.run_sync(parts, model_settings=settings, usage_limits=limits, timeout=budget_s)
         except exceptions.ModelHTTPError as error:
             hint = "; is the API key correct?" if error.status_code in (401, 403) else ""
             raise VlmError(f"{self.name} returned status {error.status_code}: {_short(error.body)}{hint}") from None

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
-from simfoundry.predicates.judging.thresholds import (
-    CLOSE,
-    ENCLOSED,
-    FACING_DOWN_DEG,
-    FRICTION_SHARE,
-    SETTLED,
-    SUPPORT_DEG,
-    TOUCH,
-)
+from simfoundry.predicates.judging import thresholds
+from simfoundry.predicates.judging.thresholds import ENCLOSED, SETTLED, TOUCH
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
@@ -44,8 +39,6 @@ STEEP_SCALE = 0.01
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:
     """Require that ``b`` touches ``a``, pushes it up and balances it, and that ``a`` is at rest and not held."""
-    from functools import partial
-
     from simfoundry.predicates.judging import measurements
 
     terms.require_at_rest(a)
@@ -66,12 +59,12 @@ ON_TOP = Predicate(
     "the first object rests on top of the second",
     ("thing", "thing"),
     on_top,
-    f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {SUPPORT_DEG:g} deg of "
-    f"straight up, crediting {FRICTION_SHARE:.0%} of the friction angle; the center of mass of `a` is over the "
-    f"outline of `b`, or `a` also touches another object; if `b` is farther away than {CLOSE * 1000:g} mm, no object "
-    f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s and is not held by a robot. For "
-    "example, an object in a bowl rests on the bowl, an object on a hook rests on the hook, and an object that leans "
-    "on an edge rests on the edge",
+    f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {thresholds.SUPPORT_DEG:g} "
+    f"deg of straight up, crediting {thresholds.FRICTION_SHARE:.0%} of the friction angle; the center of mass of `a` "
+    "is over the outline of `b`, or `a` also touches another object; if `b` is farther away than "
+    f"{thresholds.CLOSE * 1000:g} mm, no object closer than that supports `a`; `a` moves no faster than "
+    f"{SETTLED * 100:g} cm/s and is not held by a robot. For example, an object in a bowl rests on the bowl, an object "
+    "on a hook rests on the hook, and an object that leans on an edge rests on the edge",
     effect=Effect.PLACE,
     aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
 )
@@ -83,7 +76,6 @@ def inside(terms: Terms, a: Entity, b: Entity) -> None:
 
     from simfoundry.predicates.judging.distances import FAR
     from simfoundry.predicates.judging.measurements import enclosed_depth
-    from simfoundry.scene.lengths import length
 
     depth = enclosed_depth(terms.view, a, b)
     share = f"{ENCLOSED:.0%} of `{a.name}`"
@@ -105,8 +97,8 @@ INSIDE = Predicate(
     ("thing", "thing"),
     inside,
     f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
-    f"{FACING_DOWN_DEG:g} deg away from straight up; `a` moves no faster than {SETTLED * 100:g} cm/s and is not held "
-    "by a robot",
+    f"{thresholds.OPENING_DEG:g} deg away from straight up; `a` moves no faster than {SETTLED * 100:g} cm/s and is not "
+    "held by a robot",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),
 )

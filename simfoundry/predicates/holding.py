@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from simfoundry.predicates.judging.thresholds import PRESS, SETTLED, TOUCH
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
@@ -48,10 +50,7 @@ RISE = 0.02
 
 def lifted(terms: Terms, a: Entity) -> None:
     """Require that ``a`` is higher than in the initial state and touches no object except those that it supports."""
-    from functools import partial
-
     from simfoundry.predicates.judging.measurements import gap_to_others
-    from simfoundry.scene.lengths import length
 
     rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ AT_DISTANCE = 0.02
 def at(terms: Terms, a: Entity, *point: float) -> None:
     """Require that the origin of ``a`` is close to ``point``, given as two or three world coordinates [m]."""
     import numpy as np
-
-    from simfoundry.scene.lengths import length
 
     off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
     terms.require(off, AT_DISTANCE - off, lambda v, ok: f"`{a.name}` is {length(v)} from the point")

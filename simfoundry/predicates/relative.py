@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ LEVEL = 1e-6
 def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
     """Require that the middle of each object is beyond the edge of the other object along the axis of ``name``."""
     import numpy as np
-
-    from simfoundry.scene.lengths import length
 
     column, sign = AXES[name]
     axis = sign * viewer_axis(terms.context.bodies.scene.viewer, column)
@@ -79,7 +78,6 @@ def next_to(terms: Terms, a: Entity, b: Entity) -> None:
     import numpy as np
 
     from simfoundry.predicates.judging.view import ground_gap, over
-    from simfoundry.scene.lengths import length
 
     def spare_gap(view: View) -> Array:
         boxes = view.boxes(a), view.boxes(b)
@@ -125,7 +123,6 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> N
 
     from simfoundry.predicates.judging.measurements import Meeting, meet
     from simfoundry.predicates.judging.view import over
-    from simfoundry.scene.lengths import length
 
     beside = over(terms.view.aabb_middle(a), terms.view.boxes(b))
     terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} to the side of `{b.name}`")

@@ -1,4 +1,4 @@
-"""Choose the GL driver once, by probing it in a separate process so that this process can still use either driver."""
+"""Choose a renderer; GL drivers are tried in a separate process, so that this process can still use either of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ print("drawn")
 
 
 class Engine(StrEnum):
-    """A renderer: MuJoCo with one of two GL drivers, our own ray caster, or the first of these that works."""
+    """A renderer: MuJoCo with one of two GL drivers, SimFoundry's ray caster, or the first of these that works."""
 
     AUTO = "auto"
     EGL = "egl"
@@ -28,8 +28,11 @@ class Engine(StrEnum):
     RAYCAST = "raycast"
 
 
+DRIVERS = (Engine.EGL, Engine.OSMESA)
+
+
 class RenderError(SimfoundryError):
-    """An error for an image that cannot be rendered as requested; the message states the reason and the fix."""
+    """Raised if an image cannot be rendered as requested; the message states the reason and the fix."""
 
 
 def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
@@ -42,10 +45,8 @@ def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
     except ValueError:
         raise RenderError(f"unknown render engine {engine!r}; available engines: {', '.join(Engine)}") from None
     if wanted is Engine.AUTO:
-        drivers = [Engine.EGL, Engine.OSMESA]
-        preferred = os.environ.get("MUJOCO_GL", "").lower()
-        drivers.sort(key=lambda d: d.value != preferred)
-        return next((d for d in drivers if _obstacle(d) is None), Engine.RAYCAST)
+        drivers = sorted(DRIVERS, key=lambda driver: driver != os.environ.get("MUJOCO_GL", "").lower())
+        return next((driver for driver in drivers if _obstacle(driver) is None), Engine.RAYCAST)
     if wanted is not Engine.RAYCAST and (reason := _obstacle(wanted)) is not None:
         raise RenderError(f"{wanted} is not available ({reason}); use 'raycast', which requires no GL driver")
     return wanted
@@ -53,7 +54,7 @@ def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
 
 def working_drivers() -> list[str]:
     """Return the GL drivers that MuJoCo can use on this machine."""
-    return [engine.value for engine in (Engine.EGL, Engine.OSMESA) if _obstacle(engine) is None]
+    return [driver.value for driver in DRIVERS if _obstacle(driver) is None]
 
 
 def _obstacle(engine: Engine) -> str | None:
@@ -66,7 +67,7 @@ def _obstacle(engine: Engine) -> str | None:
 
 @cache
 def _probe(engine: Engine) -> str | None:
-    """Try the driver in a separate process, because a failed attempt would prevent the use of the other driver here."""
+    """Try the driver in a separate process, because after a failed attempt a process cannot use the other driver."""
     own = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE.format(engine=engine.value)]
     try:

@@ -14,28 +14,29 @@ from simfoundry.runtime.files import MARK, write_atomically
 
 Image = NDArray[np.uint8]  # An sRGB image, uint8, shape (h, w, 3)
 
-PAPER = (255, 255, 255)
+PAPER = 255  # White, the value of all three channels
 INK = (38, 42, 48)
 
 
 def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None, columns: int | None = None) -> Image:
-    """Arrange panels ``(caption, image)`` in rows of ``columns`` (by default, in a single row), with captions on top.
+    """Arrange images with captions in rows.
 
-    All images are scaled to the same height [px], by default that of the smallest image, preserving aspect ratios.
+    Args:
+        panels: The caption and the image of each panel.
+        height: The height that all images are scaled to [px], preserving aspect ratios; by default, the height of the
+            smallest image.
+        columns: The number of panels in a row; by default, all panels are in one row.
     """
     if not panels:
         raise ValueError("a montage requires at least one image")
     row_height = min(image.shape[0] for _, image in panels) if height is None else height
     per_row = len(panels) if columns is None else max(1, columns)
-    cells = [_captioned(caption, _scaled(image, row_height)) for caption, image in panels]
     gap = max(4, row_height // 60)
-    rows = [_joined(cells[k : k + per_row], gap, axis=1) for k in range(0, len(cells), per_row)]
+    cells = [_padded(_captioned(caption, _scaled(image, row_height)), gap, gap) for caption, image in panels]
+    rows = [np.concatenate(cells[k : k + per_row], axis=1) for k in range(0, len(cells), per_row)]
     width = max(row.shape[1] for row in rows)
-    rows = [_joined([row, _blank(row.shape[0], width - row.shape[1])], 0, axis=1) for row in rows]
-    inside = _joined(rows, gap, axis=0)
-    page = _blank(inside.shape[0] + 2 * gap, inside.shape[1] + 2 * gap)
-    page[gap:-gap, gap:-gap] = inside
-    return page
+    page = np.concatenate([_padded(row, 0, width - row.shape[1]) for row in rows])
+    return np.pad(page, ((gap, 0), (gap, 0), (0, 0)), constant_values=PAPER)
 
 
 def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Image:
@@ -84,24 +85,20 @@ def save_png(path: Path, image: Image) -> None:
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Return a mask of the object pixels with a horizontal or vertical neighbor that has a different label."""
-    differs = np.zeros(objects.shape, dtype=np.bool_)
-    down, across = objects[1:] != objects[:-1], objects[:, 1:] != objects[:, :-1]
-    differs[1:] |= down
-    differs[:-1] |= down
-    differs[:, 1:] |= across
-    differs[:, :-1] |= across
-    return differs & (objects > 0)
+    near = np.pad(objects, 1, mode="edge")
+    around = np.stack([near[:-2, 1:-1], near[2:, 1:-1], near[1:-1, :-2], near[1:-1, 2:]])
+    return np.asarray((around != objects).any(axis=0) & (objects > 0), dtype=np.bool_)
 
 
 def _captioned(caption: str, image: Image) -> Image:
-    """Return the image with a caption above it; the text is scaled down if it is wider than the image."""
+    """Return the image with a caption above it, which is scaled down if it is wider than the image."""
     from PIL import Image as Pillow
     from PIL import ImageDraw, ImageFont
 
     h, w = image.shape[:2]
     size = max(11.0, h / 20)
     band = round(size * 1.7)
-    strip = Pillow.new("RGB", (w, band), PAPER)
+    strip = Pillow.new("RGB", (w, band), (PAPER, PAPER, PAPER))
     draw = ImageDraw.Draw(strip)
     wide = draw.textlength(caption, font=ImageFont.load_default(size))
     size = max(7.0, size * min(1.0, (w - 4) / max(wide, 1.0)))
@@ -119,15 +116,6 @@ def _scaled(image: Image, height: int) -> Image:
     return np.asarray(Pillow.fromarray(image).resize(size, Pillow.Resampling.LANCZOS), dtype=np.uint8)
 
 
-def _blank(height: int, width: int) -> Image:
-    return np.full((height, width, 3), PAPER, dtype=np.uint8)
-
-
-def _joined(images: Sequence[Image], gap: int, axis: int) -> Image:
-    """Concatenate images along an axis with a gap between them; all other dimensions must be equal."""
-    parts: list[Image] = []
-    for image in images:
-        if parts and gap:
-            parts.append(_blank(image.shape[0], gap) if axis == 1 else _blank(gap, image.shape[1]))
-        parts.append(image)
-    return np.concatenate(parts, axis=axis)
+def _padded(image: Image, bottom: int, right: int) -> Image:
+    """Return the image with white margins [px]."""
+    return np.pad(image, ((0, bottom), (0, right), (0, 0)), constant_values=PAPER)

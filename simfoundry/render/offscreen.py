@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
-from types import TracebackType
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,12 +30,15 @@ NEAR, FAR = 0.01, 100.0  # Near and far clipping distances [m]
 BACKDROP_EMISSION = 1e3  # Emission of the backdrop; high enough that lights in the scene do not change its color
 
 
-class MujocoRenderer:
+class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
     """An offscreen renderer for a MuJoCo model; close it after use, or use it in a ``with`` statement.
 
-    ``width`` and ``height`` [px] are the maximum image size. A ``quick`` renderer takes a third of the time for small
-    images on a CPU; it uses simplified meshes (:func:`coarsened`), smaller shadow maps, and four rendered pixels per
-    image pixel instead of the driver's multisampling.
+    A ``quick`` renderer needs a third of the time for small images on a CPU. It uses simplified meshes
+    (:func:`coarsened`), smaller shadow maps, and four rendered pixels per image pixel instead of the driver's
+    multisampling.
+
+    Attributes:
+        size: The maximum width and height of an image [px].
     """
 
     def __init__(
@@ -46,19 +49,15 @@ class MujocoRenderer:
         chosen = choose_engine(engine)
         if chosen is Engine.RAYCAST:
             raise RenderError("MuJoCo could not find a GL driver: install libegl1 and libgl1-mesa-dri, or libosmesa6")
-        self.engine = chosen
-        self._model = model
-        self._size = (width, height)
-        self._fine = FINE if quick else 1
-        model.vis.global_.offwidth = max(self._fine * width, model.vis.global_.offwidth)
-        model.vis.global_.offheight = max(self._fine * height, model.vis.global_.offheight)
-        drawn = model
+        self._model, self.size, self._fine = model, (width, height), FINE if quick else 1
+        buffer = model.vis.global_
+        buffer.offwidth = max(self._fine * width, buffer.offwidth)
+        buffer.offheight = max(self._fine * height, buffer.offheight)
+        drawn = coarsened(model) if quick else model
         if quick:
-            drawn = coarsened(model)
             drawn.vis.quality.shadowsize, drawn.vis.quality.offsamples = QUICK_SHADOW, 0
-        self._gl: Any = importlib.import_module(f"mujoco.{chosen.value}").GLContext(
-            model.vis.global_.offwidth, model.vis.global_.offheight
-        )
+        driver: Any = importlib.import_module(f"mujoco.{chosen.value}")
+        self._gl = driver.GLContext(buffer.offwidth, buffer.offheight)
         self._gl.make_current()
         self._context = mujoco.MjrContext(drawn, mujoco.mjtFontScale.mjFONTSCALE_100)
         self._scene = mujoco.MjvScene(model, maxgeom=max(1000, 4 * model.ngeom))
@@ -66,14 +65,9 @@ class MujocoRenderer:
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """The maximum width and height of an image [px]."""
-        return self._size
-
     def holds(self, width: int, height: int) -> bool:
         """Return True if an image of this size can be rendered."""
-        return width <= self._size[0] and height <= self._size[1]
+        return width <= self.size[0] and height <= self.size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
         """Render the image seen by ``camera``: sRGB, uint8, shape (h, w, 3)."""
@@ -88,12 +82,12 @@ class MujocoRenderer:
         """Return the geom at each pixel, shape (h, w): 1 + the geom id, or 0 if there is no geom."""
         import mujoco
 
-        flags = self._scene.flags
-        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+        labels = [mujoco.mjtRndFlag.mjRND_SEGMENT.value, mujoco.mjtRndFlag.mjRND_IDCOLOR.value]
+        self._scene.flags[labels] = 1
         try:
             rgb = self._draw(data, camera).astype(np.int32)
         finally:
-            flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 0
+            self._scene.flags[labels] = 0
         drawn = rgb[..., 0] + (rgb[..., 1] << 8) + (rgb[..., 2] << 16)  # 1 + the index in the scene's list
         geom = np.zeros(self._scene.ngeom + 1, dtype=np.int32)
         for item in self._scene.geoms[: self._scene.ngeom]:
@@ -105,16 +99,13 @@ class MujocoRenderer:
         """Render with ``fine`` pixels per image pixel along each axis."""
         import mujoco
 
-        if camera.width > self._size[0] or camera.height > self._size[1]:
-            raise RenderError(
-                f"the image of camera {camera.name!r} is {camera.width}x{camera.height}, but the renderer was created "
-                f"for {self._size[0]}x{self._size[1]}; create it with the size of the largest camera"
-            )
+        if not self.holds(camera.width, camera.height):
+            sizes = f"is {camera.width}x{camera.height}, but the renderer was created for {self.size[0]}x{self.size[1]}"
+            hint = "create it with the size of the largest camera"
+            raise RenderError(f"the image of camera {camera.name!r} {sizes}; {hint}")
         self._gl.make_current()
-        free = mujoco.MjvCamera()
-        mujoco.mjv_updateScene(
-            self._model, data, self._option, None, free, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
-        )
+        free, every = mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._model, data, self._option, None, free, every, self._scene)
         for view in self._scene.camera:
             _aim(view, camera)
         _light(self._scene, self._model, camera)
@@ -133,19 +124,13 @@ class MujocoRenderer:
         self._context.free()
         self._gl.free()
 
-    def __enter__(self) -> MujocoRenderer:
-        """Return the renderer itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
+    def __exit__(self, *_: object) -> None:
+        """Close the renderer."""
         self.close()
 
 
 def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
-    """Set the pose and frustum of a GL camera; pixel centers have integer coordinates, so the image starts at -0.5."""
+    """Set the pose and frustum of a GL camera; the image starts at -0.5, because pixel centers are integers."""
     R_WC = camera.X_WC.rotation
     view.pos, view.forward, view.up = camera.X_WC.p, R_WC[:, 2], -R_WC[:, 1]
     view.orthographic = 0
@@ -201,8 +186,9 @@ FEW = 500  # Meshes with at most this many triangles are not simplified
 # Edge length of the cubes whose vertices are merged [m]: 0.4 pixels at half a meter in an image 320 pixels wide.
 MERGED_M = 1e-3
 
-# Minimum cosine (10 deg) between the normals and their mean for merging flat regions in cubes two, four and eight times
-# as large. The outline moves by at most 0.2 mm, and shading does not change because the normals are kept.
+# Flat regions are also merged in larger cubes: two, four and eight times as large. FLAT is the minimum cosine (10 deg)
+# between the normals of a flat region and their mean. The outline moves by at most 0.2 mm, and shading does not change
+# because the normals are kept.
 FLAT_LEVELS, FLAT = 3, 0.985
 
 
@@ -233,7 +219,10 @@ def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
 
 
 def _clusters(corners: Floats, faces: Index) -> Index:
-    """Return the index of the vertex that each vertex is merged into, shape (n,); vertices [m] have shape (n, 3)."""
+    """Return the index of the vertex that each vertex is merged into, shape (n,).
+
+    The vertices ``corners`` [m] have shape (n, 3).
+    """
     a, b, c = (corners[faces[:, k]] for k in range(3))
     normals = _unit(np.cross(b - a, c - a))
     owner = _cubes(corners, MERGED_M)

@@ -23,12 +23,14 @@ BAND = 1_300_000  # Number of rays shaded at once; this requires about 1 GB of m
 
 @dataclass(frozen=True, eq=False)
 class Raycast:
-    """An image with per-pixel geometry; all arrays have shape (h, w) or (h, w, 3).
+    """An image with per-pixel geometry.
 
-    ``color`` is uint8 sRGB. ``depth`` [m] is measured along the optical axis at the pixel center, float64, NaN if no
-    surface is hit. ``objects`` is int32: 0 if no surface is hit, otherwise 1 + the index in ``scene.objects``.
-    ``normals`` are unit vectors in the world frame toward the camera, NaN if no surface is hit. ``camera`` is the
-    camera of the image.
+    Attributes:
+        color: The sRGB color, uint8, shape (h, w, 3).
+        depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, shape (h, w).
+        objects: 1 + the index in ``scene.objects``, or 0 if no surface is hit, int32, shape (h, w).
+        normals: Unit normals in the world toward the camera, or NaN if no surface is hit, shape (h, w, 3).
+        camera: The camera of the image.
     """
 
     color: NDArray[np.uint8]
@@ -42,10 +44,16 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     """Render ``scene`` in ``state`` (by default the state described by the scene) through ``camera``.
 
     Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` in the camera frame, so the center of the first pixel
-    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. The color of a pixel is the mean of ``samples`` x
-    ``samples`` rays. One ray gives hard shadows and no ambient occlusion; two or more darken corners, and more rays
-    soften the shadows. Depth, objects and normals are evaluated at the pixel center. A visual with alpha 0 is not
-    rendered. A visual with alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
+    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Depth, objects and normals are evaluated at the
+    pixel center. A visual with alpha 0 is not rendered. A visual with alpha below 1 appears in all four arrays, but it
+    transmits the color behind it and casts no shadow.
+
+    Args:
+        scene: The scene to render.
+        camera: The camera.
+        state: The state of the scene.
+        samples: The number of rays along each side of a pixel, whose mean is the color of the pixel. With 1, shadows
+            are hard and there is no ambient occlusion; larger values darken corners and soften shadows.
     """
     if samples < 1:
         raise ValueError(f"samples must be at least 1, not {samples}")
@@ -103,7 +111,7 @@ def _directions(rays: Rays, camera: Camera) -> Array:
 def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
     """Return unit shading normals toward the camera, shape (n, 3).
 
-    Every ray along ``directions``, shape (n, 3), must have a hit.
+    Each of the rays along ``directions``, shape (n, 3), must have a hit.
     """
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
     away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
@@ -113,7 +121,7 @@ def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
 def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
     """Return the linear color of each ray, shape (n, 3).
 
-    The color of a translucent hit is blended with that of the opaque surface behind it.
+    The color of a translucent surface is blended with the color of the opaque surface behind it.
     """
     directions = _directions(rays, camera)
     color = background(directions)

@@ -67,7 +67,10 @@ class Studio:
 
 
 def studio(scene: Scene) -> Studio:
-    """Return the lights in the scene; by default, daylight from the upper left as seen by a robot looking along x."""
+    """Return the lights in the scene.
+
+    A scene without lights gets daylight from the upper left, as seen by a robot that looks along x.
+    """
     if not scene.lights:
         lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
@@ -90,9 +93,14 @@ def studio(scene: Scene) -> Studio:
 class Points:
     """The n visible points to shade.
 
-    ``p`` [m, world], unit ``normals`` and unit directions ``to_eye`` have shape (n, 3). ``group``, shape (n,), is the
-    subpixel of each point; there are ``groups`` subpixels. Each subpixel uses different samples of the lamps and the
-    sky, so that the mean over subpixels has soft shadows.
+    Each subpixel uses different samples of the lamps and the sky, so that the mean over subpixels has soft shadows.
+
+    Attributes:
+        p: Positions in the world [m], shape (n, 3).
+        normals: Unit normals, shape (n, 3).
+        to_eye: Unit vectors toward the camera, shape (n, 3).
+        group: The index of the subpixel of each point, shape (n,).
+        groups: The number of subpixels in a pixel.
     """
 
     p: Array
@@ -125,10 +133,7 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """Return the ``k``-th of ``count`` samples on a distant lamp.
-
-    For a point lamp or a single sample, the center of the lamp is returned.
-    """
+    """Return sample ``k`` of ``count`` samples on a distant lamp; a point lamp or a single sample is at the center."""
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
@@ -163,8 +168,8 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
     """Return a mask of the points at which an opaque surface blocks the lamp, shape (n,).
 
-    Shadows are cast by the far side of closed surfaces. The shadow on other surfaces is the same, and smooth shading
-    keeps a soft terminator.
+    Only the far sides of closed surfaces cast shadows. Shadows on other surfaces are the same as with the near sides,
+    and the transition to the unlit side of a smooth surface stays soft.
     """
     shadow = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(surface.corners):
@@ -189,7 +194,7 @@ def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.b
 
 
 def background(directions: Array) -> Array:
-    """Return the linear color of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
+    """Return the linear color of the sky along world ``directions``, shape (n, 3), a soft gradient by elevation."""
     rise = unit(directions)[:, 2:]
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
@@ -265,6 +270,5 @@ def decode_srgb(values: Array) -> Array:
 def encode_srgb(linear: Array) -> NDArray[np.uint8]:
     """Convert linear light to sRGB bytes; values brighter than white are clipped."""
     c = np.clip(linear, 0, 1)
-    return np.asarray(
-        np.rint(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)), dtype=np.uint8
-    )
+    encoded = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * encoded), dtype=np.uint8)

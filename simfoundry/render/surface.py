@@ -15,11 +15,12 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState
 
-SEGMENTS = 96  # Segments in round primitives; the surface of a 5 cm cup is off by at most 27 micrometers
+SEGMENTS = 96  # Segments around round primitives; the surface of a 5 cm cup is off by at most 27 micrometers
 
 CREASE_DEG = 35.0  # Faces that meet at a smaller angle than this are shaded as a single smooth surface
 
-# Vertices with more corners than this (such as the hub of a fan) are not smoothed; the number of pairs is quadratic.
+# Vertices with more corners than this, such as the hub of a fan, are not smoothed, because the number of pairs of
+# corners is quadratic.
 _CROWDED = 512
 
 
@@ -27,10 +28,15 @@ _CROWDED = 512
 class SceneSurface:
     """All m visible triangles in a scene.
 
-    ``corners`` [m, world] has shape (m, 3, 3). ``normals`` are unit vectors in the world at each corner, shape
-    (m, 3, 3). ``uv``, shape (m, 3, 2), is zero for surfaces without texture coordinates. ``visual``, shape (m,),
-    indexes ``visuals``. ``object``, shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks
-    triangles of watertight, outward-oriented surfaces, whose insides are never visible.
+    Attributes:
+        corners: Corners in the world [m], shape (m, 3, 3).
+        normals: Unit normals in the world at each corner, shape (m, 3, 3).
+        uv: Texture coordinates, shape (m, 3, 2); zero for surfaces without texture coordinates.
+        visual: Index into ``visuals``, shape (m,).
+        object: Index into the scene's objects, shape (m,).
+        closed: True for triangles of watertight, outward-oriented surfaces, whose insides are never visible; shape
+            (m,).
+        visuals: The visuals that the triangles belong to.
     """
 
     corners: Array

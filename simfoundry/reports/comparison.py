@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.reports.pictures import Label, place_labels
+from simfoundry.reports.pictures import Tint, common_camera, picture, place_labels, tints_of
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.values import motion, motion_words
@@ -20,7 +20,6 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.reports.pictures import Picture, Tint
     from simfoundry.scene.model import Camera, Scene
 
 # Colors of the marks in images and in the list of changes (sRGB bytes).
@@ -40,7 +39,8 @@ def page(comparisons: Sequence[DocumentComparison]) -> str:
     """Render the page for the given documents."""
     documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
-    return render("comparison.html.j2", title=title, sources="", colors=COLORS, documents=documents)
+    context = {"sources": "", "colors": COLORS, "mark_of": mark_of}
+    return render("comparison.html.j2", title=title, documents=documents, **context)
 
 
 def mark_of(entry: MemberChange) -> str:
@@ -53,22 +53,13 @@ def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
     lowered = _lowered_sides(comparison)
     comparison = _with_moves(comparison, lowered)
     return {
+        "key": key,
         "name": comparison.name,
         "old": _label(comparison.old),
         "new": _label(comparison.new),
         "summary": summary(comparison.entries),
         "sides": _pictures(comparison, lowered, key) if lowered else [],
-        "entries": [
-            {
-                "key": f"{key}-{k}",
-                "name": entry.name,
-                "subject": entry.subject if entry.name else "",
-                "mark": mark_of(entry),
-                "verbs": entry.verbs,
-                "facts": entry.facts,
-            }
-            for k, entry in enumerate(comparison.entries)
-        ],
+        "entries": comparison.entries,
         "lines": comparison.lines() if not comparison.entries else [],
         "findings": comparison.findings,
     }
@@ -90,13 +81,13 @@ def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) 
         found = motion(*({"xyz": tuple(X.p), "quat_wxyz": tuple(X.q)} for X in (there.X_WO, item.X_WO)))
         if math.hypot(*found.shift) < SEEN_M and found.angle < SEEN_DEG:
             continue
-        told = motion_words(found)
+        words = motion_words(found)
         if entry is None:
-            verbs = (*told, "along with the object that its place refers to")
+            verbs = (*words, "along with the object that its place refers to")
             entries.append(MemberChange("objects", item.name, "", ("moved",), verbs, ()))
         else:
             marks = ("moved", *entry.marks)
-            entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))
+            entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *words))
     return replace(comparison, entries=tuple(entries))
 
 
@@ -118,28 +109,24 @@ def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
 def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
     """Return the template variables for both scenes, each with an image or the reason why there is no image."""
     sides = (comparison.old, comparison.new)
-    scenes = [scene for scene in lowered if not isinstance(scene, str)]
-    shown: list[Picture | str] = [str(scene) for scene in lowered]
-    if scenes:
-        from simfoundry.reports.pictures import common_camera, picture
-
-        views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
-        camera = common_camera(scenes, reversed(views))  # the new document's view takes precedence
-        tints = _tints(comparison, lowered)
-        shown = [
-            scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
-            for scene, tint, new in zip(lowered, tints, (False, True), strict=True)
-        ]
-    return [
-        _side(side, one, _keys(comparison, key, new), "after" if new else "before")
-        for side, one, new in zip(sides, shown, (False, True), strict=True)
-    ]
+    views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
+    # The viewpoint of the new document takes precedence.
+    camera = common_camera([scene for scene in lowered if not isinstance(scene, str)], reversed(views))
+    found = []
+    for new, side, scene, tints in zip((False, True), sides, lowered, _tints(comparison, lowered), strict=True):
+        about: dict[str, Any] = {"caption": "after" if new else "before", "label": _label(side), "picture": None}
+        if isinstance(scene, str):
+            found.append({**about, "reason": scene})
+            continue
+        keys = _keys(comparison, key, new)
+        shown = picture(scene, camera, {name: COLORS[mark_of(entry)] for name, (_, entry) in keys.items()}, tints)
+        labels = place_labels(shown.tags, shown.width / shown.height)
+        found.append({**about, "picture": shown, "labels": labels, "changes": keys})
+    return found
 
 
 def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
     """Return the tints of objects in both scenes; a renamed object keeps its tint."""
-    from simfoundry.reports.pictures import tints_of
-
     was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
     now = {old: new for new, old in was.items()}
     names = [[] if isinstance(scene, str) else [item.name for item in scene.objects] for scene in lowered]
@@ -181,30 +168,3 @@ def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tupl
         if entry.section == "objects":
             out.setdefault(entry.name if new else entry.was or entry.name, (f"{key}-{k}", entry))
     return out
-
-
-def _colors(comparison: DocumentComparison, new: bool) -> dict[str, tuple[int, int, int]]:
-    return {name: COLORS[mark_of(entry)] for name, (_, entry) in _keys(comparison, "", new).items()}
-
-
-def _side(
-    side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, MemberChange]], caption: str
-) -> dict[str, Any]:
-    about = {"caption": caption, "label": _label(side)}
-    if isinstance(shown, str):
-        return {**about, "picture": None, "reason": shown}
-    labels = [_tag(label, *keys[label.name]) for label in place_labels(shown.tags, shown.width / shown.height)]
-    return {**about, "picture": shown, "labels": labels}
-
-
-def _tag(label: Label, key: str, entry: MemberChange) -> dict[str, str]:
-    """Return a label and the line that connects it to its object, in percent of the image size."""
-    places = {
-        "x": label.x,
-        "y": label.y,
-        "stem_x": label.thing_x,
-        "stem_top": min(label.y, label.thing_y),
-        "stem_height": abs(label.thing_y - label.y),
-    }
-    percents = {name: f"{100 * share:.2f}" for name, share in places.items()}
-    return {**percents, "mark": mark_of(entry), "key": key, "name": label.name, "text": label.text}

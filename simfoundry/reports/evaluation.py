@@ -25,13 +25,13 @@ from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
 
-# Colors of rollouts that succeeded, failed, or have no result; they match the style sheet in light and dark mode.
+# Colors of rollouts that succeeded, failed, or have no result; they are readable in light and dark mode.
 GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
 
 
 @dataclass(frozen=True)
 class RateCell:
-    """A table cell with a rate and its interval, or with text; ``trouble`` is shown below it."""
+    """A table cell that contains a rate with its interval, or else a text; ``trouble`` is shown below."""
 
     rate: Rate | None = None
     text: str = "–"
@@ -40,7 +40,14 @@ class RateCell:
 
 @dataclass(frozen=True)
 class RateRow:
-    """A table row: its heading, the number of tasks (not shown if 0), and a cell for each policy."""
+    """A table row for one task, or for one step of a task.
+
+    Attributes:
+        head: The heading of the row.
+        each: One cell for each policy.
+        count: The number of tasks that the row combines, which is not shown if it is 0.
+        step: True if the row is about a step.
+    """
 
     head: str
     each: Sequence[RateCell]
@@ -64,8 +71,10 @@ def page(records: Sequence[Record], title: str = "Evaluation") -> str:
         policies=_policies(policy for here in named.values() for policy in here),
         tasks=list(_task_rows(named)),
         engines=sorted(compare_engines(records), key=lambda one: not one.disagrees),
-        each=[_task(name, list(here.values()), by_cell) for name, here in named.items()],
+        each=[(name, [(cell, by_cell[cell.key]) for cell in here.values()]) for name, here in named.items()],
         many=len(named) > MANY,
+        grids_of=_grids,
+        explain=_explanation,
     )
 
 
@@ -97,13 +106,10 @@ def _listed(words: Iterable[str]) -> str:
 def _task_rows(named: Mapping[str, Mapping[str, ScoreRow]]) -> Iterator[RateRow]:
     policies = _policies(policy for here in named.values() for policy in here)
     for name, here in named.items():
-        yield RateRow(name, [_success(here[p]) if p in here else RateCell() for p in policies])
+        found = {p: RateCell(c.success if c.success.of else None, "no result", c.exceptions) for p, c in here.items()}
+        yield RateRow(name, [found.get(policy, RateCell()) for policy in policies])
         steps = dict.fromkeys(s for cell in here.values() for s in cell.subtasks) if len(named) <= MANY else ()
         yield from _step_rows(steps, here, policies)
-
-
-def _success(cell: ScoreRow) -> RateCell:
-    return RateCell(cell.success if cell.success.of else None, "no result", cell.exceptions)
 
 
 def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
@@ -126,29 +132,9 @@ def _step_rows(
         yield RateRow(step, each, step=True)
 
 
-def _task(name: str, here: Sequence[ScoreRow], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
-    """Return the template variables for a task: its requirements and the results of each policy."""
-    record = by_cell[here[0].key][0]
-    return {
-        "name": name,
-        "line": "; ".join(f"{cell.policy} {cell.success.done}/{cell.success.of}" for cell in here),
-        "instruction": record["instruction"],
-        "horizon": record["horizon"],
-        "seconds": f"{record['horizon'] / record['control_hz']:.0f}",
-        "cells": [_details(cell, by_cell[cell.key]) for cell in here],
-    }
-
-
-def _details(cell: ScoreRow, records: Sequence[Record]) -> dict[str, Any]:
-    ends = ", ".join(f"{count} {end}" for end, count in cell.ends.items())
-    failures = [record for record in records if not record["success"]]
-    return {
-        "policy": cell.policy,
-        "ends": ends + (f", {cell.missing} missing" if cell.missing else ""),
-        "grids": [_grid(name, records) for name in dict.fromkeys(n for r in records for n in r["cells"])],
-        "failures": [{**record, "why": _why(record), "done": _steps_done(record)} for record in failures],
-        "videos": [record for record in records if record.get("video")],
-    }
+def _grids(records: Sequence[Record]) -> list[dict[str, Any]]:
+    """Return a grid for each object with a randomized initial position."""
+    return [_grid(name, records) for name in dict.fromkeys(name for record in records for name in record["cells"])]
 
 
 def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
@@ -160,7 +146,7 @@ def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
             "index": record["index"],
             "row": record["cells"][name][0],
             "column": record["cells"][name][1],
-            "why": _why(record),
+            "why": _explanation(record),
             "color": (GOOD if record["success"] else BAD) if is_result(record) else UNKNOWN,
         }
         for record in here
@@ -169,15 +155,9 @@ def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
     return {"name": name, "rows": rows, "columns": columns, "x": region["x"], "y": region["y"], "cells": cells_}
 
 
-def _steps_done(record: Record) -> str:
-    return ", ".join(f"{name} ({step})" for name, step in record["subtasks"].items() if step is not None)
-
-
-def _why(record: Record) -> str:
+def _explanation(record: Record) -> str:
     """Explain how a rollout ended, including the goals that its final state does not satisfy."""
     if record["success"]:
         return f"success after {record['steps']} steps"
-    said = [record["reason"] or record["end"]]
-    if record.get("unmet") and is_result(record):
-        said.append(f"at the end: {record['unmet']}")
-    return "; ".join(said)
+    unmet = f"; at the end: {record['unmet']}" if record.get("unmet") and is_result(record) else ""
+    return f"{record['reason'] or record['end']}{unmet}"

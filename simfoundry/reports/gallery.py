@@ -1,4 +1,4 @@
-"""``gallery.html``: images of the first cousins, the variations requested for them, and reasons for rejections."""
+"""The page ``gallery.html``: images of the first cousins, their requested variations, and reasons for rejections."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Reader
 from simfoundry.cousins.run.report import draw, examples, summary
-from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
+from simfoundry.cousins.run.run import MANIFEST, Ledger, RunPlan
 from simfoundry.reports.render import render
 from simfoundry.runtime.files import write_atomically
 
@@ -43,12 +44,9 @@ def _picture(out: Path, candidate: Candidate) -> Path | None:
     if "scene" not in candidate.documents:
         return None
     path = out / PICTURES / f"{candidate.index:06d}.png"
-    if not path.is_file():
-        image = draw(out / candidate.files()["scene"])
-        if image is None:
-            return None
+    if not path.is_file() and (image := draw(out / candidate.files()["scene"])) is not None:
         write_atomically(path, image)
-    return path
+    return path if path.is_file() else None
 
 
 def page(
@@ -67,10 +65,9 @@ def page(
         reasons: One example for each rejection reason.
         variants: A text with the variant results for each object.
     """
-    title = f"Cousins: {facts['recipe']}"
     return render(
         "gallery.html.j2",
-        title=title,
+        title=f"Cousins: {facts['recipe']}",
         sources="'self'",
         facts=facts,
         shown=shown,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import io
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -38,7 +39,10 @@ Image = NDArray[np.uint8]
 class Tag:
     """The position of an object in an image.
 
-    ``x`` is the center of the object and ``y`` its top, as fractions of the image's width and height.
+    Attributes:
+        name: The name of the object.
+        x: The horizontal center of the object, as a fraction of the image width.
+        y: The top of the object, as a fraction of the image height.
     """
 
     name: str
@@ -48,7 +52,7 @@ class Tag:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image as PNG bytes, its size [px], and tags for the changed objects visible in it."""
+    """An image as PNG bytes, with its size [px] and a tag for each visible object that changed."""
 
     png: bytes
     width: int
@@ -75,7 +79,7 @@ def picture(
 
 
 def tints_of(names: Iterable[str]) -> dict[str, Tint]:
-    """Return a pale tint for each name, as distinct as possible; equal names in equal order give equal tints."""
+    """Return a pale tint for each name; the tints are as distinct as possible and depend only on names and order."""
     hues = {name: k * GOLDEN % 1.0 for k, name in enumerate(dict.fromkeys(names))}
     return {name: colorsys.hls_to_rgb(hue, 0.68, 0.42) for name, hue in hues.items()}
 
@@ -84,23 +88,17 @@ def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
     """Return an object with its default-gray parts tinted; fixed objects remain gray because they are background."""
     if tint is None or item.fixed:
         return item
-    rgba = frozen_array((*tint, 1.0))
-    links = [
-        replace(
-            link,
-            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GRAY else v for v in link.visuals),
-        )
-        for link in item.links
-    ]
+    rgba, links = frozen_array((*tint, 1.0)), []
+    for link in item.links:
+        visuals = tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GRAY else v for v in link.visuals)
+        links.append(replace(link, visuals=visuals))
     return replace(item, links=tuple(links))
 
 
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
     """Return the first chosen camera, scaled down if necessary; by default, a view of everything in the scenes."""
-    for camera in chosen:
-        if camera is not None:
-            return _shrunk(camera)
-    return _overview([scene for scene in scenes if scene.objects])
+    camera = next((camera for camera in chosen if camera is not None), None)
+    return _shrunk(camera) if camera is not None else _overview([scene for scene in scenes if scene.objects])
 
 
 def _shrunk(camera: Camera) -> Camera:
@@ -120,9 +118,8 @@ def _shrunk(camera: Camera) -> Camera:
 
 def _overview(scenes: list[Scene]) -> Camera:
     """Return a three-quarter view of the objects that are not fixed, or of all objects if all are fixed."""
-    points = [p for scene in scenes for p in (_corners(scene, free=True),) if len(p)]
-    points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
-    cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
+    clouds = (np.concatenate([np.zeros((0, 3)), *(_corners(s, free) for s in scenes)]) for free in (True, False))
+    cloud = next((points for points in clouds if len(points)), np.array([[-0.5] * 3, [0.5] * 3]))
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
     away = np.array(FROM) / np.linalg.norm(FROM)
@@ -133,22 +130,19 @@ def _overview(scenes: list[Scene]) -> Camera:
 
 
 def _corners(scene: Scene, free: bool) -> Array:
-    """Return the corners of the visible triangles [m, world], shape (n, 3), of all objects or only of free objects."""
+    """Return the corners of the visible triangles in the world [m], shape (n, 3), optionally only of free objects."""
     surface = scene_surface(scene)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
 
 
 def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:
-    """Outline the object with the given label, in place, without drawing over objects with a smaller visible area."""
+    """Outline an object in place, without drawing over other objects whose visible area is smaller."""
+    from scipy.ndimage import binary_dilation
+
     mask = seen == label
-    h, w = mask.shape
-    padded = np.pad(mask, RIM)
-    near = np.zeros_like(mask)
-    for dy in range(-RIM, RIM + 1):
-        for dx in range(-RIM, RIM + 1):
-            if dx * dx + dy * dy <= RIM * RIM:
-                near |= padded[RIM + dy : RIM + dy + h, RIM + dx : RIM + dx + w]
+    disc = np.hypot(*np.mgrid[-RIM : RIM + 1, -RIM : RIM + 1]) <= RIM
+    near = binary_dilation(mask, disc)
     area = np.bincount(seen.ravel())
     area[0] = seen.size  # the background counts as larger than any object
     image[near & ~mask & (area[seen] >= area[label])] = np.array(color, dtype=np.uint8)
@@ -176,9 +170,16 @@ _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
 
 @dataclass(frozen=True)
 class Label:
-    """A label centered at ``x`` with its lower edge at ``y``, and with size ``width`` and ``height``.
+    """A label in an image, and the line that connects it to its object; all values are fractions of the image size.
 
-    A line connects it to its object at (``thing_x``, ``thing_y``). All values are fractions of the image size.
+    Attributes:
+        name: The name of the object.
+        x: The horizontal center of the label.
+        y: The lower edge of the label.
+        width: The width of the label.
+        height: The height of the label.
+        thing_x: The horizontal position of the end of the line at the object.
+        thing_y: The vertical position of the end of the line at the object.
     """
 
     name: str
@@ -211,9 +212,7 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
     placed: list[Label] = []
     for tag in sorted(tags, key=lambda t: (-t.y, t.x, t.name)):  # objects in front keep their labels close
         free = (label for label in _candidates(tag, aspect) if not any(map(label.meets, placed)))
-        label = next(free, None)
-        if label is not None:
-            placed.append(label)
+        placed += itertools.islice(free, 1)
     return placed
 
 

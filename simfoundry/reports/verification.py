@@ -1,4 +1,4 @@
-"""The results of ``simfoundry verify`` as a self-contained page with tables, bars and images."""
+"""The page with the results of ``simfoundry verify``: tables, bars and images in a single file."""
 
 from __future__ import annotations
 
@@ -33,11 +33,7 @@ def page(
     """Render the complete page; ``pictures`` contains PNG bytes by scene name."""
     stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
-    by_name = _rows(((m.behavior, m) for m in results), stepping)
-    rows = [
-        ({"answer": f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip(), **vars(b)}, by_name.get(b.name, {}))
-        for b in behaviors
-    ]
+    measured = _rows(((m.behavior, m) for m in results), stepping)
     return render(
         "verification.html.j2",
         title="simfoundry verify",
@@ -48,17 +44,13 @@ def page(
         rest_engines=rest_engines,
         readings=_rows(((r.subject, r) for r in readings), engines),
         differing=[r for r in readings if r.comparison is None or r.comparison.mismatches],
-        behaviors=[(b, {**dict.fromkeys(stepping), **row}) for b, row in rows] if results else [],
+        behaviors=[(b, measured.get(b.name, dict.fromkeys(stepping))) for b in behaviors] if results else [],
         rested=_rows(((r.subject, r) for r in rested), rest_engines),
         known=tables.known_lines(readings, results),
         stale=tables.stale_lines(readings),
         pictures=pictures,
         legend=_LEGEND,
-        absent=tables.ABSENT,
-        reading_cell=tables.reading_cell,
-        measured_cell=tables.measured_cell,
-        rested_cell=tables.rested_cell,
-        difference_line=tables.difference_line,
+        tables=tables,
     )
 
 

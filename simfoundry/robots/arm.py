@@ -6,6 +6,7 @@ The fingers are measured by casting rays at the model.
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -13,12 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, read_robot
-from simfoundry.geometry.frames import (
-    Array,
-    Pose,
-    frozen_array,
-    to_xyzw,  # noqa: F401
-)
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.robot import Gripper, Robot, mujoco_model
 
 if TYPE_CHECKING:
@@ -65,12 +61,9 @@ class Jaws:
     def at_width(self, width: float) -> tuple[float, float, float]:
         """Return the gripper position, and where the pads start and end [m], at a gap of ``width`` [m]."""
         order = np.argsort(self.width)
-        narrow = self.width[order]
-        return (
-            float(np.interp(width, narrow, self.share[order])),
-            float(np.interp(width, narrow, self.low[order])),
-            float(np.interp(width, narrow, self.tip[order])),
-        )
+        columns = (self.share, self.low, self.tip)
+        share, low, tip = (float(np.interp(width, self.width[order], column[order])) for column in columns)
+        return share, low, tip
 
 
 @lru_cache(maxsize=8)
@@ -99,20 +92,12 @@ def jaws(robot: Robot) -> Jaws | None:
     return Jaws(*(frozen_array(column) for column in zip(*found, strict=True)))
 
 
-def finger_positions(gripper: Gripper, share: float) -> dict[str, float]:
-    """Return the positions [rad or m] of all gripper joints in the model when the gripper is closed by ``share``."""
-    positions = {name: start + share * (end - start) for name, (start, end) in gripper.joints.items()}
-    for name, leader in gripper.follow.items():
-        positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
-    return positions
-
-
 def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
     import mujoco
 
     data = mujoco.MjData(read.model)
     data.qpos[:] = read.qpos
-    for name, position in finger_positions(gripper, share).items():
+    for name, position in gripper.positions(share).items():
         data.qpos[read.model.joint(read.prefix + name).qposadr[0]] = position
     mujoco.mj_kinematics(read.model, data)
     return data
@@ -176,15 +161,13 @@ class Arm:
             )
         self.robot = robot
         self.read: MujocoRobot = read_robot(robot, native, f"{robot.name}.")
-        own = [j.name for j in self.read.spec.joints]
-        named = [f"{robot.name}.{joint}" for joint in native.joints.values()]
-        self.joints: tuple[str, ...] = tuple(named) or tuple(own)
+        named = tuple(f"{robot.name}.{joint}" for joint in native.joints.values())
+        self.joints: tuple[str, ...] = named or tuple(joint.name for joint in self.read.spec.joints)
         self.model = _rigid(self.read, self.joints)
         frame = native.frame("hand")
         self._body, self._X_LH = self.model.body(f"{robot.name}.{frame.link}"), frame.X_LF
         self._order = [int(self.model.joint(name).qposadr[0]) for name in self.joints]
-        start = self.read.model
-        self.home = np.array([self.read.qpos[start.joint(name).qposadr[0]] for name in self.joints])
+        self.home = np.array([self.read.qpos[self.read.model.joint(name).qposadr[0]] for name in self.joints])
         limits = np.array([self.model.jnt_range[self.model.joint(name).id] for name in self.joints])
         self.low, self.high = limits[:, 0] + SLACK, limits[:, 1] - SLACK
 
@@ -239,15 +222,14 @@ class Arm:
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
         """Solve like :meth:`solve`; on failure, retry from the home configuration and from random ones near it."""
-        found = self.solve(X_WH, near)
-        if found is None:
-            found = self.solve(X_WH, self.home)
-        for _ in range(SEEDS):
-            if found is not None:
-                break
-            spread = rng.uniform(-0.6, 0.6, len(near)) * np.minimum(1.0, self.high - self.low)
-            found = self.solve(X_WH, np.clip(self.home + spread, self.low, self.high))
-        return found
+
+        def starts() -> Iterator[Array]:
+            yield from (near, self.home)
+            for _ in range(SEEDS):
+                spread = rng.uniform(-0.6, 0.6, len(near)) * np.minimum(1.0, self.high - self.low)
+                yield np.clip(self.home + spread, self.low, self.high)
+
+        return next((found for start in starts() if (found := self.solve(X_WH, start)) is not None), None)
 
 
 def _rigid(read: MujocoRobot, joints: tuple[str, ...]) -> mujoco.MjModel:

@@ -93,6 +93,4 @@ def map_chunk(function: Callable[[T], R], chunk: Sequence[T]) -> list[R]:
 
 def usable_cores() -> int:
     """Return the number of cores available to this process."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

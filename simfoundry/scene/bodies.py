@@ -19,18 +19,8 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Faces, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.model import Collider, Link, Visual
+from simfoundry.spec.models import base
 from simfoundry.spec.models.asset import Inertial, PartSpec
-from simfoundry.spec.models.base import (
-    BodySpec,
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
-    Material,
-    PrismShape,
-    SphereShape,
-    quantity_value,
-)
 
 if TYPE_CHECKING:
     from simfoundry.assets.mesh import MeshPart
@@ -72,19 +62,19 @@ class BodyBuilder:
     """
 
     name: str
-    body: BodySpec
-    materials: dict[str, Material]
+    body: base.BodySpec
+    materials: dict[str, base.Material]
     cache: Cache | None
     weighed: bool = False
     draft: bool = False
     is_approximate: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
-    solids: list[tuple[str, float | None, mass.SolidMoments]] = field(default_factory=list)
+    solids: list[tuple[float | None, mass.SolidMoments]] = field(default_factory=list)
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
 
-    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
+    def add_shape(self, name: str, shape: base.Shape, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
         """Add a primitive at a pose in the link frame; ``show`` is False if a mesh is shown instead."""
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
@@ -97,7 +87,7 @@ class BodyBuilder:
             names = _piece_names(name, len(body.colliders), part) if is_cut else [name]
             for label, piece in zip(names, body.colliders, strict=True):
                 self._collide(label, piece, X_LG, part)
-        self._weigh(name, body.solid, X_LG, part)
+        self._weigh(body.solid, X_LG, part)
 
     def add_mesh(
         self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
@@ -111,7 +101,7 @@ class BodyBuilder:
         if show and _use(part) != "collision":
             self._show(name, body.pieces, X_LG, part)
         if body.solid is not None:
-            self._weigh(name, body.solid, X_LG, part)
+            self._weigh(body.solid, X_LG, part)
         self.collision_error = max(self.collision_error, body.error)
         self.is_approximate |= body.is_approximate
         for label, (geometry, X_GP) in zip(_piece_names(name, len(body.colliders), part), body.colliders, strict=True):
@@ -130,27 +120,26 @@ class BodyBuilder:
 
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: PartSpec | None) -> None:
         for k, piece in enumerate(pieces):
-            uv = None if piece.uv is None else frozen(piece.uv)
-            shown = closed_mesh(piece.vertices, piece.faces)
-            mesh = Mesh(shown.vertices, shown.faces, uv, piece.texture)
             label = name if len(pieces) == 1 else f"{name}_{k}"
-            self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
+            mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
+            # Textured meshes are white by default, so that the texture is unchanged.
+            own = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
+            self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
         """Return the finished link; raises :class:`MeshError` if it has no mass."""
-        total = quantity_value(self.body.mass)
+        total = base.quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
             return self._finished(total, np.array(inertial.com), np.array(inertial.inertia)[TENSOR], fixed)
-        own = quantity_value(self.body.density)
-        densities = [own if own is not None else density for _, density, _ in self.solids]
+        own = base.quantity_value(self.body.density)
+        densities = [own if own is not None else density for density, _ in self.solids]
         if total is not None or fixed:  # a specified mass is distributed over the parts; a fixed body requires no mass
             densities = [USUAL_DENSITY if d is None else d for d in densities]
-        if any(d is None for d in densities):
-            raise MeshError(
-                "SF108", f"`{self.name}` has no mass", "give `mass`, `density` or a material with a density"
-            )
-        weighed = [(d, s) for d, (_, _, s) in zip(densities, self.solids, strict=True) if d is not None]
+        weighed = [(d, s) for d, (_, s) in zip(densities, self.solids, strict=True) if d is not None]
+        if len(weighed) < len(densities):
+            hint = "give `mass`, `density`, or a `material` with a density"
+            raise MeshError("SF108", f"`{self.name}` has no mass", hint)
         if not 0 < sum(d * s.volume for d, s in weighed) < math.inf:
             raise MeshError("SF104", f"the mass of `{self.name}` is not finite", "check its sizes and densities")
         computed, com, inertia = mass.combine(weighed)
@@ -162,19 +151,21 @@ class BodyBuilder:
 
     def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric despite rounding
-        link = Link(
-            self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders),
-            self.collision_error,
-        )  # fmt: skip
-        least = _check_inertia(link)
+        shapes = tuple(self.visuals), tuple(self.colliders)
+        link = Link(self.name, mass_kg, frozen(com), frozen(inertia), *shapes, self.collision_error)
+        least, middle, largest = moments = sorted(link.principal[0].tolist())
+        if not (least > 0 and largest <= (least + middle) * (1 + 1e-6) < math.inf):
+            shown = ", ".join(f"{m:.3g}" for m in moments)
+            message = f"`{self.name}` has moments of inertia {shown}, which are impossible for a rigid body"
+            raise MeshError("SF104", message, "check `inertial`")
         if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
             raise MeshError("SF104", f"{shown}, which is too small for a simulator", "check its mass, size and units")
         return link
 
-    def _weigh(self, name: str, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
+    def _weigh(self, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
-        self.solids.append((name, self._material(part).density, moved))
+        self.solids.append((self._material(part).density, moved))
 
     def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: PartSpec | None) -> None:
         material = self._material(part)
@@ -187,16 +178,14 @@ class BodyBuilder:
     def _material_name(self, part: PartSpec | None) -> str | None:
         return part.material if part is not None and part.material is not None else self.body.material
 
-    def _material(self, part: PartSpec | None) -> Material:
+    def _material(self, part: PartSpec | None) -> base.Material:
         name = self._material_name(part)
-        return Material() if name is None else self.materials[name]
+        return base.Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
         """Return the color of the part, the body, the mesh file or the material, in this order; otherwise gray."""
-        for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
-            if color is not None:
-                return frozen((*color, 1.0)[:4])
-        return frozen(GRAY)
+        colors = part.color if part is not None else None, self.body.color, default, self._material(part).color
+        return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
 
 
 def _use(part: PartSpec | None) -> str:
@@ -211,27 +200,6 @@ def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
     """
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
-
-def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
-    """Return the color stored in a mesh; white for textured meshes, so that the texture is unchanged."""
-    return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
-
-
-def _check_inertia(link: Link) -> float:
-    """Return the smallest principal moment of inertia of a link.
-
-    Raises :class:`MeshError` unless all moments are positive and none exceeds the sum of the other two, as required for
-    a physical body.
-    """
-    moments = sorted(link.principal[0].tolist())
-    if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
-        shown = ", ".join(f"{m:.3g}" for m in moments)
-        message = f"`{link.name}` has moments of inertia {shown}, which are impossible for a rigid body"
-        raise MeshError("SF104", message, "check `inertial`")
-    return float(moments[0])
-
-
-ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
 # Version of the convex decomposition of lathes and prisms; part of the cache key.
 CUT_VERSION = "cut shape 1"
@@ -250,7 +218,7 @@ class ShapeBody(NamedTuple):
 
 
 @lru_cache(maxsize=1024)
-def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
+def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
     """Return the body of a shape; raises :class:`MeshError` for a profile or outline that encloses no area.
 
     Decomposing a lathe or prism takes up to 40 ms and imports two large libraries; ``cache`` stores the parts for later
@@ -258,21 +226,21 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
     """
     geometry: Geometry
     match shape:
-        case BoxShape():
+        case base.BoxShape():
             geometry, solid = Box(frozen(shape.box)), mass.box(np.array(shape.box))
-        case SphereShape():
+        case base.SphereShape():
             geometry, solid = Sphere(shape.sphere), mass.sphere(shape.sphere)
-        case CylinderShape(cylinder=c):
+        case base.CylinderShape(cylinder=c):
             geometry, solid = Cylinder(c.radius, c.height), mass.cylinder(c.radius, c.height)
-        case CapsuleShape(capsule=c):
+        case base.CapsuleShape(capsule=c):
             geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
-        case PrismShape(prism=p):
+        case base.PrismShape(prism=p):
             from simfoundry.assets.solids import prism_mesh
 
             outline, parts, _ = _cut(shape, cache)
             whole = prism_mesh(outline, p.height)
             return ShapeBody(closed_mesh(*whole), mass.mesh(*whole), parts)
-        case LatheShape():
+        case base.LatheShape():
             from simfoundry.assets.solids import lathe_mesh
 
             profile, parts, error = _cut(shape, cache)
@@ -284,13 +252,13 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
 _Cut = tuple[Array, tuple[Geometry, ...], float]
 
 
-def _cut(shape: PrismShape | LatheShape, cache: Cache | None) -> _Cut:
+def _cut(shape: base.PrismShape | base.LatheShape, cache: Cache | None) -> _Cut:
     key = key_of(CUT_VERSION, repr(shape))
     stored = cache.get(key) if cache is not None else None
     if stored is not None and (found := _unpack(stored)) is not None:
         return found
     parts: list[tuple[Array, Faces]]
-    if isinstance(shape, PrismShape):
+    if isinstance(shape, base.PrismShape):
         from simfoundry.assets.solids import checked_outline, convex_outlines, prism_mesh
 
         outline, error = checked_outline(np.array(shape.prism.outline)), 0.0

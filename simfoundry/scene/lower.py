@@ -9,23 +9,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.scene.model import (
-    Camera,
-    LeftOut,
-    Light,
-    LightType,
-    MountedCamera,
-    Relation,
-    Scene,
-    SceneObject,
-    Source,
-)
+from simfoundry.scene import model
+from simfoundry.scene.model import Camera, LeftOut, Light, MountedCamera, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
 from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
 from simfoundry.scene.state import pose as pose
@@ -107,14 +99,14 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     without decomposition.
     """
     spec = lowering.spec
-    work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, len(spec.objects), draft=lowering.draft)
+    work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
     found: dict[str, SceneObject | None] = {}
-    first = () if lowering.draft else _below_what_is_inside(spec)
+    first = () if lowering.draft else _containers_and_contents(lowering)
     misfits = _certain_misfits(lowering, first) if first else []
     work.cuts = not misfits
     for name in (*first, *(name for name in spec.objects if name not in first)):
         work.report(name)
-        found[name] = work.lower(name, spec.objects[name], spec)
+        found[name] = work.lower(name)
         work.done += 1
         if first and len(found) == len(first) and not work.findings and not misfits:
             # These objects do not depend on any others, so their placements can be solved before the rest is lowered.
@@ -128,17 +120,15 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     return replace(scene, objects=tuple(item for name in spec.objects if (item := found[name]) is not None))
 
 
-def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
+def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
     """Return the objects placed `inside` others, and all objects that they depend on, in the order of the spec."""
-    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
-    todo = [name for name, place in places.items() if place.inside is not None]
-    seen = set[str]()
+    places = lowering.places
+    todo, seen = [name for name, place in places.items() if place.inside is not None], set[str]()
     while todo:
-        name = todo.pop()
-        if name not in seen:
+        if (name := todo.pop()) not in seen:
             seen.add(name)
             todo += needs(places[name]) if name in places else ()
-    return tuple(name for name in spec.objects if name in seen)
+    return tuple(name for name in lowering.spec.objects if name in seen)
 
 
 def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
@@ -149,14 +139,13 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     meshes = [name for name in names if spec.objects[name].shape is None]
     draft = ObjectLowering(loaded, lowering.cache, draft=True)
     for name in meshes:
-        draft.lower(name, spec.objects[name], spec)
+        draft.lower(name)
     if draft.findings or not draft.approximate:
         return []
     work = ObjectLowering(loaded, lowering.cache, cuts=False)
-    found = {name: item for name in names if (item := work.lower(name, spec.objects[name], spec)) is not None}
+    found = {name: item for name in names if (item := work.lower(name)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
-    wrong = certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate)
-    return _findings(lowering, wrong)
+    return _findings(lowering, certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate))
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
@@ -252,7 +241,7 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
     lights = tuple(_light(name, light) for name, light in spec.lights.items())
-    scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_plain(lowering.loaded, spec)))
+    scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
     if spec.background is None:
         return scene
     from simfoundry.scene.mesh_bodies import lower_background  # imports the mesh and splat readers
@@ -264,8 +253,11 @@ def keep_source(lowering: Lowering, scene: Scene) -> Scene:
     """Keep the document and its relations, for evaluating the scene and for targets that embed the document."""
     from simfoundry.spec.yaml.write import to_data  # not needed by lints
 
-    relations = tuple(Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
-    source = Source.of(_file_in_project(lowering.loaded), to_data(lowering.spec))
+    loaded, path = lowering.loaded, lowering.loaded.path.resolve()
+    # The path relative to the project is the same on every machine.
+    file = path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
+    relations = tuple(model.Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
+    source = model.Source(file, MappingProxyType(to_data(lowering.spec)))
     return replace(scene, relations=relations, source=source)
 
 
@@ -289,7 +281,7 @@ def viewer(spec: SceneSpec) -> Pose | None:
     return None if robot is None else pose(robot.pose)
 
 
-def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
+def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
     """Yield the object textures that cannot be used, with reasons."""
     from simfoundry.assets.textures import document_faults
 
@@ -320,10 +312,4 @@ def _light(name: str, spec: LightSpec) -> Light:
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
         X_WL = Pose.of(q=aim.q)
-    return Light(name, LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL)
-
-
-def _file_in_project(loaded: Loaded) -> str:
-    """Return the path of a document relative to its project, which is the same on every machine."""
-    path = loaded.path.resolve()
-    return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
+    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL)

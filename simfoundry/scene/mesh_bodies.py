@@ -8,25 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.assets import mass
+from simfoundry.assets import convex, mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import (
-    Colliders,
-    Faces,
-    file_key,
-    hull,
-    mesh_colliders,
-    pack_colliders,
-    unpack_colliders,
-)
+from simfoundry.assets.convex import Colliders
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
+from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, closed_mesh
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere, closed_mesh
 from simfoundry.scene.bodies import GRAY, MeshUse
 from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose
@@ -61,9 +54,9 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
         solid, faces = _solid(path.name, vertices, faces, use.solid)
     elif mass.mesh(vertices, faces).volume < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
-    found = mesh_colliders(vertices, faces, use.collision, cache, path.name, report)
+    found = convex.mesh_colliders(vertices, faces, use.collision, cache, path.name, report)
     if cache is not None and use.collision != "none":
-        cache.put(file_key(path, use.scale, use.collision), pack_colliders(found))
+        cache.put(convex.file_key(path, use.scale, use.collision), convex.pack_colliders(found))
     return MeshBody(pieces, solid, _posed(found), found.error)
 
 
@@ -84,8 +77,8 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
     solid = None if use.solid == "given" else summary.solid(use.scale, use.solid == "hull")
     if use.collision == "none":
         return MeshBody(solid=solid)
-    stored = cache.get(file_key(path, use.scale, use.collision)) if cache is not None else None
-    found = unpack_colliders(stored) if stored is not None else None
+    stored = cache.get(convex.file_key(path, use.scale, use.collision)) if cache is not None else None
+    found = convex.unpack_colliders(stored) if stored is not None else None
     if found is not None:
         return MeshBody((), solid, _posed(found), found.error)
     found = Colliders(((np.array(summary.hull) * use.scale, np.array(summary.hull_faces, dtype=np.int32)),))
@@ -116,7 +109,7 @@ def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.Sol
     """Return the solid that defines the mass, and the faces oriented outward."""
     if how == "hull":
         outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
-        return mass.mesh(*hull(vertices, limit=len(vertices))), outward
+        return mass.mesh(*convex.hull(vertices, limit=len(vertices))), outward
     gaps = open_edges(faces)
     if gaps:
         raise not_closed(name, gaps)
@@ -145,9 +138,6 @@ def _visuals(path: Path, scale: float) -> Iterator[Visual]:
     """Yield the visual pieces of a mesh file; textures are used unchanged, and pieces without a color are gray."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
-        faces = np.array(piece.faces, dtype=np.int32)
-        faces.setflags(write=False)
-        uv = None if piece.uv is None else frozen(piece.uv)
         color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
-        mesh = Mesh(frozen(piece.vertices), faces, uv, piece.texture)
+        mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
         yield Visual("mesh" if len(pieces) == 1 else f"mesh_{k}", mesh, frozen(color))

@@ -7,19 +7,16 @@ array is float64 and read-only.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from simfoundry.assets.splat import Gaussians
-from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
 
 if TYPE_CHECKING:
@@ -358,45 +355,17 @@ def pair_resistance(a: float, b: float) -> float:
     return max(a, b)
 
 
-def principal_inertia(inertia: Array) -> tuple[Array, Array]:
-    """Return the principal moments and axes of a symmetric inertia ``I = R diag(moments) R^T``.
-
-    The axes of an inertia that is already diagonal are kept, so that symmetric bodies are not rotated by rounding.
-
-    Returns:
-        The moments [kg m^2], shape (3,), and R as a wxyz quaternion, shape (4,).
-    """
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
-    if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
-        return frozen_array((xx, yy, zz)), IDENTITY.q
-    moments, axes = np.linalg.eigh(inertia)
-    for k in range(3):  # the sign of an eigenvector is arbitrary, so make its largest entry positive
-        if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
-            axes[:, k] = -axes[:, k]
-    if np.linalg.det(axes) < 0:
-        axes[:, 2] = -axes[:, 2]
-    return frozen_array(moments), Pose.from_matrix(axes).q
-
-
 @dataclass(frozen=True)
 class Source:
     """The document from which a scene was lowered.
 
-    It is opaque to backends, which may store it but must not base decisions on it. ``kind`` is the kind of document
-    (``scene/1``), and ``file`` is its POSIX path in its project. ``data`` is the plain data of the document and of
-    everything it extends, in canonical order, consisting of mappings, tuples, strings and numbers.
+    It is opaque to backends, which may store it but must not base decisions on it.
+
+    Attributes:
+        file: The POSIX path of the document in its project.
+        data: The plain data of the document and of everything it extends, in canonical order. It consists of mappings,
+            tuples, strings and numbers.
     """
 
-    kind: str
     file: str
     data: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, file: str, data: Mapping[str, Any]) -> Source:
-        """Freeze the data of a document."""
-        return cls(str(data["simfoundry"]), file, MappingProxyType(dict(data)))
-
-    @property
-    def digest(self) -> str:
-        """The hexadecimal SHA-256 of the data; equal documents have equal digests."""
-        return hashlib.sha256(json.dumps(dict(self.data), ensure_ascii=False).encode()).hexdigest()

@@ -80,7 +80,7 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
     """
     poses = link_poses(item)
     spans = [
-        _span(part.geometry, poses[link.name] @ part.X_LG)
+        geometry_bounds(part.geometry, poses[link.name] @ part.X_LG)
         for link in item.links
         for part in link.colliders or link.visuals
     ]
@@ -89,7 +89,7 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
     return np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
 
 
-def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
+def geometry_bounds(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
     """Return the minimum and maximum corners [m] of a geometry posed in a frame."""
     axes = np.abs(X_OG.rotation)
     match geometry:

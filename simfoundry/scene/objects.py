@@ -18,17 +18,8 @@ from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneOb
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded, is_document
-from simfoundry.spec.models import base
+from simfoundry.spec.models import base, scene
 from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.models.scene import (
-    DEFAULT_VARIANT,
-    ObjectSpec,
-    SceneSpec,
-    Written,
-    position,
-    variant_names,
-    variant_of,
-)
 
 # Callback that receives a name, the number of finished objects, and the total number of objects.
 Progress = Callable[[str, int, int], None]
@@ -46,17 +37,21 @@ class ObjectLowering:
     loaded: Loaded
     cache: Cache | None = None
     progress: Progress | None = None
-    count: int = 0
     done: int = 0
     draft: bool = False
     cuts: bool = True
     findings: list[Diagnostic] = field(default_factory=list)
     approximate: set[str] = field(default_factory=set)
 
-    def report(self, said: str) -> None:
+    @property
+    def _spec(self) -> scene.SceneSpec:
+        assert isinstance(self.loaded.spec, scene.SceneSpec)
+        return self.loaded.spec
+
+    def report(self, step: str) -> None:
         """Report the current step, along with the number of finished objects and the total number of objects."""
         if self.progress is not None:
-            self.progress(said, self.done, self.count)
+            self.progress(step, self.done, len(self._spec.objects))
 
     @contextmanager
     def _reporting(self, source: Loaded, path: tuple[str, ...]) -> Iterator[None]:
@@ -70,59 +65,58 @@ class ObjectLowering:
         self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
         """Return a builder for a link of the object ``owner``; the builder reports slow steps."""
-
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
-        return BodyBuilder(
-            name, body, materials, self.cache, weighed, self.draft, report=lambda said: self.report(f"{owner}: {said}")
-        )
+        builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft)
+        builder.report = lambda step: self.report(f"{owner}: {step}")
+        return builder
 
-    def lower(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
+    def lower(self, name: str) -> SceneObject | None:
         """Return the selected variant of the object, with the other variants attached."""
+        item = self._spec.objects[name]
         if not item.variants:
-            return self._one(name, item, spec, ("objects", name))
-        every = {}
-        for key in variant_names(item):
-            place = ("objects", name) if key == DEFAULT_VARIANT else ("objects", name, "variants", key)
-            every[key] = self._one(name, variant_of(item, key), spec, place)
-        chosen = every.pop(item.variant or DEFAULT_VARIANT)
+            return self._one(name, item, ("objects", name))
+        every, selected = {}, item.variant or scene.DEFAULT_VARIANT
+        for key in scene.variant_names(item):
+            place = ("objects", name) if key == scene.DEFAULT_VARIANT else ("objects", name, "variants", key)
+            every[key] = self._one(name, scene.variant_of(item, key), place)
+        chosen = every.pop(selected)
         others = tuple(replace(o, variant=key) for key, o in every.items() if o is not None)
-        return None if chosen is None else replace(chosen, variant=item.variant or DEFAULT_VARIANT, variants=others)
+        return None if chosen is None else replace(chosen, variant=selected, variants=others)
 
-    def _one(self, name: str, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...]) -> SceneObject | None:
+    def _one(self, name: str, item: scene.ObjectSpec, place: tuple[str, ...]) -> SceneObject | None:
         before = len(self.findings)
         category = item.category or name
         joints: tuple[Joint, ...] = ()
-        silent: tuple[tuple[str, str], ...] = ()
+        no_contact: tuple[tuple[str, str], ...] = ()
         if item.asset is not None and is_document(item.asset):
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
             links, joints = self.articulated(asset, asset.spec, item, name)
-            silent = asset.spec.no_contact
+            no_contact = asset.spec.no_contact
         else:
-            links = self._rigid(item, spec, place, name)
+            links = self._rigid(item, place, name)
         if len(self.findings) > before:
             return None
-        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
+        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, no_contact, item.labels)
 
-    def _rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...], owner: str) -> list[Link]:
+    def _rigid(self, item: scene.ObjectSpec, place: tuple[str, ...], owner: str) -> list[Link]:
         """Return the single link of a primitive or mesh object, in a list."""
-        before = len(self.findings)
-        builder = self._builder(owner, "base", item, spec.materials, False)
+        before, show = len(self.findings), item.visual is None
+        builder = self._builder(owner, "base", item, self._spec.materials, False)
         with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
-                builder.add_shape("shape", item.shape, IDENTITY, None, show=item.visual is None)
+                builder.add_shape("shape", item.shape, IDENTITY, None, show)
             else:
-                file, show = self.loaded.file(item.asset or ""), item.visual is None
-                builder.add_mesh("mesh", file, item.scale, IDENTITY, None, show=show)
+                builder.add_mesh("mesh", self.loaded.file(item.asset or ""), item.scale, IDENTITY, None, show)
         if item.visual is not None:
             with self._reporting(self.loaded, (*place, "visual")):
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
         return self._built(builder, None, self.loaded, place, item.fixed, before, owner)
 
     def articulated(
-        self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
+        self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str
     ) -> tuple[list[Link], tuple[Joint, ...]]:
         """Return the links of an asset in topological order, and its joints at the positions set by the object."""
         links: list[Link] = []
@@ -162,21 +156,18 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
         todo += [j.child for j in spec.joints.values() if j.parent == link]
 
 
-def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
+def lower_joints(spec: AssetSpec, given: Mapping[str, scene.Written]) -> tuple[Joint, ...]:
     """Return the joints of an asset at the ``given`` positions, by name; mimic joints follow their leaders."""
-    return tuple(
-        _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
-    )
+    return tuple(_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
 
 
-def _joint(name: str, spec: JointSpec, position: float, written: Written | None) -> Joint:
-    limits = spec.limits
+def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scene.Written]) -> Joint:
+    limits, drive, written = spec.limits, None, given.get(name)
     if spec.limits_deg is not None:
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
-    drive = None
-    if (given := spec.drive) is not None:
-        target = position if given.target is None else given.target
-        drive = Drive(given.stiffness, given.damping, target, given.force_limit)
+    if (motor := spec.drive) is not None:
+        target = position if motor.target is None else motor.target
+        drive = Drive(motor.stiffness, motor.damping, target, motor.force_limit)
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,

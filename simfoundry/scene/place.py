@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
@@ -52,21 +54,15 @@ def order(places: Mapping[str, Place]) -> list[str]:
 
     Objects in a dependency cycle come last, in the order of the document.
     """
-    waits = {name: {n for n in needs(place) if n in places} for name, place in places.items()}
+    sorter = TopologicalSorter[str](dict.fromkeys(places, ()))
+    for name, place in places.items():
+        sorter.add(name, *(other for other in needs(place) if other in places))
+    with suppress(CycleError):
+        sorter.prepare()
     out: list[str] = []
-    users: dict[str, list[str]] = {name: [] for name in places}
-    for name, others in waits.items():
-        for other in others:
-            users[other].append(name)
-    ready = [name for name in places if not waits[name]]
-    while ready:
+    while ready := sorter.get_ready():
         out += ready
-        done, ready = ready, []
-        for name in done:
-            for user in users[name]:
-                waits[user].discard(name)
-                if not waits[user]:
-                    ready.append(user)
+        sorter.done(*ready)
     known = set(out)
     return out + [name for name in places if name not in known]
 
@@ -128,11 +124,10 @@ def approach(
 ) -> tuple[Hulls, _Carrier, Array]:
     """Return an object's rotated shape above its target position, its support, and the position in the plane [m]."""
     carrier = _Carrier.of(_carrier_name(place) or "", placed)
-    upright = Pose.of(q=_rotation(place))
-    shape = hulls(replace(item, X_WO=upright))
+    shape = hulls(replace(item, X_WO=Pose.of(q=_rotation(place))))
     if not len(shape.corners):
         raise PlaceError(f"`{item.name}` has no shape to place")
-    xy = _position(place, shape, upright, carrier, placed, viewer)
+    xy = _position(place, shape, carrier, placed, viewer)
     return shape.moved(np.array([*xy, 0.0])), carrier, xy
 
 
@@ -155,8 +150,7 @@ def _carrier_name(place: Place) -> str | None:
 
 
 def _rotation(place: Place) -> Array:
-    roll, pitch, yaw = place.rpy_deg or (0.0, 0.0, place.yaw_deg or 0.0)
-    return quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
+    return quat_from_rpy(*map(math.radians, place.rpy_deg or (0.0, 0.0, place.yaw_deg or 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +169,12 @@ class _Carrier:
         if owner not in placed:
             raise PlaceError(f"`{owner}` is not placed itself", "place it without depending on this object")
         item = placed[owner]
-        whole = _standing(item)
-        part, number, X_WC = whole, None, item.X_WO
+        part = whole = _standing(item)
+        number, X_WC = None, item.X_WO
         if link:
             names = [each.name for each in item.links]
             if link not in names:
-                raise PlaceError(f"`{owner}` has no link `{link}`", f"it has {', '.join(names)}")
+                raise PlaceError(f"`{owner}` has no link `{link}`", f"available links: {', '.join(names)}")
             number = names.index(link)
             part, X_WC = whole.of_link(number), item.X_WO @ link_poses(item)[link]
         if not len(part.corners):
@@ -189,33 +183,28 @@ class _Carrier:
 
 
 def _position(
-    place: Place,
-    shape: Hulls,
-    upright: Pose,
-    carrier: _Carrier,
-    placed: Mapping[str, SceneObject],
-    viewer: Pose | None,
+    place: Place, shape: Hulls, carrier: _Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> Array:
     """Return the position of the object's frame in the plane [m], shape (2,); ``shape`` is posed at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
         return np.asarray(carrier.X_WC.apply(np.array([*place.local_xy, 0.0]))[:2])
-    own = shape.middle(upright.rotation)[:2]
-    words = [(word, getattr(place, word)) for word in RELATIONS if getattr(place, word) is not None]
-    if not words:
+    own = shape.middle(Pose.of(q=_rotation(place)).rotation)[:2]
+    anchors = {word: name for word in RELATIONS if (name := getattr(place, word)) is not None}
+    if not anchors:
         middle = carrier.part.middle(carrier.X_WC.rotation)
         if place.inside is not None:
             middle = hollow(carrier.part, middle, carrier.X_WC.rotation)
         return np.asarray(middle[:2] - own)
     axes = _axes(viewer)
     along: dict[int, float] = {}
-    for word, name in words:
+    for word, name in anchors.items():
         axis, side = RELATIONS[word]
         anchor = _Carrier.of(name, placed)
         (low, high), (mine_low, mine_high) = anchor.part.extent(axes[axis]), shape.extent(axes[axis])
         along[axis] = high + place.gap - mine_low if side > 0 else low - place.gap - mine_high
-        if len(words) == 1:
+        if len(anchors) == 1:
             middle = anchor.part.middle(anchor.X_WC.rotation)
             along[1 - axis] = float(axes[1 - axis][:2] @ (middle[:2] - own))
     return np.asarray(along[0] * axes[0][:2] + along[1] * axes[1][:2])
@@ -277,9 +266,8 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
         return PlaceError(message, f"move it over `{carrier.name}`")
     if where == "inside" and len(set(carrier.part.part)) == 1:
         message = f"`{name}` cannot be inside `{carrier.name}`, whose only collider is convex and has no cavity"
-        return PlaceError(
-            message, "use `on`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"
-        )
+        hint = "use `on`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"
+        return PlaceError(message, hint)
     return misfit(name, held, carrier, where)
 
 

@@ -13,15 +13,9 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.scene.state import pose
+from simfoundry.spec.models import robot_file
 from simfoundry.spec.models.robot import RobotSpec
-from simfoundry.spec.models.robot_file import (
-    ModelSpec,
-    RobotFileSpec,
-    known_robot_file,
-    own_folder,
-    read_robot_file,
-    robot_names,
-)
+from simfoundry.spec.models.robot_file import ModelSpec, RobotFileSpec
 
 
 class ModelFormat(StrEnum):
@@ -57,6 +51,14 @@ class Gripper:
         """Return the closed fraction, from 0 to 1, when the first joint is at ``position`` [rad or m]."""
         opened, closed = next(iter(self.joints.values()))
         return min(max((position - opened) / (closed - opened), 0.0), 1.0)
+
+    def positions(self, share: float) -> dict[str, float]:
+        """Return the positions [rad or m] of all joints when the gripper is closed by ``share``, from 0 to 1."""
+        found = {name: start + share * (end - start) for name, (start, end) in self.joints.items()}
+        for name, leader in self.follow.items():
+            if leader.joint in found:
+                found.setdefault(name, leader.position(found[leader.joint]))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +147,29 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
     Packages that download robots on first use do so only if ``fetch`` is set.
     """
     if isinstance(spec.model, str):
-        own_folder(must_exist=True)
-        found = known_robot_file(spec.model)
+        robot_file.own_folder(must_exist=True)
+        found = robot_file.known_robot_file(spec.model)
         if found is None:
-            raise NoModelError(f"no robot is called `{spec.model}`; available robots: {', '.join(robot_names())}")
+            available = ", ".join(robot_file.robot_names())
+            raise NoModelError(f"no robot is called `{spec.model}`; available robots: {available}")
         described, file = found
     elif spec.model.file is not None:
         file = find_model(spec.model.file, document, ".yaml", fetch)
-        described = read_robot_file(file)
+        described = robot_file.read_robot_file(file)
     else:
         files = {"mjcf": spec.model.mjcf, "urdf": spec.model.urdf, "usd": spec.model.usd}
         stated = {key: ModelSpec(file=name) for key, name in files.items() if name is not None}
         described, file = RobotFileSpec.model_validate(stated), document
-    models, missing = _models(described, file, fetch)
+    models: dict[ModelFormat, NativeModel] = {}
+    errors = []
+    for form in ModelFormat:
+        model: ModelSpec | None = getattr(described, form.value)
+        try:
+            models |= {} if model is None else {form: _model(form, model, file, fetch)}
+        except NoModelError as error:
+            errors.append(error)
     if not models:
-        raise NoModelError(missing)
+        raise NoModelError(str(errors[0]) if errors else "")
     positions = described.home_positions | (spec.joints if isinstance(spec.joints, dict) else {})
     key = (name, spec.model_dump_json(), *(id(model) for model in models.values()))
     robot = _ROBOTS.get(key) or Robot(
@@ -174,28 +184,15 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
     return _ROBOTS.setdefault(key, robot)
 
 
-def _models(spec: RobotFileSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
-    """Return the available models, and the reason why the first unavailable model could not be found."""
-    found, missing = {}, ""
-    for key in ModelFormat:
-        model: ModelSpec | None = getattr(spec, key.value)
-        if model is not None:
-            try:
-                found[key] = _model(key, model, document, fetch)
-            except NoModelError as error:
-                missing = missing or str(error)
-    return found, missing
-
-
 def _model(key: ModelFormat, spec: ModelSpec, document: Path, fetch: bool) -> NativeModel:
     file = _first(spec.files, document, _SUFFIX[key], fetch)
     attached = []
     for name, part in spec.attach.items():
-        files = [part.file] if isinstance(part.file, str) else part.file
-        attached.append(Attached(name, _first(files, document, _SUFFIX[key], fetch), part.to, pose(part.pose)))
-    needed = [path for one in (file, *(a.file for a in attached)) for path in model_files(one)]
-    content = digest(needed)
-    same = (key, content, file, *(a.file for a in attached), spec.model_dump_json())
+        references = [part.file] if isinstance(part.file, str) else part.file
+        attached.append(Attached(name, _first(references, document, _SUFFIX[key], fetch), part.to, pose(part.pose)))
+    files = [file, *(a.file for a in attached)]
+    content = digest([path for one in files for path in model_files(one)])
+    same = (key, content, *files, spec.model_dump_json())
     model = _MODELS.get(same) or NativeModel(
         format=key,
         file=file,
@@ -224,5 +221,5 @@ def _gripper(spec: ModelSpec) -> Gripper | None:
     if spec.gripper is None:
         return None
     follow = {n: Mimic(f.joint, f.multiplier, f.offset) for n, f in spec.gripper.follow.items()}
-    command, joints = dict(spec.gripper.command), dict(spec.gripper.joints)
-    return Gripper(MappingProxyType(command), MappingProxyType(joints), MappingProxyType(follow))
+    command, joints = (MappingProxyType(dict(values)) for values in (spec.gripper.command, spec.gripper.joints))
+    return Gripper(command, joints, MappingProxyType(follow))

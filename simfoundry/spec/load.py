@@ -20,12 +20,8 @@ from simfoundry.spec.yaml.text import Document, Path_, parse, read
 # Documents read so far by resolved path and requested kind, so that each document is read only once.
 Known = dict[tuple[str, str], Loaded | None]
 
-# Functions that read documents from files other than YAML, by suffix.
-#
-# The functions belong to a higher layer, so they are specified by name and imported on first use.
-_OTHER_FORMATS = dict.fromkeys(
-    (".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled.loading:load_usd"
-)
+# Suffixes of files that a higher layer reads; its module is imported on first use.
+_USD = (".usda", ".usdc", ".usd", ".usdz")
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
@@ -35,10 +31,9 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     instead of the content of the file. A USD file is read as the scene from which it was compiled.
     """
     known = {} if known is None else known
-    if text is None and path.suffix.lower() in _OTHER_FORMATS:
-        module, _, function = _OTHER_FORMATS[path.suffix.lower()].partition(":")
-        other: Loaded = getattr(import_module(module), function)(path, known)
-        return other
+    if text is None and path.suffix.lower() in _USD:
+        compiled: Loaded = import_module("simfoundry.frontends.usd.compiled.loading").load_usd(path, known)
+        return compiled
     root = (root or project_root(path)).resolve()
     try:
         document = read(path) if text is None else parse(text, str(path))
@@ -48,29 +43,23 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     if kind is None:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding), document)
-    findings, bases = list[Diagnostic](), list[Path]()
-    if isinstance(document.root.children, dict) and "extends" in document.root.children:
-        document, findings, bases = compose(document, kind, root)
+    document, findings, bases = compose(document, kind, root)
+    read_in_full = Loaded(path, root, None, tuple(findings), document, tuple(bases))
     if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
-        return Loaded(path, root, None, tuple(findings), document, tuple(bases))
-    return checked(Loaded(path, root, None, tuple(findings), document, tuple(bases)), kind, known)
+        return read_in_full
+    return checked(read_in_full, kind, known)
 
 
 def checked(read: Loaded, kind: str, known: Known) -> Loaded:
     """Check the types, names, and files of a document that has already been read and joined with its bases."""
-    path, root, document, bases, findings = read.path, read.root, read.document, read.bases, list(read.findings)
-    assert document is not None
+    assert read.document is not None
     model = model_of(kind)
-    spec, wrong = validate(model, document)
-    sound = spec if spec is not None else sound_part(model, document)
-    loaded = Loaded(path, root, None if findings else spec, (), document, bases)
-
-    def use(target: Path, kinds: tuple[str, ...]) -> Loaded | None:
-        return _use(target, kinds, root, known)
-
-    findings += [*wrong, *check(loaded, sound, spec is not None, use)]
-    kept, silenced = sift(findings, spec.allow if spec is not None else {})
-    return Loaded(path, root, loaded.spec, tuple(kept), document, bases, loaded.uses, tuple(silenced))
+    spec, wrong = validate(model, read.document)
+    sound = spec if spec is not None else sound_part(model, read.document)
+    loaded = replace(read, spec=None if read.findings else spec)
+    found = check(loaded, sound, spec is not None, lambda target, kinds: _use(target, kinds, read.root, known))
+    kept, silenced = sift([*read.findings, *wrong, *found], spec.allow if spec is not None else {})
+    return replace(loaded, findings=tuple(kept), silenced=tuple(silenced))
 
 
 def load_scene(path: Path) -> Loaded:
@@ -111,15 +100,15 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded
 def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     """Return the kind specified by the first key of a document, or a finding if the kind is invalid."""
     data = document.data
+    value = data.get("simfoundry") if isinstance(data, dict) else None
+    if value in KINDS:
+        return str(value), None
     if not isinstance(data, dict):
-        message, value = "a document must be a mapping that starts with `simfoundry: scene/1`", None
+        message = "a document must be a mapping that starts with `simfoundry: scene/1`"
+    elif "simfoundry" in data:
+        message = f"`{value}` is not a known document kind"
     else:
-        value = data.get("simfoundry")
-        if isinstance(value, str) and value in KINDS:
-            return value, None
-        message = (
-            f"`{value}` is not a known document kind" if "simfoundry" in data else "the key `simfoundry` is missing"
-        )
+        message = "the key `simfoundry` is missing"
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
     return None, document.finding("SF006", ("simfoundry",), message, hint)
 
@@ -197,11 +186,9 @@ def _own(node: Node, file: str) -> None:
     todo = [node]
     while todo:
         node = todo.pop()
-        if node.file == file and node.children:
-            continue  # an alias that was already marked
-        node.file = file
-        children = node.children
-        todo += children.values() if isinstance(children, dict) else children or ()
+        if node.file != file or not node.children:  # otherwise it is an alias that was already marked
+            node.file = file
+            todo += node.members
 
 
 @dataclass
@@ -238,10 +225,8 @@ class _Joining:
         from simfoundry.spec.models.types import RIVALS, is_mapping, models_at
 
         rivals = sorted(RIVALS.get(key, set()) & children.keys())
-        if rivals:
-            models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
-            return rivals if any(not is_mapping(m, key) for m in models) else []
-        return rivals
+        models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields] if rivals else []
+        return rivals if any(not is_mapping(m, key) for m in models) else []
 
     def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...], there: Iterable[str]) -> None:
         message = f"the extended document does not contain `{path[-1]}`, so it cannot be removed"
@@ -277,20 +262,16 @@ def _leaves(node: Node, pattern: tuple[str, ...]) -> Iterator[Node]:
         yield node
         return
     children = node.children
-    if pattern[0] == "*":
-        for child in children.values() if isinstance(children, dict) else children or ():
-            yield from _leaves(child, pattern[1:])
-    elif isinstance(children, dict) and pattern[0] in children:
-        yield from _leaves(children[pattern[0]], pattern[1:])
+    named = [children[pattern[0]]] if isinstance(children, dict) and pattern[0] in children else []
+    for child in node.members if pattern[0] == "*" else named:
+        yield from _leaves(child, pattern[1:])
 
 
 def _refresh(node: Node) -> None:
     """Recompute the values of collections from their members."""
+    for child in node.members:
+        _refresh(child)
     if isinstance(node.children, dict):
-        for child in node.children.values():
-            _refresh(child)
         node.value = {key: child.value for key, child in node.children.items()}
     elif isinstance(node.children, list):
-        for child in node.children:
-            _refresh(child)
         node.value = tuple(child.value for child in node.children)

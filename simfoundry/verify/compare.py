@@ -18,18 +18,10 @@ from simfoundry.backends.features import Fidelity, Loss
 from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
-from simfoundry.targets.profile import Gap
+from simfoundry.verify import readback as rb
 from simfoundry.verify.engines import TOLERANCE, VerifyEngine
 from simfoundry.verify.expected import RobotReadback, expected_readback, expected_robots, static_links, without_robots
-from simfoundry.verify.readback import (
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Numbers,
-    WorldReadback,
-    mesh_bounds,
-    pose_of,
-)
+from simfoundry.verify.readback import WorldReadback, pose_of
 
 # Magnitudes in SI units below which errors are absolute; smaller values do not matter in a tabletop scene.
 FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "law", "drive", "effort"), 1.0) | {
@@ -74,6 +66,9 @@ _JOINT = {
     "effort": ("effort", ("drive",)),
 }
 
+# The profile features whose names differ from the compared quantities.
+_FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
+
 # The feature and element of every loss that could explain a difference; see :class:`Loss`.
 Keys = frozenset[tuple[str, str]]
 
@@ -106,7 +101,6 @@ class ReadbackComparison:
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
     """Compare an engine's read-back with the scene; ``losses`` are the losses of the target it was read from."""
-    names = {robot.name for robot in scene.robots}
     # Converting a robot does not explain differences in the compared quantities. Nor do colliders that are simpler than
     # the visuals, because the comparison uses the scene's colliders.
     lost = [
@@ -114,27 +108,27 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
         for loss in losses
         if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.feature != "robots")
     ]
-    ours, robots = without_robots(facts, names)
+    ours, robots = without_robots(facts, {robot.name for robot in scene.robots})
     checker = _Checker(expected_readback(scene, engine.target.backend), ours, static_links(scene), engine)
     checker.run()
     for name, robot in expected_robots(scene, engine.target.backend).items():
         checker.robot(name, robot, robots.get(name))
-    mismatches, covered = [], []
+    found = []
     for difference, keys in checker.found:
         loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected, scene)), None)
-        gap = engine.gap(difference.quantity)
-        reason = loss.reason if loss is not None else _gap_reason(gap, difference)
-        if reason:
-            covered.append(replace(difference, covered=reason))
-        else:
-            mismatches.append(difference)
+        reason = loss.reason if loss is not None else _gap_reason(engine, difference)
+        found.append(replace(difference, covered=reason))
     used = frozenset[tuple[str, str]]().union(*(keys for _, keys in checker.found))
-    stale = [lo.path for lo in lost if _key(lo) not in used and _should_show(lo, engine, checker)]
-    return ReadbackComparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
+    # A loss is stale if its element was compared and the loss did not cause a difference.
+    seen = checker.checked - checker.untold - used
+    stale = [lo.path for lo in lost if lo.element and _key(lo) in seen and lo.feature not in engine.restored]
+    mismatches, covered = (tuple(d for d in found if bool(d.covered) == known) for known in (False, True))
+    return ReadbackComparison(checker.compared, mismatches, covered, tuple(stale))
 
 
-def _gap_reason(gap: Gap | None, difference: Difference) -> str:
-    """Return a gap's reason if the engine lacks the quantity or if its error is within the gap's size."""
+def _gap_reason(engine: VerifyEngine, difference: Difference) -> str:
+    """Return a gap's reason if the engine lacks the quantity or if the error is within the gap's size."""
+    gap = engine.target.profile.gaps.get(_FEATURES.get(difference.quantity, difference.quantity))
     if gap is None:
         return ""
     if gap.size is not None and difference.got is not None:
@@ -155,17 +149,18 @@ class _Checker:
 
     def run(self) -> None:
         """Compare all names, then all quantities."""
-        self._names("link", self.expected.links, self.got.links)
-        self._names("joint", self.expected.joints, self.got.joints)
-        for name in [n for n in self.expected.links if n in self.got.links]:
-            self._link(name, self.expected.links[name], self.got.links[name])
-        for name in [n for n in self.expected.joints if n in self.got.joints]:
-            self._joint(name, self.expected.joints[name], self.got.joints[name])
-        self._numbers("world", "gravity", self.expected.gravity, self.got.gravity, _keys(["gravity"], ""))
-        if self.got.pairs is not None:
-            self._pairs(self.expected.pairs or {}, self.got.pairs)
-        if self.got.silent is not None:
-            self._silent(set(self.expected.silent or ()), set(self.got.silent))
+        expected, got = self.expected, self.got
+        self._names("link", expected.links, got.links)
+        self._names("joint", expected.joints, got.joints)
+        for name in (name for name in expected.links if name in got.links):
+            self._link(name, expected.links[name], got.links[name])
+        for name in (name for name in expected.joints if name in got.joints):
+            self._joint(name, expected.joints[name], got.joints[name])
+        self._numbers("world", "gravity", expected.gravity, got.gravity, _keys(["gravity"], ""))
+        if got.pairs is not None:
+            self._pairs(expected.pairs or {}, got.pairs)
+        if got.silent is not None:
+            self._silent(set(expected.silent or ()), set(got.silent))
 
     def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
         """Compare a robot; if ``expected`` is None, only its presence is checked."""
@@ -193,7 +188,7 @@ class _Checker:
             there, here = (name, None) if name in expected else (None, name)
             self._add(name, kind, there, here, math.inf, _keys(("robots", *_JOINTS), *_owners(name)))
 
-    def _link(self, name: str, expected: LinkReadback, got: LinkReadback) -> None:
+    def _link(self, name: str, expected: rb.LinkReadback, got: rb.LinkReadback) -> None:
         if expected.pose is not None and got.pose is not None:
             self._pose(name, expected.pose, got.pose)
         for quantity in _WELDED:
@@ -206,13 +201,14 @@ class _Checker:
         if got.colliders is not None:
             self._colliders(name, expected.colliders or (), got.colliders)
 
-    def _pose(self, name: str, expected: Numbers, got: Numbers) -> None:
-        there, here = pose_of(expected), pose_of(got)
-        keys = _keys(["pose"], *_owners(name))
+    def _pose(self, name: str, expected: rb.Numbers, got: rb.Numbers) -> None:
+        keys, angle = _keys(["pose"], *_owners(name)), pose_of(expected).angle_to(pose_of(got))
         self._numbers(name, "position", expected[:3], got[:3], keys)
-        self._count(name, "rotation", expected[3:], got[3:], there.angle_to(here), keys)
+        self._count(name, "rotation", expected[3:], got[3:], angle, keys)
 
-    def _colliders(self, link: str, expected: Sequence[ColliderReadback], got: Sequence[ColliderReadback]) -> None:
+    def _colliders(
+        self, link: str, expected: Sequence[rb.ColliderReadback], got: Sequence[rb.ColliderReadback]
+    ) -> None:
         self.compared += 1
         if len(expected) != len(got):
             self._add(link, "colliders", len(expected), len(got), math.inf, _keys(_SHAPES, *_owners(link)))
@@ -233,7 +229,7 @@ class _Checker:
                 wanted, held = getattr(there, field_name), getattr(here, field_name)
                 self._numbers(name, quantity, wanted, held, _keys(features, *owners))
 
-    def _joint(self, name: str, expected: JointReadback, got: JointReadback) -> None:
+    def _joint(self, name: str, expected: rb.JointReadback, got: rb.JointReadback) -> None:
         if got.type is not None:
             self.compared += 1
             if expected.type != ("revolute" if got.type == "continuous" else got.type):
@@ -290,12 +286,9 @@ class _Checker:
                 self.compared += 1
                 self._add(name, quantity, expected, got, math.inf, keys)
             return
-        there, here = np.asarray(expected, dtype=np.float64), np.asarray(got, dtype=np.float64)
-        if there.shape != here.shape:
-            self.compared += 1
-            self._add(name, quantity, expected, got, math.inf, keys)
-            return
-        error = float(np.linalg.norm(here - there)) / max(float(np.linalg.norm(there)), FLOORS[quantity])
+        there, here, error = np.asarray(expected, dtype=np.float64), np.asarray(got, dtype=np.float64), math.inf
+        if there.shape == here.shape:
+            error = float(np.linalg.norm(here - there)) / max(float(np.linalg.norm(there)), FLOORS[quantity])
         self._count(name, quantity, expected, got, error, keys)
 
     def _count(self, name: str, quantity: str, expected: object, got: object, error: float, keys: Keys) -> None:
@@ -348,7 +341,7 @@ def _tip(scene: Scene, name: str) -> float:
                 if (item.qualified(each.name), part.name) == (link, collider) and isinstance(part.geometry, Mesh):
                     smaller = inset_hull(part.geometry, SKIN)
                     if smaller is not None:
-                        bounds = [mesh_bounds(m.vertices, part.X_LG) for m in (part.geometry, smaller)]
+                        bounds = [rb.mesh_bounds(m.vertices, part.X_LG) for m in (part.geometry, smaller)]
                         return float(np.abs(np.subtract(bounds[0], bounds[1])).max())
     return 0.0
 
@@ -359,9 +352,3 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
     return bool(values) and min(values) - TOLERANCE <= float(difference.got) <= max(values) + TOLERANCE
-
-
-def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
-    """Return true if the element of a loss was compared, in which case the loss should have caused a difference."""
-    seen = _key(loss) in checker.checked - checker.untold
-    return bool(loss.element) and seen and loss.feature not in engine.restored

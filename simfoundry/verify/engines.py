@@ -1,4 +1,4 @@
-"""Engines that can verify a build, which are all targets with a ``readback.py``, and their Python interpreters."""
+"""Engines that can verify a build, and their Python interpreters. Each target with a ``readback.py`` is an engine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.targets.find import Target, find_target, target_names
-from simfoundry.targets.profile import READ_BACK, Band, EngineSpec, Gap
+from simfoundry.targets.profile import READ_BACK, EngineSpec
 from simfoundry.verify.process import EngineJob, Run, ask_probe
 
 # The environment variable that lists interpreters, separated by commas; each entry is ``PATH`` or ``ENGINE=PATH``.
@@ -20,9 +20,6 @@ VARIABLE = "SIMFOUNDRY_ENGINES"
 
 # Default relative tolerance of a profile, which is a hundred times the single-precision rounding error.
 TOLERANCE = 1e-5
-
-# The profile features whose names differ from the compared quantities.
-_FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
 
 
 @dataclass(frozen=True)
@@ -60,12 +57,12 @@ class VerifyEngine:
 
     @property
     def build(self) -> Target:
-        """The target whose build it reads: the plain backend, unless its own target has other files or options."""
+        """The target whose build is read: the plain backend, unless the engine's target has other files or options."""
         profile = self.target.profile
         return self.target if profile.options or profile.writes else find_target(profile.backend)
 
     def folder_in(self, out: Path) -> Path | None:
-        """Return the folder to read in the output of ``compile -o``: its own target's folder, or else its build's."""
+        """Return the folder to read in the output of ``compile -o``, or None if the output contains no such folder."""
         return next((p for p in (out / self.target.name, out / self.build.name) if p.is_dir()), None)
 
     def job(self, build: Path, run: Run | None = None) -> EngineJob:
@@ -76,13 +73,6 @@ class VerifyEngine:
         beside = build / f"load_{self.target.name}.py"
         return EngineJob(build, run, beside if beside.is_file() else own)
 
-    def gap(self, quantity: str) -> Gap | None:
-        """Return the gap for a quantity that is in the build but that the engine does not preserve.
-
-        The engine either lacks the quantity or, if the gap has a ``size``, has a value with at most this error.
-        """
-        return self.target.profile.gaps.get(_FEATURES.get(quantity, quantity))
-
     @property
     def restored(self) -> frozenset[str]:
         """The features that are dropped by the target's format but restored by the loader for this engine."""
@@ -90,20 +80,11 @@ class VerifyEngine:
         combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
         return frozenset(profile.restores.keys() | combined)
 
-    def band(self, behavior: str) -> Band | None:
-        """Return the known range of an incorrect result, or None if the engine reproduces the behavior."""
-        return self.target.profile.behaviors.get(behavior)
-
     def tolerance(self, quantity: str) -> float:
         """Return the maximum relative error for a quantity that is read back."""
         stated = self.target.profile.tolerances
         found = stated.get(quantity.replace(" ", "_")) or stated.get(READ_BACK)
         return TOLERANCE if found is None else found.value
-
-    def behavior_tolerance(self, behavior: str, default: float) -> float:
-        """Return the maximum error for a behavior, in its unit."""
-        found = self.target.profile.tolerances.get(behavior)
-        return default if found is None else found.value
 
 
 @dataclass(frozen=True)
@@ -128,9 +109,9 @@ def all_engines() -> tuple[VerifyEngine, ...]:
 def find_engine(name: str) -> VerifyEngine:
     """Return the engine called ``name``, or the engine of the target or folder with this name."""
     engines = all_engines()
-    for engine in engines:
-        if name in (engine.name, engine.target.name):
-            return engine
+    found = next((engine for engine in engines if name in (engine.name, engine.target.name)), None)
+    if found is not None:
+        return found
     if "/" in name:
         target = find_target(name)
         if target.readback is not None:
@@ -142,9 +123,9 @@ def find_engine(name: str) -> VerifyEngine:
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Return the interpreters by engine or family, or ``""`` for all engines.
+    """Return the interpreters by engine or family; the key ``""`` contains the interpreters for all engines.
 
-    They are taken from ``--python``, then from the environment variable; the current interpreter is the last one.
+    Interpreters specified with ``--python`` precede those in the environment variable.
     """
     places: dict[str, list[Path]] = {"": []}
     families = {name for e in (*all_engines(), *engines) for name in (e.name, e.family)}
@@ -155,7 +136,7 @@ def interpreters(
         if name and name not in families:
             raise UnknownEngineError(f"no engine is called `{name}`; available engines: {', '.join(sorted(families))}")
         if not Path(path).is_file():
-            raise SimfoundryError(f"there is no interpreter at {path}, which is configured for {name or 'all engines'}")
+            raise SimfoundryError(f"the interpreter {path}, configured for {name or 'all engines'}, does not exist")
         places.setdefault(name, []).append(Path(path))
     places[""].insert(0, Path(sys.executable))
     return places

@@ -17,25 +17,13 @@ import numpy as np
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.backends.urdf.elements import capsule_parts
-from simfoundry.geometry.frames import Pose
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.scene.kinematics import excluded_link_pairs, link_poses
+from simfoundry.geometry.frames import IDENTITY, Pose
+from simfoundry.scene.kinematics import excluded_link_pairs, link_poses, weld_groups
 from simfoundry.scene.model import Collider, Joint, JointType, Link, Scene, SceneObject, pair_friction
+from simfoundry.scene.object_shapes import geometry_bounds
 from simfoundry.scene.robot import ModelFormat, NativeModel, Robot, mujoco_model
-from simfoundry.verify.readback import (
-    FREE,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Numbers,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pair_name,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
+from simfoundry.verify.readback import JointReadback, LinkReadback, WorldReadback, numbers, pair_name, pose_numbers
 
 # Targets that write a capsule as a cylinder and two spheres, which together have the same shape.
 SPLIT_CAPSULES = ("urdf",)
@@ -45,7 +33,7 @@ _NO_JOINT = (JointType.FIXED, JointType.FREE)
 
 
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
-    """Return the read-back for ``scene`` as written by ``target``, with all collider pairs whose frictions differ."""
+    """Return the expected read-back for ``scene`` in ``target``, with all collider pairs whose frictions differ."""
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     for item in scene.objects:
@@ -59,27 +47,19 @@ def expected_readback(scene: Scene, target: str) -> WorldReadback:
 
 def static_links(scene: Scene) -> set[str]:
     """Return the qualified names of links that can never move; their mass has no effect."""
-    found: set[str] = set()
-    for item in scene.objects:
-        held = _held(item)
-        found |= {item.qualified(link) for link in held}
-    return found
+    return {item.qualified(link) for item in scene.objects for link in _held(item)}
 
 
 def _held(item: SceneObject) -> set[str]:
-    held = {item.root.name} if item.fixed else set()
-    for link in item.links:  # parents precede their children
-        joint = item.joint_above.get(link.name)
-        if joint is not None and joint.type is JointType.FIXED and joint.parent in held:
-            held.add(link.name)
-    return held
+    """Return the links of an object that are welded to the world."""
+    return {link for link, first in weld_groups(item).items() if item.fixed and first == item.root.name}
 
 
 def _held_by(item: SceneObject, link: Link) -> str:
-    joint = next((j for j in item.joints if j.child == link.name), None)
+    joint = item.joint_above.get(link.name)
     if joint is None:
-        return WORLD if item.fixed else FREE
-    return FREE if joint.type is JointType.FREE else item.qualified(joint.parent)
+        return rb.WORLD if item.fixed else rb.FREE
+    return rb.FREE if joint.type is JointType.FREE else item.qualified(joint.parent)
 
 
 def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:
@@ -87,28 +67,12 @@ def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:
     return LinkReadback(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
 
 
-def _collider(collider: Collider, target: str) -> Iterator[ColliderReadback]:
-    whole = [("", collider.geometry, Pose.of())]
+def _collider(collider: Collider, target: str) -> Iterator[rb.ColliderReadback]:
+    surface = (collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction)
+    whole = [("", collider.geometry, IDENTITY)]
     for suffix, geometry, X_GP in capsule_parts(collider.geometry) if target in SPLIT_CAPSULES else whole:
-        kind, bounds = _shape(geometry, collider.X_LG @ X_GP)
-        yield ColliderReadback(
-            collider.name + suffix, kind, bounds, collider.friction, collider.restitution,
-            collider.torsional_friction, collider.rolling_friction,
-        )  # fmt: skip
-
-
-def _shape(geometry: Geometry, X_LG: Pose) -> tuple[str, tuple[float, ...]]:
-    match geometry:
-        case Box(size=size):
-            return "box", shape_bounds("box", size.tolist(), X_LG)
-        case Sphere(radius=radius):
-            return "sphere", shape_bounds("sphere", [radius], X_LG)
-        case Cylinder(radius=radius, height=height):
-            return "cylinder", shape_bounds("cylinder", [radius, height], X_LG)
-        case Capsule(radius=radius, height=height):
-            return "capsule", shape_bounds("capsule", [radius, height], X_LG)
-        case Mesh(vertices=vertices):
-            return "mesh", mesh_bounds(vertices, X_LG)
+        bounds = numbers(geometry_bounds(geometry, collider.X_LG @ X_GP))
+        yield rb.ColliderReadback(collider.name + suffix, type(geometry).__name__.lower(), bounds, *surface)
 
 
 def _joint(item: SceneObject, joint: Joint) -> JointReadback:
@@ -141,7 +105,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
     """Yield pairs of colliders in different objects that can touch but whose frictions differ, with their friction."""
-    unheard = {frozenset(pair) for pair in scene.no_contact}
+    excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
         held = _held(item)
@@ -152,13 +116,13 @@ def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
     for (mu_a, ours), (mu_b, theirs) in combinations(by_friction.items(), 2):
         mu = pair_friction(mu_a, mu_b)
         for (a, owner_a, held_a), (b, owner_b, held_b) in product(ours, theirs):
-            silent = unheard and frozenset((a.rpartition(".")[0], b.rpartition(".")[0])) in unheard
+            silent = excluded and frozenset((a.rpartition(".")[0], b.rpartition(".")[0])) in excluded
             if owner_a != owner_b and not (held_a and held_b) and not silent and not math.isnan(mu):
                 yield pair_name(a, b), mu
 
 
-_READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
 # The robot model formats that each target accepts, in order of preference.
+_READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
 _OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -171,7 +135,7 @@ class RobotReadback:
     Only the limits and the position of each joint are compared. None means that a value is not reported.
     """
 
-    pose: Numbers | None
+    pose: rb.Numbers | None
     mass: float | None
     joints: Mapping[str, JointReadback]
     actuators: tuple[str, ...] | None = None
@@ -183,7 +147,7 @@ def expected_robots(scene: Scene, target: str) -> dict[str, RobotReadback | None
 
 
 def without_robots(facts: WorldReadback, names: Iterable[str]) -> tuple[WorldReadback, dict[str, RobotReadback]]:
-    """Split a read-back into the objects and the robots that are present."""
+    """Split a read-back into the data of all objects and the data of each robot that is present."""
     robots = [name for name in names if any(_of(link, name) for link in facts.links)]
 
     def is_ours(name: str) -> bool:
@@ -211,29 +175,26 @@ def _reported_robot(facts: WorldReadback, robot: str) -> RobotReadback:
     actuators = None
     if facts.actuators is not None:
         actuators = tuple(sorted(a.removeprefix(f"{robot}.") for a in facts.actuators if _of(a, robot)))
-    base = links.get(robot)
-    whole = len(masses) == len(links)
-    return RobotReadback(base.pose if base else None, sum(masses) if whole else None, joints, actuators)
+    mass = sum(masses) if len(masses) == len(links) else None
+    return RobotReadback(links[robot].pose if robot in links else None, mass, joints, actuators)
 
 
 def _expected(robot: Robot, target: str) -> RobotReadback | None:
     native = robot.best(*_READS.get(target, _OTHERS))
     if native is None or native.format is ModelFormat.USD:
         return None
-    if target == "mjcf":
-        read = read_robot(robot, native, f"{robot.name}.")
-        joints = _joints(read, {})
-        names = [read.model.actuator(k).name.removeprefix(read.prefix) for k in range(read.model.nu)]
-        return RobotReadback(pose_numbers(robot.X_WB), float(read.model.body_mass.sum()), joints, tuple(sorted(names)))
-    if native.format is ModelFormat.URDF and target != "usd":
+    if native.format is ModelFormat.URDF and target not in ("mjcf", "usd"):
         return _of_urdf(robot, native)
-    source = mujoco_model(robot)
+    source = native if target == "mjcf" else mujoco_model(robot)
     assert source is not None
     read = read_robot(robot, source, f"{robot.name}.")
+    mass = float(read.model.body_mass.sum())
+    if target == "mjcf":
+        names = [read.model.actuator(k).name.removeprefix(read.prefix) for k in range(read.model.nu)]
+        return RobotReadback(pose_numbers(robot.X_WB), mass, _joints(read, {}), tuple(sorted(names)))
     made = as_object(robot, read)
     driven = sorted(j.name for j in made.item.joints if j.drive is not None and j.mimic is None)
-    return RobotReadback(pose_numbers(made.item.X_WO), float(read.model.body_mass.sum()), _joints(read, made.joints),
-                      tuple(driven))  # fmt: skip
+    return RobotReadback(pose_numbers(made.item.X_WO), mass, _joints(read, made.joints), tuple(driven))
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
@@ -251,10 +212,10 @@ def _of_urdf(robot: Robot, native: NativeModel) -> RobotReadback:
     """Return the values specified in the URDF itself; mimic joints have no motor."""
     root = ET.parse(native.file).getroot()
     mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
-    moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]
+    moving = {str(j.get("name")): j for j in root.findall("joint") if j.get("type") in _MOVING}
     start, gripper = robot.start(native), native.gripper
-    joints = {str(j.get("name")): _urdf_joint(j, start.get(str(j.get("name")), 0.0)) for j in moving}
-    led = {str(j.get("name")) for j in moving if j.find("mimic") is not None} | set(gripper.follow if gripper else ())
+    joints = {name: _urdf_joint(j, start.get(name, 0.0)) for name, j in moving.items()}
+    led = {name for name, j in moving.items() if j.find("mimic") is not None} | set(gripper.follow if gripper else ())
     return RobotReadback(pose_numbers(robot.X_WB), mass, joints, tuple(sorted(joints.keys() - led)))
 
 

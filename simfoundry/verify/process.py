@@ -3,8 +3,8 @@
 :func:`main` runs in an engine's process; its argument is the ``readback.py`` of a target. Each job is a line of JSON on
 standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each result is a line
 of JSON on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. The engine's output goes to standard
-error. With ``--probe``, :func:`main` prints a line of JSON with the versions of those given packages that its
-interpreter can import.
+error. With ``--probe``, :func:`main` prints a line of JSON with the version of each given package that its interpreter
+can import.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import IO, Any
@@ -64,7 +64,7 @@ class EngineJob:
 
     def line(self) -> str:
         """Return the job as a line of input for the reader process."""
-        run = None if self.run is None else {"seconds": self.run.seconds, "every": self.run.every}
+        run = None if self.run is None else asdict(self.run)
         build, loader = self.build.resolve(), (self.loader or self.build / "load.py").resolve()
         return json.dumps({"build": str(build), "loader": str(loader), "run": run}) + "\n"
 
@@ -85,7 +85,7 @@ def command(python: Path, *arguments: str) -> list[str]:
 
 
 def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
-    """Return the versions of those given ``module:distribution`` entries that another interpreter can find."""
+    """Return the version of each ``module:distribution`` entry that another interpreter can find."""
     done = subprocess.run(
         command(python, "--probe", *modules), capture_output=True, text=True, timeout=PROBE_S, check=True
     )
@@ -216,18 +216,17 @@ def probe(packages: list[str]) -> dict[str, str]:
 
 def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
     """Return an engine's read-back of a build, or the samples of a run."""
+    session: Session | None = None
     try:
         build = Path(job["build"])
-        session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
+        session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
+        moments = [] if job["run"] is None else run(session, **job["run"])
+        return {"facts": None if moments else session.read().to_json(), "moments": moments}
     except Exception as error:  # any error in the engine becomes the answer
         return {"error": f"{type(error).__name__}: {error}"}
-    try:
-        moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
-        return {"facts": None if moments else session.read().to_json(), "moments": moments}
-    except Exception as error:
-        return {"error": f"{type(error).__name__}: {error}"}
     finally:
-        session.close()
+        if session is not None:
+            session.close()
 
 
 def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:

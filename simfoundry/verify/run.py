@@ -6,10 +6,11 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from simfoundry.verify.readback import Moment, pose_of
 
 # A callback that receives an engine's current activity and the number of work units completed since the last call.
 Report = Callable[[str, int], None]
+Engines = Sequence[InstalledEngine]
+T = TypeVar("T")
 
 
 class ProofStatus(StrEnum):
@@ -39,9 +42,9 @@ class ProofStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SceneBuilds:
-    """A scene to verify, with its name in the table, and the build and losses for each engine.
+    """A scene to verify, with its name in the tables, and its build and losses for each engine.
 
-    The losses are those of the backend; the engine's loader may restore some of the features.
+    The losses are those of the backend; an engine's loader may restore some of the features.
     """
 
     name: str
@@ -93,10 +96,6 @@ class BehaviorResult:
     reason: str
     error: str
 
-    def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
-        return asdict(self) | {"verdict": self.verdict.value}
-
 
 def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
     """Compile a scene for ``engines`` into ``folder``; engines that read the same build share it."""
@@ -112,50 +111,54 @@ def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path
     return SceneBuilds(name, scene, builds, losses)
 
 
+def _in_each(engines: Engines, workers: int, work: Callable[[InstalledEngine], list[T]]) -> list[list[T]]:
+    """Return the results of ``work`` for each engine, with up to ``workers`` engines in parallel."""
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        return list(pool.map(work, engines))
+
+
+def _answers(
+    found: InstalledEngine, subjects: Sequence[SceneBuilds], report: Report, timeout: float, run: Run | None = None
+) -> list[EngineAnswer]:
+    """Return an engine's answers for the builds of all subjects."""
+    jobs = [found.engine.job(subject.builds[found.engine.name], run) for subject in subjects]
+    return ask(found.python, found.engine.readback, jobs, timeout, lambda done: report(found.engine.name, 1))
+
+
 def read_subjects(
-    subjects: Sequence[SceneBuilds],
-    engines: Sequence[InstalledEngine],
-    report: Report,
-    workers: int = 1,
-    timeout: float = TIMEOUT_S,
+    subjects: Sequence[SceneBuilds], engines: Engines, report: Report, workers: int = 1, timeout: float = TIMEOUT_S
 ) -> list[ReadbackResult]:
     """Read back every scene in every engine, with up to ``workers`` engines in parallel."""
 
     def one(found: InstalledEngine) -> list[ReadbackResult]:
-        engine = found.engine
-        jobs = [engine.job(s.builds[engine.name]) for s in subjects]
-        answers = ask(found.python, engine.readback, jobs, timeout, lambda done: report(engine.name, 1))
-        return [_reading(s, found, a) for s, a in zip(subjects, answers, strict=True)]
+        answers = _answers(found, subjects, report, timeout)
+        return [_reading(s, found.engine, a) for s, a in zip(subjects, answers, strict=True)]
 
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        return [reading for readings in pool.map(one, engines) for reading in readings]
+    return list(chain.from_iterable(_in_each(engines, workers, one)))
 
 
-def _reading(subject: SceneBuilds, found: InstalledEngine, answer: EngineAnswer) -> ReadbackResult:
-    engine = found.engine
+def _reading(subject: SceneBuilds, engine: VerifyEngine, answer: EngineAnswer) -> ReadbackResult:
     if answer.facts is None:
-        return ReadbackResult(subject.name, engine.name, None, answer.error or "told nothing", answer.seconds)
+        error = answer.error or "the engine returned no read-back"
+        return ReadbackResult(subject.name, engine.name, None, error, answer.seconds)
     comparison = compare(subject.scene, answer.facts, engine, subject.losses[engine.name])
     return ReadbackResult(subject.name, engine.name, comparison, "", answer.seconds)
 
 
 def measure_behaviors(
-    behaviors: Sequence[Behavior], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
-    timeout: float = TIMEOUT_S,
-) -> list[BehaviorResult]:  # fmt: skip
-    """Measure every behavior in every engine that supports stepping."""
+    behaviors: Sequence[Behavior], engines: Engines, report: Report, workers: int = 1, timeout: float = TIMEOUT_S
+) -> list[BehaviorResult]:
+    """Measure every behavior in every engine that supports stepping, with up to ``workers`` engines in parallel."""
 
     def one(found: InstalledEngine) -> list[BehaviorResult]:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             return _Bench(found, Path(folder), report, timeout).measure(behaviors)
 
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        stepping = [found for found in engines if found.engine.spec.steps]
-        return [measured for results in pool.map(one, stepping) for measured in results]
+    return list(chain.from_iterable(_in_each([f for f in engines if f.engine.spec.steps], workers, one)))
 
 
 class _Bench:
-    """Runs the measurements for one engine, in which concurrent trials share a process."""
+    """The measurements in one engine, in which concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
@@ -163,22 +166,16 @@ class _Bench:
 
     def measure(self, behaviors: Sequence[Behavior]) -> list[BehaviorResult]:
         """Measure all behaviors, in order."""
-        running: dict[str, tuple[Measurement, Trial]] = {}
-        for behavior in behaviors:
-            measurement = behavior.measure()
-            running[behavior.name] = (measurement, next(measurement))
-        results: dict[str, float | str] = {}
-        while running:
-            jobs = [self._job(trial) for _, trial in running.values()]
+        measurements = {behavior.name: behavior.measure() for behavior in behaviors}
+        outcomes: dict[str, Trial | float | str] = {name: next(each) for name, each in measurements.items()}
+        while trials := {name: each for name, each in outcomes.items() if isinstance(each, Trial)}:
+            jobs = [self._job(trial) for trial in trials.values()]
             answers = ask(self.found.python, self.found.engine.readback, jobs, self.timeout)
-            for (name, (measurement, _)), answer in zip(list(running.items()), answers, strict=True):
-                outcome = _advance(measurement, answer)
-                if isinstance(outcome, Trial):
-                    running[name] = (measurement, outcome)
-                    continue
-                results[name] = outcome
-                del running[name]
-                self.report(self.found.engine.name, 1)
+            for name, answer in zip(trials, answers, strict=True):
+                outcomes[name] = _advance(measurements[name], answer)
+                if not isinstance(outcomes[name], Trial):
+                    self.report(self.found.engine.name, 1)
+        results = {name: each for name, each in outcomes.items() if not isinstance(each, Trial)}
         return [judge_result(behavior, self.found.engine, results[behavior.name]) for behavior in behaviors]
 
     def _job(self, trial: Trial) -> EngineJob:
@@ -203,14 +200,15 @@ def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | 
 
 def judge_result(behavior: Behavior, engine: VerifyEngine, outcome: float | str) -> BehaviorResult:
     """Compare a measured value with the analytic value and with the engine's known deviation."""
+    profile, name = engine.target.profile, behavior.name
     if isinstance(outcome, str):
-        return BehaviorResult(behavior.name, engine.name, None, ProofStatus.FAILED, "", outcome)
-    if abs(outcome - behavior.expected) <= engine.behavior_tolerance(behavior.name, behavior.tolerance):
-        return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.OK, "", "")
-    known = engine.band(behavior.name)
+        return BehaviorResult(name, engine.name, None, ProofStatus.FAILED, "", outcome)
+    tolerance, known = profile.tolerances.get(name), profile.behaviors.get(name)
+    if abs(outcome - behavior.expected) <= (behavior.tolerance if tolerance is None else tolerance.value):
+        return BehaviorResult(name, engine.name, outcome, ProofStatus.OK, "", "")
     if known is not None and known.low <= outcome <= known.high:
-        return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.KNOWN, known.reason, "")
-    return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.MISMATCH, "", "")
+        return BehaviorResult(name, engine.name, outcome, ProofStatus.KNOWN, known.reason, "")
+    return BehaviorResult(name, engine.name, outcome, ProofStatus.MISMATCH, "", "")
 
 
 # The simulated duration [s], which is long enough for an unstable object to fall over.
@@ -235,10 +233,6 @@ class RestResult:
     verdict: ProofStatus
     error: str = ""
 
-    def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
-        return asdict(self) | {"verdict": self.verdict.value}
-
 
 @dataclass(frozen=True)
 class _Place:
@@ -258,29 +252,21 @@ class _Place:
 
 
 def settle_subjects(
-    subjects: Sequence[SceneBuilds],
-    engines: Sequence[InstalledEngine],
-    report: Report,
-    workers: int = 1,
-    timeout: float = TIMEOUT_S,
+    subjects: Sequence[SceneBuilds], engines: Engines, report: Report, workers: int = 1, timeout: float = TIMEOUT_S
 ) -> list[RestResult]:
     """Simulate every scene with movable objects in every engine that supports stepping.
 
-    Returns an empty list if there is only one such engine.
+    Returns an empty list if fewer than two engines support stepping.
     """
-    moving = [s for s in subjects if _moves(s.scene)]
+    moving = [s for s in subjects if _things(s.scene)]
     stepping = [f for f in engines if f.engine.spec.steps]
     if len(stepping) < 2 or not moving:
         return []
 
     def one(found: InstalledEngine) -> list[Moment | str]:
-        engine = found.engine
-        jobs = [engine.job(s.builds[engine.name], LEFT_ALONE) for s in moving]
-        answers = ask(found.python, engine.readback, jobs, timeout, lambda done: report(engine.name, 1))
-        return [a.moments[-1] if a.moments else a.error for a in answers]
+        return [a.moments[-1] if a.moments else a.error for a in _answers(found, moving, report, timeout, LEFT_ALONE)]
 
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        ends = list(pool.map(one, stepping))
+    ends = _in_each(stepping, workers, one)
     names = [f.engine.name for f in stepping]
     by_scene = [dict(zip(names, column, strict=True)) for column in zip(*ends, strict=True)]
     return [r for s, last in zip(moving, by_scene, strict=True) for r in judge_rest(s, last)]
@@ -299,14 +285,9 @@ def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[R
         apart = {thing: places[name][thing].apart(middle[thing]) for thing in things}
         worst = max(things, key=lambda t: max(apart[t][0] / NEAR_MM, apart[t][1] / NEAR_DEG))
         near = all(mm <= NEAR_MM and deg <= NEAR_DEG for mm, deg in apart.values())
-        results.append(
-            RestResult(subject.name, name, *apart[worst], worst, ProofStatus.OK if near else ProofStatus.MISMATCH)
-        )
+        verdict = ProofStatus.OK if near else ProofStatus.MISMATCH
+        results.append(RestResult(subject.name, name, *apart[worst], worst, verdict))
     return results
-
-
-def _moves(scene: Scene) -> bool:
-    return bool(_things(scene))
 
 
 def _things(scene: Scene) -> list[str]:

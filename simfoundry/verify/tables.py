@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from simfoundry.geometry.frames import look_at
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.object_shapes import world_bounds
+from simfoundry.targets.build import aligned
 from simfoundry.verify.behaviors import Behavior
 from simfoundry.verify.compare import Difference
 from simfoundry.verify.engines import InstalledEngine, VerifyEngine
@@ -32,10 +34,14 @@ def reading_cell(reading: ReadbackResult) -> str:
 
 def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     """Return a table with a row per spec and a column per engine."""
-    cells = {(r.subject, r.engine): reading_cell(r) for r in readings}
-    subjects = list(dict.fromkeys(r.subject for r in readings))
-    rows = [["", *engines], *([s, *(cells.get((s, e), ABSENT) for e in engines)] for s in subjects)]
-    return _aligned(rows)
+    return _table("", engines, {(r.subject, r.engine): reading_cell(r) for r in readings}, ABSENT)
+
+
+def _table(corner: str, engines: Iterable[str], cells: Mapping[tuple[str, str], str], absent: str = "") -> str:
+    """Return a table with a row per subject and a column per engine; ``cells`` is keyed by both."""
+    names, subjects = list(engines), dict.fromkeys(subject for subject, _ in cells)
+    rows = ([subject, *(cells.get((subject, name), absent) for name in names)] for subject in subjects)
+    return "\n".join(aligned([[corner, *names], *rows], ">"))
 
 
 def measured_cell(measured: BehaviorResult) -> str:
@@ -56,7 +62,7 @@ def behaviors_table(
     for b in behaviors:
         answer = f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip()
         rows.append([b.title, answer, *(cells.get((b.name, n), "") for n in names)])
-    return _aligned(rows)
+    return "\n".join(aligned(rows, ">"))
 
 
 def rested_cell(rested: RestResult) -> str:
@@ -69,9 +75,7 @@ def rested_cell(rested: RestResult) -> str:
 def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     """Return a table with a row per spec and a column per engine."""
     names = [name for name in engines if any(r.engine == name for r in rested)]
-    cells = {(r.subject, r.engine): rested_cell(r) for r in rested}
-    subjects = dict.fromkeys(r.subject for r in rested)
-    return _aligned([["after 2 s", *names], *([s, *(cells.get((s, n), "") for n in names)] for s in subjects)])
+    return _table("after 2 s", names, {(r.subject, r.engine): rested_cell(r) for r in rested})
 
 
 def details(
@@ -104,11 +108,9 @@ def details(
 
 def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviorResult]) -> list[str]:
     """Return the known losses of the engines, listing each reason once with its number of occurrences."""
-    counts: dict[str, int] = {}
-    for reading in readings:
-        for d in reading.comparison.covered if reading.comparison else ():
-            line = f"{reading.engine}: {d.quantity}: {d.covered}"
-            counts[line] = counts.get(line, 0) + 1
+    counts = Counter(
+        f"{r.engine}: {d.quantity}: {d.covered}" for r in readings if r.comparison for d in r.comparison.covered
+    )
     lines = [f"{line} ({n} x)" for line, n in counts.items()]
     return lines + [f"{m.engine}: {m.behavior} {m.value:.4g}: {m.reason}" for m in results if m.reason]
 
@@ -124,7 +126,7 @@ def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:
 
 def difference_line(d: Difference) -> str:
     """Format a difference as text, with the object, quantity, expected value, actual value and relative error."""
-    error = f" (off by {d.error:.2g})" if d.error not in (float("inf"),) and d.error == d.error else ""
+    error = f" (off by {d.error:.2g})" if math.isfinite(d.error) else ""
     return f"{d.name}: {d.quantity}: expected {value_text(d.expected)}, got {value_text(d.got)}{error}"
 
 
@@ -140,15 +142,6 @@ def value_text(value: object) -> str:
 def absent_line(engine: VerifyEngine) -> str:
     """Return the line that explains how to install an engine that was not found."""
     return f"{engine.name}: {ABSENT}: {engine.spec.install}, or specify its interpreter: --python {engine.family}=PATH"
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        rest = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
-        lines.append("  ".join([row[0].ljust(widths[0]), *rest]).rstrip())
-    return "\n".join(lines)
 
 
 # Image size [px], such that two images fit side by side in a report on a laptop screen.

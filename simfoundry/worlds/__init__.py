@@ -1,4 +1,4 @@
-"""Worlds, which are simulators that run a scene behind a common protocol."""
+"""Worlds, which are simulators that run a scene behind a common interface."""
 
 from importlib import import_module
 

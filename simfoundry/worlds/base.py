@@ -1,11 +1,10 @@
-"""The protocols of a world and its robots, which allow predicates, tasks and checks to run in any simulator.
+"""The interfaces of a world and its robots, which allow predicates, tasks and checks to run in any simulator.
 
 This module also provides cameras, including those mounted on links, at their current poses and for any image size.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -54,11 +53,6 @@ class WorldRobot(Protocol):
         """Return the world pose of the frame ``hand`` or ``base``, or of a link given by its name in the model."""
 
 
-def unknown_joint(robot: str, joint: str, known: tuple[str, ...]) -> KeyError:
-    """Return the error for an unknown joint of a robot."""
-    return KeyError(f"robot {robot!r} has no joint {joint!r}; available joints: {', '.join(known)}")
-
-
 # An sRGB color image, shape (h, w, 3).
 Image = NDArray[np.uint8]
 
@@ -82,40 +76,11 @@ class Contact:
     position: Array
 
 
-class BaseWorld(ABC):
-    """A base class with the parts of a :class:`World` that are the same in every simulator."""
-
-    scene: Scene
-
-    def judge(self, condition: Any) -> Verdict:
-        """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
-        return self._judge(condition, self.state())
-
-    @abstractmethod
-    def state(self) -> SceneState:
-        """Return the current state."""
-
-    @cached_property
-    def _judge(self) -> Judge:
-        from simfoundry.predicates import Judge
-
-        return Judge(self.scene)
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release the simulator."""
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
-
-
 class World(Protocol):
-    """A simulator that runs one scene. Use it as a context manager, or call :meth:`close` when done."""
+    """A simulator that runs one scene. Use a world as a context manager, or call :meth:`close` when done.
+
+    Simulators derive from this class, which evaluates conditions in the same way for all of them.
+    """
 
     scene: Scene
 
@@ -144,6 +109,13 @@ class World(Protocol):
 
     def judge(self, condition: Any) -> Verdict:
         """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
+        return self._judge(condition, self.state())
+
+    @cached_property
+    def _judge(self) -> Judge:
+        from simfoundry.predicates import Judge
+
+        return Judge(self.scene)
 
     def contacts(self) -> list[Contact]:
         """Return the current contacts between different objects and robots."""
@@ -171,10 +143,12 @@ class World(Protocol):
         """Release the simulator."""
 
     def __enter__(self) -> Self:
-        """Return itself."""
+        """Return the world."""
+        return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the world."""
+        self.close()
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:

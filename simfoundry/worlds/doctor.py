@@ -1,4 +1,4 @@
-"""An inventory of the installed components, their purposes, and the commands that install missing components."""
+"""An inventory of the components that SimFoundry can use, and the commands that install missing components."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+
+import yaml
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.models.generators import IMAGES_URL, MESHES_URL
@@ -23,13 +24,9 @@ PYBULLET_REMEDY = (
 GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then, images are ray-cast"
 
 
-# The sections of the inventory in display order.
-SECTIONS = ("packages", "extras", "robots", "renderers", "models")
-
-
 @dataclass(frozen=True)
 class Part:
-    """A component that the project can use; ``version`` is the installed version, or empty if it is missing."""
+    """A component that SimFoundry can use; ``version`` is the installed version, or empty if none is installed."""
 
     section: str
     name: str
@@ -37,30 +34,6 @@ class Part:
     required: bool
     purpose: str
     remedy: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
-        return asdict(self)
-
-
-# The distribution name, module name and purpose of each required package.
-_PACKAGES = (
-    ("numpy", "numpy", "arrays"),
-    ("pydantic", "pydantic", "typed documents"),
-    ("pyyaml", "yaml", "reading YAML"),
-    ("click", "click", "the command line"),
-    ("rich", "rich", "progress bars"),
-    ("pillow", "PIL", "reading pictures"),
-    ("opencv-python-headless", "cv2", "image processing"),
-    ("trimesh", "trimesh", "reading meshes"),
-    ("coacd", "coacd", "convex parts"),
-    ("fast-simplification", "fast_simplification", "simplification of large meshes"),
-    ("mapbox-earcut", "mapbox_earcut", "triangulation of outlines"),
-    ("scipy", "scipy", "convex hulls, spatial search"),
-    ("shapely", "shapely", "outlines"),
-    ("usd-core", "pxr.Usd", "USD worlds"),
-    ("mujoco", "mujoco", "MuJoCo worlds, settling, rendering"),
-)
 
 
 def examine() -> list[Part]:
@@ -71,7 +44,8 @@ def examine() -> list[Part]:
 def _packages() -> Iterator[Part]:
     here = platform.python_version()
     yield Part("packages", "python", here, True, "3.11 or later", "install Python 3.11 or later")
-    for name, module, purpose in _PACKAGES:
+    table = yaml.safe_load(Path(__file__).with_name("packages.yaml").read_text(encoding="utf-8"))
+    for name, (module, purpose) in table.items():
         found, problem = _found(name, module)
         yield Part("packages", name, found, True, purpose, f"pip install {name}{problem}")
 
@@ -115,12 +89,9 @@ def _renderers() -> Iterator[Part]:
     from simfoundry.render.gl import working_drivers
 
     drivers = working_drivers()
+    absent = "not available on this system; the ray caster is used instead"
+    remedy = GL_REMEDY if sys.platform.startswith("linux") else absent
     for name in ("egl", "osmesa"):
-        remedy = (
-            GL_REMEDY
-            if sys.platform.startswith("linux")
-            else "not available on this system; the ray caster is used instead"
-        )
         yield Part("renderers", name, "works" if name in drivers else "", False, "MuJoCo's renderer", remedy)
     yield Part("renderers", "raycast", "built in", False, "images of scenes without a GL driver", "")
 

@@ -14,32 +14,22 @@ from simfoundry.backends.mjcf.contact_rules import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
-from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees
+from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import (
-    CONTACT_GAP,
-    BaseWorld,
-    Contact,
-    Image,
-    camera_of,
-    complete_state,
-    reach,
-    unknown_joint,
-)
-from simfoundry.worlds.robot_state import check_robots, mjcf_rows
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, World, WorldRobot, camera_of, complete_state, reach
+from simfoundry.worlds.robot_state import check_robots, mjcf_rows, unknown_joint
 
 if TYPE_CHECKING:
     import mujoco
-
 
 # Maximum number of pixels per side of images rendered in quick mode, because policies render thousands of them.
 SMALL = 640
 
 
-class MujocoWorld(BaseWorld):
-    """A :class:`~simfoundry.worlds.World` for MuJoCo; ``model`` and ``data`` are MuJoCo's own objects."""
+class MujocoWorld(World):
+    """A world in MuJoCo; ``model`` and ``data`` are MuJoCo's own objects."""
 
     def __init__(self, scene: Scene) -> None:
         try:
@@ -56,7 +46,8 @@ class MujocoWorld(BaseWorld):
         self._objects |= {self.model.body(robot.name).id: robot.name for robot in scene.robots if mujoco_model(robot)}
         initial = SceneState.initial(scene)
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
-        self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
+        free = {tree.name: free_joint_name(tree) for tree in parts if not tree.fixed}
+        self._free = {name: int(self.model.joint(joint).qposadr[0]) for name, joint in free.items()}
         self._renderers: dict[bool, MujocoRenderer] = {}
         self._moving = [_Moving(self.model, item) for item in scene.objects if item.joints or not item.fixed]
         self._arms = {robot.name: mjcf_rows(robot) for robot in scene.robots}
@@ -65,9 +56,6 @@ class MujocoWorld(BaseWorld):
             for name, rows in self._arms.items()
         }
         self.reset()
-
-    def _free_qpos(self, tree: Tree) -> int:
-        return int(self.model.joint(free_joint_name(tree)).qposadr[0])
 
     @property
     def timestep(self) -> float:
@@ -127,15 +115,14 @@ class MujocoWorld(BaseWorld):
         motions: dict[str, Pose] = {}
         for item in self.scene.objects:
             X_OT = dict[str, Pose]()
-            for joint in item.joints:
+            for joint in (joint for joint in item.joints if joint.type is not JointType.FIXED):
                 name = f"{item.name}.{joint.name}"
-                if joint.type is not JointType.FIXED:
-                    start = self._qpos[name]
+                start = self._qpos[name]
                 if joint.has_axis:
                     joints[name] = float(self.data.qpos[start])
                 elif joint.type is JointType.BALL:
                     motions[name] = Pose.of(q=self.data.qpos[start : start + 4])
-                elif joint.type is JointType.FREE:
+                else:
                     X_OT[joint.child] = poses[item.name].inverse() @ self._free_pose(start)
             if X_OT:
                 found = free_motions(item, SceneState(poses, joints, motions).of_object(item), X_OT)
@@ -186,10 +173,6 @@ class MujocoWorld(BaseWorld):
         self._renderers[quick] = MujocoRenderer(self.model, width, height, quick=quick)
         return self._renderers[quick]
 
-    def _close_renderers(self) -> None:
-        while self._renderers:
-            self._renderers.popitem()[1].close()
-
     def trouble(self) -> str:
         """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""
         warnings = self._mujoco.mjtWarning
@@ -214,7 +197,8 @@ class MujocoWorld(BaseWorld):
 
     def close(self) -> None:
         """Release the GL renderers; MuJoCo's own memory is released with this object."""
-        self._close_renderers()
+        while self._renderers:
+            self._renderers.popitem()[1].close()
 
 
 class _Moving:
@@ -245,8 +229,8 @@ class _Moving:
         return fastest
 
 
-class MujocoRobotHandle:
-    """A :class:`~simfoundry.worlds.base.WorldRobot` for MuJoCo; targets are set in ``data.ctrl``."""
+class MujocoRobotHandle(WorldRobot):
+    """A robot in MuJoCo; targets are set in ``data.ctrl``."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
         native = mujoco_model(robot)
@@ -328,11 +312,9 @@ class MujocoRobotHandle:
         if gripper is None:
             return
         share = min(max(closed, 0.0), 1.0)
-        led = {} if gripper.command else gripper.follow  # mimic joints have no servo
         for name, (start, end) in (gripper.command or gripper.joints).items():
-            if name in led:
-                continue
-            self._command(self._model.actuator(f"{self._robot.name}.{name}").id, start + share * (end - start))
+            if gripper.command or name not in gripper.follow:  # mimic joints have no servo
+                self._command(self._model.actuator(f"{self._robot.name}.{name}").id, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:
         """Return the world pose of a frame, or of a link given by its name in the model."""

@@ -20,30 +20,20 @@ from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lig
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.runtime.plugins import import_file
-from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees
+from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.robot import Gripper
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import (
-    CONTACT_GAP,
-    BaseWorld,
-    Contact,
-    Image,
-    WorldRobot,
-    camera_of,
-    complete_state,
-    reach,
-    unknown_joint,
-)
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, World, WorldRobot, camera_of, complete_state, reach
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
-from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, urdf_rows
+from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, unknown_joint, urdf_rows
 
 # PyBullet's index for the root link; any other link has the index of its parent joint.
 BASE = -1
 
 
-class PybulletWorld(BaseWorld):
-    """A :class:`~simfoundry.worlds.World` for PyBullet; ``client`` and ``bodies`` are PyBullet's ids.
+class PybulletWorld(World):
+    """A world in PyBullet; ``client`` and ``bodies`` are PyBullet's ids.
 
     The world is created from a build, using the same ``load.py`` that is provided to users.
     """
@@ -66,30 +56,28 @@ class PybulletWorld(BaseWorld):
                 facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
         self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
         self.bodies: dict[str, int] = {name: every[name] for name in self._trees}
-        hold, press = partial(self._loader.hold, self.client), partial(self._loader.press, self.client)
-        self._robots = {n: PybulletRobotHandle(self._call, hold, press, n, every[n], facts[n]) for n in facts}
+        self._robots = {n: PybulletRobotHandle(self._call, self._command, n, every[n], facts[n]) for n in facts}
         self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
         self._objects |= {every[name]: name for name in facts}
         self._joints: dict[str, tuple[int, int]] = {}
-        for tree in self._trees.values():
-            self._index_names(tree)
+        for name, tree in self._trees.items():
+            for index in range(self._call("getNumJoints", self.bodies[name])):
+                info = self._call("getJointInfo", self.bodies[name], index)
+                if info[2] != self._bullet.JOINT_FIXED:
+                    self._joints[f"{tree.owner.name}.{info[1].decode()}"] = (self.bodies[name], index)
         self._arms = {name: urdf_rows(scene.robot(name), handle.moving) for name, handle in self._robots.items()}
         self._reach = {item.name: reach(item) for item in scene.objects if item.joints or not item.fixed}
         inertial = {name: self._call("getDynamicsInfo", body, BASE)[3:5] for name, body in self.bodies.items()}
         self._X_OI = {name: Pose.of(p, from_xyzw(q)) for name, (p, q) in inertial.items()}
         self._fresh: int = self._call("saveState")
-        """Bullet's state as saved before the first step, including contacts and the solver's warm-start data."""
+        """Bullet's state before the first step, including contacts and the solver's warm-start data."""
         self.reset()
-
-    def _index_names(self, tree: Tree) -> None:
-        item, body = tree.owner, self.bodies[tree.name]
-        for index in range(self._call("getNumJoints", body)):
-            info = self._call("getJointInfo", body, index)
-            if info[2] != self._bullet.JOINT_FIXED:
-                self._joints[f"{item.name}.{info[1].decode()}"] = (body, index)
 
     def _call(self, function: str, *args: object, **options: object) -> Any:
         return getattr(self._bullet, function)(*args, physicsClientId=self.client, **options)
+
+    def _command(self, function: str, *args: object) -> None:
+        getattr(self._loader, function)(self.client, *args)
 
     def _base_pose(self, name: str) -> Pose:
         p, q = self._call("getBasePositionAndOrientation", self.bodies[name])
@@ -111,10 +99,9 @@ class PybulletWorld(BaseWorld):
             self._call("resetJointState", *self._joints[name], position, 0.0)
         for tree in self._trees.values():
             item = tree.owner
-            for joint in tree.joints:
-                if joint.type is JointType.BALL:
-                    q = to_xyzw(full.motions[f"{item.name}.{joint.name}"].q).tolist()
-                    self._call("resetJointStateMultiDof", *self._joints[f"{item.name}.{joint.name}"], q, [0, 0, 0])
+            for name in (f"{item.name}.{joint.name}" for joint in tree.joints if joint.type is JointType.BALL):
+                q = to_xyzw(full.motions[name].q).tolist()
+                self._call("resetJointStateMultiDof", *self._joints[name], q, [0, 0, 0])
             if tree.free_joint is not None:
                 X_OL = link_poses(item, full.of_object(item))
                 self._put(tree.name, full.poses[item.name] @ X_OL[tree.root.name])
@@ -251,19 +238,18 @@ def quiet_native_output() -> Iterator[None]:
             os.close(descriptor)
 
 
-# A function that calls a PyBullet function by name for one client, or a loader function that commands a motor.
+# A function that calls a function of PyBullet or of the loader by name for one client.
 Call = Callable[..., Any]
 
 
-class PybulletRobotHandle:
-    """A :class:`~simfoundry.worlds.base.WorldRobot` for PyBullet, whose targets are set in its position motors.
+class PybulletRobotHandle(WorldRobot):
+    """A robot in PyBullet, whose targets are set in its position motors.
 
     ``facts`` is the robot's entry in ``world.json``.
     """
 
-    def __init__(self, call: Call, hold: Call, press: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
-        self._call, self._hold, self._name, self._body, self._facts = call, hold, name, body, facts
-        self._press = press
+    def __init__(self, call: Call, command: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
+        self._call, self._command, self._name, self._body, self._facts = call, command, name, body, facts
         self._targets = {joint: motor["target"] for joint, motor in facts["motors"].items()}
         self._servos = [joint for joint, motor in facts["motors"].items() if "stiffness" in motor]
         infos = [call("getJointInfo", body, k) for k in range(call("getNumJoints", body))]
@@ -302,12 +288,13 @@ class PybulletRobotHandle:
         if low <= high:
             target = min(max(target, low), high)
         self._targets[joint] = target
-        self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
+        self._command("hold", self._body, self._index[joint], self._facts["motors"][joint], target)
 
     def press(self) -> None:
         """Limit the force of each gripper servo to that of a spring; call this before every step."""
         for joint in self._servos:
-            self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
+            motor = self._facts["motors"][joint]
+            self._command("press", self._body, self._index[joint], motor, self._targets[joint])
 
     def gripper(self) -> float:
         """Return how far the gripper is closed, from 0 (open) to 1 (closed)."""

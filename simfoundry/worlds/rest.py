@@ -1,4 +1,4 @@
-"""Rest and stability: simulation until nothing moves, or for a few seconds, and measurement of each object's motion."""
+"""Rest and stability: simulate until nothing moves, or for a few seconds, and measure each object's motion."""
 
 from __future__ import annotations
 
@@ -100,7 +100,6 @@ MAX_MOVED = 0.01
 # Maximum rotation [deg] of a stable object; 5 degrees move the rim of a mug by about MAX_MOVED.
 MAX_TURNED_DEG = 5.0
 
-
 # Maximum displacement [m] and rotation [rad] over a window for an object at rest, because bodies on soft contacts creep
 # by hundredths of a millimeter.
 STILL_M, STILL_RAD = 1e-4, 1e-3
@@ -108,18 +107,16 @@ STILL_M, STILL_RAD = 1e-4, 1e-3
 
 def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
     """Return the objects that moved, rotated, or moved a joint between two states, ignoring balls rotating in place."""
-    moving = set()
-    for name, start in before.poses.items():
-        end = after.poses[name]
-        turns = not is_ball(scene.object(name)) and end.angle_to(start) > STILL_RAD
-        if turns or float(np.linalg.norm(end.p - start.p)) > STILL_M:
-            moving.add(name)
+    poses = before.poses.items()
+    moving = {n for n, start in poses if _differ(start, after.poses[n], turns=not is_ball(scene.object(n)))}
     joints = [joint for joint, start in before.joints.items() if abs(after.joints[joint] - start) > STILL_RAD]
-    for joint, motion in before.motions.items():
-        now = after.motions[joint]
-        if float(np.linalg.norm(now.p - motion.p)) > STILL_M or now.angle_to(motion) > STILL_RAD:
-            joints.append(joint)
+    joints += [joint for joint, start in before.motions.items() if _differ(start, after.motions[joint])]
     return moving | {joint.partition(".")[0] for joint in joints}
+
+
+def _differ(start: Pose, end: Pose, turns: bool = True) -> bool:
+    """Return true if two poses differ by more than an object at rest creeps; ``turns`` includes the rotation."""
+    return float(np.linalg.norm(end.p - start.p)) > STILL_M or (turns and end.angle_to(start) > STILL_RAD)
 
 
 def run_to_rest(
@@ -197,10 +194,6 @@ def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None
     before = world.state()
     world.step(round(seconds / world.timestep))
     after = world.state()
-    out = []
-    for item in world.scene.objects:
-        if not item.fixed:
-            start, end = before.poses[item.name], after.poses[item.name]
-            moved = float(np.linalg.norm(end.p - start.p))
-            out.append(ObjectMotion(item.name, moved, math.degrees(start.angle_to(end))))
-    return out
+    names = [item.name for item in world.scene.objects if not item.fixed]
+    ends = ((name, before.poses[name], after.poses[name]) for name in names)
+    return [ObjectMotion(n, float(np.linalg.norm(b.p - a.p)), math.degrees(a.angle_to(b))) for n, a, b in ends]

@@ -1,4 +1,4 @@
-"""Robot joint positions in a state, which refer to the canonical model instead of the engine's model."""
+"""Robot joint positions in a state. The joints are those of the canonical model, not those of the engine's model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """Return the rows for MuJoCo's model, which is the canonical one; empty if predicates do not support the robot."""
+    """Return the rows for MuJoCo's model, which is the canonical model, or no rows if there is no such model."""
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 
@@ -94,4 +94,9 @@ def check_robots(scene: Scene, rows: Mapping[str, Rows], state: SceneState | Non
         known = [row.joint for row in rows.get(name, ())]
         unknown = sorted(set(joints) - set(known))
         if unknown and known:
-            raise KeyError(f"robot {name!r} has no joint {unknown[0]!r}; available joints: {', '.join(known)}")
+            raise unknown_joint(name, unknown[0], known)
+
+
+def unknown_joint(robot: str, joint: str, known: Iterable[str]) -> KeyError:
+    """Return the error for an unknown joint of a robot."""
+    return KeyError(f"robot {robot!r} has no joint {joint!r}; available joints: {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Settling, which moves objects from fitted poses, which overlap or float slightly, to poses at rest.
+"""Settling of objects, which moves them from fitted poses that overlap or float slightly to poses at rest.
 
 The first phase follows the paper ("Object Depenetration and Physical Stability"): the simulation runs with all
 velocities set to zero after each step until the poses are stationary, which separates overlapping objects without
@@ -16,25 +16,15 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
+from simfoundry.worlds import rest
 from simfoundry.worlds.base import Contact, World
-from simfoundry.worlds.rest import (
-    NUDGE_DEG,
-    STEEP,
-    has_foot,
-    is_ball,
-    is_confined,
-    run_to_rest,
-    supporters,
-    tilt_deg,
-    topples,
-)
 
 Progress = Callable[[str, float], None]
 
@@ -46,9 +36,9 @@ FALLEN = 0.3
 class SettleOptions:
     """Settings for the end of each phase and for the evaluation of the result.
 
-    The quasi-static phase ends when all objects are at rest over ``window_s`` (see :func:`restless`), and the dynamic
-    phase ends when they are at rest over ``rest_s``. Each phase has a maximum duration. If the motion is damped,
-    velocities are set to zero every ``damped_s``.
+    The quasi-static phase ends when all objects are at rest over ``window_s``, and the dynamic phase ends when they are
+    at rest over ``rest_s`` (see :func:`~simfoundry.worlds.rest.restless`). Each phase has a maximum duration. If the
+    motion is damped, velocities are set to zero every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -122,7 +112,7 @@ def settle(
     """Settle a scene from ``state``, or from its initial state, and leave the world in the settled state."""
     options = options or SettleOptions()
     world.reset(state)
-    before, contacts_before = world.state(), world.contacts()
+    before = _Snapshot.of(world)
     run = partial(_run, world, progress)
     run("depenetrate", options.window_s, 0.0, options.max_quasi_static_s, halt_s=0.0)
     opened = world.state()
@@ -133,25 +123,44 @@ def settle(
         run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
         calmed = world.state()
         restless = run("rest", *dynamics)
-        balls = {o.name for o in world.scene.objects if o.name in restless and is_ball(o)}
         now = world.state().poses
-        restless -= {n for n in balls if is_confined(world.scene.object(n), calmed.poses[n], now[n])}
+        restless -= {
+            o.name
+            for o in world.scene.objects
+            if o.name in restless and rest.is_confined(o, calmed.poses[o.name], now[o.name])
+        }
     world.halt()
-    end, contacts_after = world.state(), world.contacts()
-    fallen = _fallen(world, end)
-    poses = {n: before.poses[n] if n in fallen else p for n, p in end.poses.items()}
-    after = SceneState.of(poses, end.joints, end.motions)
-    standing = [o for o in world.scene.objects if not o.fixed and o.name not in fallen | restless]
-    shaky = [o for o in standing if not is_ball(o) and not has_foot(o, after.poses[o.name], contacts_after)]
-    toppling = {o.name for o in shaky if topples(world, after, o)}
+    end = _Snapshot.of(world)
+    fallen = _fallen(world, end.state)
+    poses = {n: before.state.poses[n] if n in fallen else p for n, p in end.state.poses.items()}
+    after = SceneState.of(poses, end.state.joints, end.state.motions)
+    free = [o for o in world.scene.objects if not o.fixed]
+    standing = [o for o in free if o.name not in fallen | restless and not rest.is_ball(o)]
+    shaky = [o for o in standing if not rest.has_foot(o, after.poses[o.name], end.contacts)]
+    toppling = {o.name for o in shaky if rest.topples(world, after, o)}
     if fallen or toppling:
         world.reset(after)
-    reports = []
-    for item in world.scene.objects:
-        if not item.fixed:
-            problems = _what_happened(item.name, restless, fallen, toppling)
-            reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
-    return SettleResult(after, tuple(reports), tuple(sorted(restless | fallen)))
+    causes = dict.fromkeys(toppling, f"topples when nudged by {rest.NUDGE_DEG:g} deg")
+    causes |= dict.fromkeys(restless, "did not come to rest")
+    causes |= dict.fromkeys(fallen, "fell off the scene and keeps its fitted pose")
+    reports = tuple(_report(world, o, before, end, options, causes.get(o.name)) for o in free)
+    return SettleResult(after, reports, tuple(sorted(restless | fallen)))
+
+
+class _Snapshot(NamedTuple):
+    """The state of a world and its contacts at the same time."""
+
+    state: SceneState
+    contacts: list[Contact]
+
+    @classmethod
+    def of(cls, world: World) -> _Snapshot:
+        """Return the current snapshot of a world."""
+        return cls(world.state(), world.contacts())
+
+    def penetration(self, name: str) -> float:
+        """Return the depth [m] of an object's deepest contact."""
+        return max((c.depth for c in self.contacts if name in (c.a, c.b)), default=0.0)
 
 
 def _run(
@@ -164,7 +173,7 @@ def _run(
         if progress is not None:
             progress(stage, elapsed / most_s)
 
-    return run_to_rest(world, window_s, least_s, most_s, partial(_fallen, world), report, halt_s)
+    return rest.run_to_rest(world, window_s, least_s, most_s, partial(_fallen, world), report, halt_s)
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:
@@ -174,55 +183,29 @@ def _fallen(world: World, state: SceneState) -> set[str]:
     return {o.name for o in scene.objects if not o.fixed and state.poses[o.name].p[2] < floor}
 
 
-def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: set[str]) -> list[str]:
-    if name in fallen:
-        return ["fell off the scene and keeps its fitted pose"]
-    if name in restless:
-        return ["did not come to rest"]
-    return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
-
-
 def _report(
-    world: World,
-    item: SceneObject,
-    before: SceneState,
-    after: SceneState,
-    contacts_before: list[Contact],
-    contacts_after: list[Contact],
-    options: SettleOptions,
-    problems: list[str],
+    world: World, item: SceneObject, before: _Snapshot, after: _Snapshot, options: SettleOptions, cause: str | None
 ) -> ObjectSettle:
-    """Return the settling result for one object; ``problems`` contains the problems found so far."""
+    """Return the settling result for one object; ``cause`` is the reason why the object is not at rest, if any."""
     name = item.name
-    start, end = before.poses[name], after.poses[name]
-    drift = float(np.linalg.norm(end.p - start.p))
-    tilt = tilt_deg(start, end)
-    penetration = _deepest(name, contacts_after)
-    carried_by = supporters(name, contacts_after)
+    start, end = before.state.poses[name], after.state.poses[name]
+    drift, tilt = float(np.linalg.norm(end.p - start.p)), rest.tilt_deg(start, end)
+    penetration = after.penetration(name)
+    supports = rest.supporters(name, after.contacts)
     wanted = [r.args[1] for r in world.scene.relations if r.predicate == "OnTop" and r.args[0] == name]
-    kept = all(w in carried_by for w in wanted)
+    lost = [support for support in wanted if support not in supports]
+    problems = [cause] if cause else []
     if drift > options.max_drift_m:
         problems.append(f"moved {drift * 100:.1f} cm from its pose in the scene")
-    if tilt > options.max_tilt_deg and not is_ball(item):
+    if tilt > options.max_tilt_deg and not rest.is_ball(item):
         problems.append(f"tilted {tilt:.0f} deg")
     if penetration > options.max_penetration_m:
         problems.append(f"still penetrates by {penetration * 1000:.1f} mm")
-    if not kept:
-        problems.append(f"no longer on {', '.join(w for w in wanted if w not in carried_by)}")
-    if not supporters(name, contacts_after, STEEP):
+    if lost:
+        problems.append(f"no longer on {', '.join(lost)}")
+    if not rest.supporters(name, after.contacts, rest.STEEP):
         problems.append("is not supported by anything")
+    turn = math.degrees(start.angle_to(end))
     return ObjectSettle(
-        name=name,
-        penetration_before=_deepest(name, contacts_before),
-        penetration_after=penetration,
-        drift=drift,
-        tilt_deg=tilt,
-        turn_deg=math.degrees(start.angle_to(end)),
-        supports=carried_by,
-        support_kept=kept,
-        problems=tuple(problems),
+        name, before.penetration(name), penetration, drift, tilt, turn, supports, not lost, tuple(problems)
     )
-
-
-def _deepest(name: str, contacts: list[Contact]) -> float:
-    return max((c.depth for c in contacts if name in (c.a, c.b)), default=0.0)

@@ -177,8 +177,8 @@ def test_nothing_is_overwritten_without_force(project: Path) -> None:
         (["desk"], "the kind of `desk` is unclear"),
         (["scene", "a.task.yaml"], "`a.task.yaml` is not the name of a scene"),
         (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins, policy"),
-        (["a.task.yaml"], "there is none"),
-        (["a.cousins.yaml"], "there is none"),
+        (["a.task.yaml"], "contains no scene"),
+        (["a.cousins.yaml"], "contains no scene"),
         (["a.scene.yaml", "--name", "My Desk"], "`My Desk` cannot be a name"),
         (["123.scene.yaml"], "no name can be derived from `123`"),
         (["a.scene.yaml", "--from", "simfoundry.yaml"], "`--from` is for tasks and recipes"),
@@ -194,7 +194,7 @@ def test_what_cannot_be_made_is_said_in_a_sentence(args: list[str], words: str, 
 def test_a_kind_alone_asks_for_a_name() -> None:
     done = run("new", "scene")
     assert (done.code, done.out) == (2, "")
-    assert "as `new scene desk` for desk.scene.yaml" in done.err
+    assert "`new scene desk` creates desk.scene.yaml" in done.err
 
 
 def test_a_task_is_about_things_that_can_be_put_on_one_another(project: Path) -> None:
@@ -265,7 +265,7 @@ def test_a_source_with_errors_is_shown(project: Path) -> None:
     done.one_line("bad.scene.yaml:3:1", "SF101", "`objets`")
     made("fine.scene.yaml")
     assert "a task can only extend another task" in run("new", "a.task.yaml", "--extends", "fine.scene.yaml").err
-    assert "there are several" in run("new", "a.task.yaml").err
+    assert "contains several documents" in run("new", "a.task.yaml").err
 
 
 def test_odd_paths_stay_readable() -> None:

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING
 from simfoundry.backends import compile_scene
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.importer import import_file
-from simfoundry.frontends.usd.compiled.loading import import_usd, load_usd
-from simfoundry.frontends.usd.compiled.reading import read_stage
+from simfoundry.frontends.usd.compiled.loading import import_usd, load_usd, read_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from tests.scenes_apart import Apart, apart

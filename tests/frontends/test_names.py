@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simfoundry.frontends.draft import NameTable
+from simfoundry.frontends.names import NameTable
 
 
 def test_nothing_is_called_as_formats_call_what_does_not_move() -> None:

@@ -91,7 +91,7 @@ def test_a_cavity_that_faces_down_holds_nothing(setting: Callable[[str], Setting
         cup = posed(0.5, 0, 0.3, math.radians(turned_deg), 0, 0.4)
         return cups.margin("Inside(marker, cup)", cup=cup, marker=cup @ posed(0, 0, 0.05, 0, math.pi / 2)) > 0
 
-    crosses(inside, at.FACING_DOWN_DEG, 0.1, True)
+    crosses(inside, at.OPENING_DEG, 0.1, True)
 
 
 def test_side_by_side_ends_at_a_share_of_the_sizes(boxes: Setting) -> None:

@@ -33,7 +33,7 @@ def need(engine: Engine) -> None:
     try:
         choose_engine(engine)
     except RenderError as error:
-        pytest.skip(str(error))
+        pytest.skip(f"no GL driver: {error}")
 
 
 def test_auto_always_finds_an_engine_and_unknown_names_are_refused() -> None:
@@ -140,7 +140,7 @@ def test_osmesa_draws_in_a_process_of_its_own_what_egl_draws_here() -> None:
     env["PYTHONPATH"] = ":".join(sys.path)
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=False)
     if done.stderr.decode().startswith("skip"):
-        pytest.skip(done.stderr.decode())
+        pytest.skip(f"no GL driver: {done.stderr.decode().removeprefix('skip: ')}")
     assert done.returncode == 0, done.stderr.decode()
     theirs = np.frombuffer(done.stdout, dtype=np.uint8).reshape(72, 96, 3).astype(float)
     ours = render(tabletop(), front_camera(96, 72), engine="egl").astype(float)

@@ -362,7 +362,7 @@ def test_what_is_refused_uncut_fits_no_cut_container_either(tmp_path: Path) -> N
         loaded = load_scene(tmp_path / "uncut.scene.yaml")
         assert isinstance(loaded.spec, SceneSpec)
         work = ObjectLowering(loaded, cuts=False)
-        objects = {name: work.lower(name, item, loaded.spec) for name, item in loaded.spec.objects.items()}
+        objects = {name: work.lower(name) for name in loaded.spec.objects}
         assert objects["bowl"] is not None and objects["stick"] is not None
         shapes = {"bowl": uncut(objects["bowl"]), "stick": objects["stick"]}
         if certain_misfits(shapes, {"stick": loaded.spec.objects["stick"].place}, None, {"bowl"}):  # type: ignore[dict-item]

@@ -86,7 +86,7 @@ def test_what_is_no_engine_is_said_with_those_there_are(tmp_path: Path) -> None:
         find_engine("bullet")
     with pytest.raises(UnknownEngineError, match="no engine is called `bullet`"):
         interpreters([f"bullet={HERE}"], (), {})
-    with pytest.raises(SimfoundryError, match=r"there is no interpreter at .*nowhere, which is configured for drake"):
+    with pytest.raises(SimfoundryError, match=r"the interpreter .*nowhere, configured for drake, does not exist"):
         interpreters([f"drake={tmp_path}/nowhere"], (), {})
 
 

@@ -3,17 +3,13 @@
 MuJoCo uses the larger friction of two geoms and averages their damping. In a scene, a pair uses the geometric mean of
 both friction coefficients and of both restitutions, and the larger resistance to spinning and rolling. Every geom
 stores only its own values: ``friction``, and the restitution as ``user`` data, because MuJoCo does not support
-restitution. Two surfaces are called unlike if MuJoCo's rule combines them incorrectly. There are two ways to correct
-such contacts:
+restitution. Two surfaces are called unlike if MuJoCo's rule combines them incorrectly, which is corrected in two ways:
 
-- :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with one ``<pair>`` for every two unlike
-  geoms that can collide. This works in every program that opens the scene. However, MuJoCo tests each pair in every
-  step, and a file with thousands of pairs is unreadable, so groups of moving objects that exceed :data:`MAX_PAIRS` are
-  handled only by the second method.
-- :func:`make_exact`, which `load()` calls, modifies a specification in memory. If there are many unlike geoms, it adds
-  proxy geoms for one of the two surfaces. They have the properties of the contact, are invisible and coincide with the
-  original geoms; their priority makes their values override those of the other surface, and their masks let them
-  collide only with that surface. Stepping is then faster than with pairs.
+- :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with a ``<pair>`` for every two unlike geoms
+  that can collide. This works in every program that opens the scene, but MuJoCo tests each pair in every step.
+- :func:`make_exact`, which `load()` calls, modifies a specification in memory. For groups of many unlike geoms, which
+  may exceed :data:`MAX_PAIRS`, the function adds invisible proxy geoms at the geoms of one surface. Proxies have the
+  properties of the contact, take priority over the other surface, and collide only with that surface.
 
 Contacts with geoms that do not belong to the scene, such as those of a robot, keep MuJoCo's rule.
 """
@@ -40,9 +36,8 @@ EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
 MAX_PAIRS = 3000
 
 # Minimum number of pairs for which proxy geoms are used; fewer pairs are cheaper than proxies. MuJoCo tests a pair in
-# 14 ns if its geoms are far apart and in 0.7 us near a table, whereas moving proxy geoms must be updated in every step.
-# Measured with `tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: among values from 16 to 300 for moving
-# geoms, 150 was the fastest.
+# 14 ns if its geoms are far apart and in 0.7 us near a table, but it must update moving proxy geoms in every step.
+# Measured with `tests/benchmarks/stepping.py`: among values from 16 to 300 for moving geoms, 150 was the fastest.
 MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
 
 # The name of the custom text that lists robot bodies, whose contacts are not changed.
@@ -312,10 +307,7 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits that no robot uses.
-
-    The list is empty if some robot geom would not collide with a geom that has only the first bit.
-    """
+    """Return the mask bits that no robot uses, or none if a robot geom would not collide with the first bit alone."""
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -334,11 +326,10 @@ def _needs_proxies(group: UnlikeGroup, bit_of: Bits) -> bool:
 def _set_masks(
     geoms: Iterable[ContactGeom], by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> None:
-    """Set masks so that geoms collide with robots and with all surfaces of the scene for which there are no proxies.
+    """Set masks so that geoms collide with robots and with all surfaces in the scene for which there are no proxies.
 
     The affinity of a moving geom is the bit of its surface, and its type contains the bits of all surfaces with which
-    it collides directly. A geom without a bit has a type with all bits: it collides with everything, and pairs override
-    its incorrect contacts.
+    the geom collides directly. A geom without a bit collides with everything; pairs override its incorrect contacts.
     """
     apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
     types: dict[tuple[ContactSurface, bool], int] = {}
@@ -354,13 +345,10 @@ def _set_masks(
 def _add_proxies(
     by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> dict[str, list[str]]:
-    """Add proxies for the geoms on the smaller side of each group.
+    """Add proxies for the geoms on the smaller side of each group, and return the proxy bodies' names by parent body.
 
     All surfaces that have the same contact properties share a proxy. Proxies have their own bodies, because MuJoCo
     skips whole bodies based on their masks.
-
-    Returns:
-        The names of the proxy bodies by the name of the body to which they are fixed.
     """
     masks: dict[tuple[str, ContactSurface], int] = {}
     for group in proxied:

@@ -9,8 +9,8 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.features import Loss, approximate, combination_reason
 from simfoundry.backends.mjcf import contact_rules as rules
 from simfoundry.backends.mjcf.contact_rules import ContactGeom, ContactSurface, UnlikeGroup
-from simfoundry.scene.kinematics import excluded_link_pairs
-from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
+from simfoundry.scene.kinematics import excluded_link_pairs, weld_groups
+from simfoundry.scene.model import Collider, Scene, SceneObject
 
 # The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms.
 COLLISION, VISUAL = "collision", "visual"
@@ -87,12 +87,9 @@ def contact_geoms(scene: Scene) -> list[ContactGeom]:
 
 def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
     """Yield the collision geoms of an object in link order."""
-    static_links = {item.root.name} if item.fixed else set()
+    welded = weld_groups(item)
     for link in item.links:
-        joint = item.joint_above.get(link.name)
-        if joint is not None and joint.type is JointType.FIXED and joint.parent in static_links:
-            static_links.add(link.name)
-        body, static = item.qualified(link.name), link.name in static_links
+        body, static = item.qualified(link.name), item.fixed and welded[link.name] == item.root.name
         for collider in link.colliders:
             name, material = f"{body}.{collider.name}", _class_name(collider.material)
             yield ContactGeom(name, body, static, surface_of(collider), material)

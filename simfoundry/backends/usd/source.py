@@ -10,6 +10,8 @@ which is the variant's name; the composed stage contains the entries of the sele
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -51,7 +53,8 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
                 members[name] = None
         if members:
             document[section] = members
-    about = {"kind": source.kind, "file": source.file, "digest": source.digest}
+    digest = hashlib.sha256(json.dumps(dict(source.data), ensure_ascii=False).encode()).hexdigest()
+    about = {"kind": str(source.data["simfoundry"]), "file": source.file, "digest": digest}
     _add(world, {**about, "document": _lines(document)})
     return about
 

@@ -6,17 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface, depth_sigma
+from simfoundry.capture.segment import merge_by_color, merge_regions
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
-from simfoundry.capture.segment.merge_by_color import join_kin, split_necks
-from simfoundry.capture.segment.merge_regions import (
-    TOUCHING,
-    compact,
-    join_containers,
-    join_hanging,
-    join_hidden,
-    merge_smooth,
-    renamed,
-)
+from simfoundry.capture.segment.merge_regions import TOUCHING, compact, renamed
 from simfoundry.capture.segment.regions import Crop, borders, cut, edges_of, flood, pixel_area, reach_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
@@ -94,17 +86,13 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
 
 
 def _instances(crop: Crop, support: SupportSurface) -> Labels:
-    """Cut the surface into regions, merge smooth, occluded, same-colored and hanging regions, and drop non-objects."""
-    regions = cut(crop)
-    regions = merge_smooth(regions, crop, edge=0.5)
-    regions = merge_smooth(regions, crop)
-    regions = _without_specks(regions, crop)
-    regions = join_containers(regions, crop)
-    regions = join_hidden(regions, crop)
-    regions = split_necks(regions, crop)
-    regions = join_kin(regions, crop)
-    regions = join_hanging(regions, crop)
-    regions = _without_specks(regions, crop)
+    """Cut the surface into regions, merge the regions of each object, and drop regions that are not objects."""
+    regions = merge_regions.merge_smooth(cut(crop), crop, edge=0.5)
+    for stage in (
+        *(merge_regions.merge_smooth, _without_specks, merge_regions.join_containers, merge_regions.join_hidden),
+        *(merge_by_color.split_necks, merge_by_color.join_kin, merge_regions.join_hanging, _without_specks),
+    ):
+        regions = stage(regions, crop)
     return _without_foreign_regions(regions, crop, support)
 
 

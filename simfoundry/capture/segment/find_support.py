@@ -84,11 +84,8 @@ def find_support(frame: Frame) -> SupportSurface:
         support = _measured(_view(frame), surface)
         if support is not None:
             return support
-    raise CaptureError(
-        "SF503",
-        "could not find a flat surface, seen from above, that objects could stand on",
-        "show at least 10 cm of the tabletop around the objects, and hold the camera upright above it",
-    )
+    hint = "show at least 10 cm of the tabletop around the objects, and hold the camera upright above it"
+    raise CaptureError("SF503", "could not find a flat surface, seen from above, that objects could stand on", hint)
 
 
 def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
@@ -133,12 +130,8 @@ def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
     """Return the total weight of the points in each plane, shape (m,)."""
     tolerance = TOLERANCE * depth_sigma(points[:, 2])
     weight = 1.0 / points[:, 2]
-    return np.concatenate(
-        [
-            (np.abs(points @ n.T - d) < tolerance[:, None]).T @ weight
-            for n, d in zip(np.array_split(normals, 16), np.array_split(offsets, 16), strict=True)
-        ]
-    )
+    parts = zip(np.array_split(normals, 16), np.array_split(offsets, 16), strict=True)
+    return np.concatenate([(np.abs(points @ n.T - d) < tolerance[:, None]).T @ weight for n, d in parts])
 
 
 def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -89,11 +89,10 @@ class _Family:
             return False
         if part.is_grounded:
             return a.equals(b) and _is_end(part, other, self.graph)
-        return (
-            _is_lid(part, other)
-            or _is_handle(part, other)
-            or (self.on[part.label] == other.label and self.hidden[part.label] < SEEN_UNDER and _is_head(part, other))
-        ) and _distance(part, other) < NEAR
+        joins = _is_lid(part, other) or _is_handle(part, other)
+        if not joins and self.on[part.label] == other.label and self.hidden[part.label] < SEEN_UNDER:
+            joins = _is_head(part, other)
+        return joins and _distance(part, other) < NEAR
 
 
 def join_kin(labels: Labels, crop: Crop) -> Labels:
@@ -128,12 +127,8 @@ def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
 
 def _is_lid(part: RegionPart, other: RegionPart) -> bool:
     """Return True if ``part`` is inside the top of ``other`` and flush with it."""
-    return (
-        abs(part.top - other.top) < FLUSH
-        and part.bottom > other.bottom + FLUSH
-        and part.bottom < other.top
-        and shared_footprint(part, other) > 0.5
-    )
+    flush = abs(part.top - other.top) < FLUSH and other.bottom + FLUSH < part.bottom < other.top
+    return flush and shared_footprint(part, other) > 0.5
 
 
 def _is_handle(part: RegionPart, other: RegionPart) -> bool:
@@ -153,12 +148,8 @@ def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Bo
     """Return True if ``part`` continues the surface of ``other``, which is equally high and much larger."""
     low, high = sorted((part.label, other.label))
     border = graph.get((low, high))
-    return (
-        border is not None
-        and border.meets > 0.5
-        and part.area < SLENDER * other.area
-        and abs(part.top - other.top) < FLUSH
-    )
+    continuous = border is not None and border.meets > 0.5
+    return continuous and part.area < SLENDER * other.area and abs(part.top - other.top) < FLUSH
 
 
 def _distance(one: RegionPart, other: RegionPart) -> float:

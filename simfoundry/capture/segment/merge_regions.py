@@ -38,18 +38,18 @@ def merge_smooth(labels: Labels, crop: Crop, edge: float = EDGE) -> Labels:
     sizes = dict(enumerate(np.bincount(labels.ravel()).tolist()))
     parent: dict[int, int] = {}
     while True:
-        weak = [b for b in graph.values() if b.pairs >= FEW_PAIRS and b.edge < edge * _patience(sizes, b)]
+        weak = []
+        for b in graph.values():
+            small, large = sorted((sizes[b.a], sizes[b.b]))
+            patience = SMALL_PART_PATIENCE if small < SMALL_PART * large else 1.0
+            if b.pairs >= FEW_PAIRS and b.edge < edge * patience:
+                weak.append(b)
         if not weak:
             return renamed(labels, parent)
         best = min(weak, key=lambda b: (b.edge, b.a, b.b))
         parent[best.b] = best.a
         sizes[best.a] += sizes.pop(best.b)
         graph = _joined(graph, best.a, best.b)
-
-
-def _patience(sizes: dict[int, int], border: Border) -> float:
-    small, large = sorted((sizes[border.a], sizes[border.b]))
-    return SMALL_PART_PATIENCE if small < SMALL_PART * large else 1.0
 
 
 def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[tuple[int, int], Border]:

@@ -4,21 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.segment.masks import (
-    Labels,
-    Mask,
-    Plan,
-    closed,
-    components,
-    disk,
-    filled,
-    grown,
-    hull_mm,
-    in_hull,
-    opened,
-    shrunk,
-    thinned,
-)
+from simfoundry.capture.segment import masks
+from simfoundry.capture.segment.masks import Labels, Mask, Plan, grown
 from simfoundry.geometry.frames import Array
 
 MEASURED = 0.1  # minimum fraction of a hole's pixels with depth for the depth to be conclusive
@@ -36,22 +23,16 @@ def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int
     An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses,
     unless the support is visible through the opening.
     """
-    out = _without_gaps(labels, ~np.isfinite(depth), radius)
-    for k in range(1, int(labels.max()) + 1):
-        out[_bottom(out == k, (out == 0) & np.isfinite(depth), points_W)] = k
+    out, measured, numbers = labels.copy(), np.isfinite(depth), range(1, int(labels.max()) + 1)
+    for k in numbers:  # a pixel in the gaps of two objects goes to the lower number
+        out[masks.closed(labels == k, radius) & ~measured & (out == 0)] = k
+    for k in numbers:
+        out[_bottom(out == k, (out == 0) & measured, points_W)] = k
         mask = out == k
-        parts, areas = components(filled(mask) & (out == 0))
+        parts, areas = masks.components(masks.filled(mask) & (out == 0))
         for hole in (parts == i for i in range(1, len(areas))):
             if _is_own(hole, mask, points_W):
                 out[hole] = k
-    return out
-
-
-def _without_gaps(labels: Labels, lost: Mask, radius: int) -> Labels:
-    """Close the gaps in each object at ``lost`` pixels; a pixel claimed by two objects goes to the lower number."""
-    out = labels.copy()
-    for k in range(1, int(labels.max()) + 1):
-        out[closed(labels == k, radius) & lost & (out == 0)] = k
     return out
 
 
@@ -72,7 +53,7 @@ def _bottom(mask: Mask, free: Mask, points_W: Array) -> Mask:
     columns, rows = (np.ceil((np.ptp(wall, axis=0) + 0.02) / CELL).astype(int) + 1).tolist()
     hull = cv2.convexHull(np.round((wall - corner) / CELL).astype(np.int32))
     footprint = cv2.fillConvexPoly(np.zeros((rows, columns), np.uint8), hull, 1) > 0
-    plan = Plan(shrunk(footprint, disk(2)), corner, CELL)
+    plan = Plan(masks.shrunk(footprint, masks.disk(2)), corner, CELL)
     inside = _bounded(free & plan.contains(points_W[..., :2]) & (points_W[..., 2] < WALL), mask, free)
     xy = points_W[inside][:, :2]
     if len(xy) < OPEN * mask.sum():
@@ -88,7 +69,7 @@ def _bounded(area: Mask, mask: Mask, free: Mask) -> Mask:
     The support surface below the overhang of a bowl is also within its footprint, but it adjoins more support surface.
     """
     gap = max(5, round(float(np.sqrt(area.sum())) / 10))  # where the rim was not measured
-    parts, areas = components(opened(area, np.ones((gap, gap), np.uint8)))
+    parts, areas = masks.components(masks.opened(area, np.ones((gap, gap), np.uint8)))
     out = np.zeros(area.shape, bool)
     for i in range(1, len(areas)):
         part = grown(parts == i, times=2)
@@ -117,4 +98,5 @@ def _is_own(hole: Mask, mask: Mask, points_W: Array) -> bool:
     seen = points_W[hole & measured]
     if len(seen) < MEASURED * hole.sum():
         return True
-    return float(in_hull(hull_mm(points_W[mask & measured], 1500), thinned(seen, 100)).mean()) > INSIDE
+    hull = masks.hull_mm(points_W[mask & measured], 1500)
+    return float(masks.in_hull(hull, masks.thinned(seen, 100)).mean()) > INSIDE

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.assets import mass
 from simfoundry.assets.solids import ring_faces
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, agreement, binned, cast_mesh, smooth_gaps
+from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, cast_mesh, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
@@ -64,7 +64,7 @@ class _Axes:
                 across = major
         return cls(evidence, across, np.array([across[1], -across[0]]))
 
-    def is_free(self, t: Array, s: Array, level: float) -> NDArray[np.bool_]:
+    def is_free(self, t: Array, s: Array, level: float) -> Mask:
         """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera saw to be free."""
         frame = self.evidence.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
@@ -84,8 +84,9 @@ def complete(evidence: Evidence) -> FitCandidate:
     rings = _stabilize(_stand(rings, evidence.base_z))
     origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
     mesh = loft_mesh(rings - origin)
-    hits = cast_mesh(evidence.eye, evidence.rays, np.asarray(mesh.vertices) + origin, np.asarray(mesh.faces))
-    return FitCandidate("completed", mesh, Pose.of(origin), agreement(evidence, hits))
+    return FitCandidate(
+        "completed", mesh, Pose.of(origin), evidence.judge(cast_mesh, mesh.vertices + origin, mesh.faces)
+    )
 
 
 def _slices(axes: _Axes) -> list[_Slice]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.ray_casts import area_normals, first_hits, scattered_rays, turned, unit
 from simfoundry.geometry.shapes import Geometry
@@ -34,11 +35,16 @@ PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0
 class Evidence:
     """The points of an object, and rays through and around it.
 
-    ``points`` [m] are in the world frame, shape (n, 3), without flying pixels. ``rays`` are world directions, shape
-    (m, 3), scaled such that ``eye + depth * ray`` is the point at that depth. ``depth`` [m] is the depth observed along
-    each ray, shape (m,), and is NaN for rays without a reading. ``inside`` marks the object's own rays and ``hidden``
-    the rays of other objects; both are bool, shape (m,). ``scale`` [m] is the distance above which a residual no longer
-    counts as noise. ``base_z`` [m] is the height of the surface on which the object stands.
+    Attributes:
+        frame: The RGB-D image.
+        support: The surface that supports the objects.
+        points: Points of the object in the world frame [m], shape (n, 3), without flying pixels.
+        rays: Directions in the world frame, shape (m, 3). ``eye + depth * ray`` is the point at a depth.
+        depth: Depth observed along each ray [m], shape (m,); NaN for rays without a reading.
+        inside: Mask of the object's own rays, shape (m,).
+        hidden: Mask of the rays of other objects, shape (m,).
+        scale: Distance above which a residual no longer counts as noise [m].
+        base_z: Height of the surface on which the object stands [m].
     """
 
     frame: Frame
@@ -46,8 +52,8 @@ class Evidence:
     points: Array
     rays: Array
     depth: Array
-    inside: NDArray[np.bool_]
-    hidden: NDArray[np.bool_]
+    inside: Mask
+    hidden: Mask
     scale: float
     base_z: float
 
@@ -70,23 +76,17 @@ class Evidence:
 
     @property
     def top(self) -> float:
-        """Height of the highest points [m], robust to noise."""
-        return robust_top(self.points[:, 2])
+        """Height of the object [m], robust to noise: the median of its highest 2 % of points, but at least ten."""
+        z = self.points[:, 2]
+        count = max(min(10, len(z)), len(z) // 50)
+        return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
+
+    def judge(self, cast: Callable[..., SolidHits], *solid: object) -> RayAgreement:
+        """Cast the rays against a solid using ``cast``, and compare the hits with the observations."""
+        return agreement(self, cast(self.eye, self.rays, *solid))
 
 
-def robust_top(z: Array) -> float:
-    """Return a height [m] that noise does not inflate: the median of the highest 2 % of points, but at least ten."""
-    count = max(min(10, len(z)), len(z) // 50)
-    return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
-
-
-def gather(
-    frame: Frame,
-    support: SupportSurface,
-    mask: NDArray[np.bool_],
-    base_z: float,
-    labels: NDArray[np.int32] | None = None,
-) -> Evidence:
+def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, labels: Labels | None = None) -> Evidence:
     """Collect the evidence for the object under ``mask`` (bool, shape (h, w)).
 
     ``labels`` (int32, shape (h, w)) identifies the other objects, so that rays that end on them do not count as misses.
@@ -101,25 +101,15 @@ def gather(
     stray[keep] = ~connected
     mask, keep = mask & ~stray, keep & ~stray
     rows, cols = _ray_grid(mask)
-    directions = np.column_stack(
-        [(cols - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1], np.ones(len(rows))]
-    )
+    x, y = (cols - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1]
+    rays = np.column_stack([x, y, np.ones(len(rows))]) @ support.X_WC.rotation.T
+    depth = np.where(keep | ~mask, frame.depth, np.nan)[rows, cols]
     inside = mask[rows, cols]
     hidden = np.zeros(len(rows), dtype=bool) if labels is None else (labels[rows, cols] > 0) & ~inside
-    return Evidence(
-        frame=frame,
-        support=support,
-        points=points,
-        rays=directions @ support.X_WC.rotation.T,
-        depth=np.where(keep | ~mask, frame.depth, np.nan)[rows, cols],
-        inside=inside,
-        hidden=hidden,
-        scale=scale,
-        base_z=base_z,
-    )
+    return Evidence(frame, support, points, rays, depth, inside, hidden, scale, base_z)
 
 
-def main_body(points: Array, pitch: float) -> NDArray[np.bool_]:
+def main_body(points: Array, pitch: float) -> Mask:
     """Return a mask of the points on the object itself, excluding stray background under its mask; bool, shape (n,).
 
     Points are connected through a grid of ``pitch`` [m]. A connected part is kept if it has at least a tenth as many
@@ -147,7 +137,7 @@ def depth_scale(distance: float) -> float:
     return 0.005 + 0.004 * distance**2
 
 
-def flying_pixels(depth: Array) -> NDArray[np.bool_]:
+def flying_pixels(depth: Array) -> Mask:
     """Return a mask of flying pixels, which are located between a near and a far surface.
 
     Fewer than three of a flying pixel's eight neighbors have similar depth.
@@ -177,7 +167,7 @@ def smooth_gaps(x: Array, values: Array) -> Array:
     return np.asarray(median_filter(np.interp(x, x[good], values[good]), 3, mode="nearest"))
 
 
-def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows and columns of the rays: a regular grid over the bounding window of the mask, with a margin."""
     rows, cols = np.nonzero(mask)
     margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
+from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.complete import complete
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, gather
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, gather
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
@@ -42,12 +42,7 @@ class FittedShape:
 
 
 def fit_shape(
-    frame: Frame,
-    support: SupportSurface,
-    mask: NDArray[np.bool_],
-    base_z: float,
-    *,
-    labels: NDArray[np.int32] | None = None,
+    frame: Frame, support: SupportSurface, mask: Mask, base_z: float, *, labels: Labels | None = None
 ) -> FittedShape:
     """Fit the solid that best explains the object under ``mask`` (bool, shape (h, w)).
 
@@ -75,14 +70,9 @@ def fit_shape(
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(evidence)
     best = choose([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1])
-    return FittedShape(
-        geometry=best.geometry,
-        X_WO=best.X_WO,
-        fit_m=best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale,
-        confidence=confidence(best, evidence),
-        hollow=best.family == "hollow",
-        profile=best.profile,
-    )
+    fit_m = best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale
+    hollow = best.family == "hollow"
+    return FittedShape(best.geometry, best.X_WO, fit_m, confidence(best, evidence), hollow, best.profile)
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:
@@ -93,11 +83,8 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
     """
     best = min(found, key=lambda c: c.cost)
     simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
-    return simple if _net(best.agreement) - _net(simple.agreement) < GAIN else best
-
-
-def _net(result: RayAgreement) -> float:
-    return result.explained - result.intrusion
+    new, old = (c.agreement.explained - c.agreement.intrusion for c in (best, simple))
+    return simple if new - old < GAIN else best
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:

@@ -5,17 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simfoundry.capture.shapes.evidence import (
-    Evidence,
-    FitCandidate,
-    RayAgreement,
-    agreement,
-    binned,
-    cast_lathe,
-    smooth_gaps,
-)
+from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned, cast_lathe, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import revolved
@@ -70,7 +62,7 @@ def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> 
 
 
 def _agreement(evidence: Evidence, axis: Array, profile: Array) -> RayAgreement:
-    return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile, _pose(evidence, axis)))
+    return evidence.judge(cast_lathe, profile, _pose(evidence, axis))
 
 
 def _pose(evidence: Evidence, axis: Array) -> Pose:
@@ -108,7 +100,7 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
 
 
-def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
+def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
     """Return a mask of the points clearly below the rim that are seen through its disk of ``radius`` [m]."""
     below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]

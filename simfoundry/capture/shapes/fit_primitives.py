@@ -7,15 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simfoundry.capture.shapes.evidence import (
-    Evidence,
-    FitCandidate,
-    RayAgreement,
-    agreement,
-    cast_box,
-    cast_lathe,
-    cast_sphere,
-)
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, cast_box, cast_lathe, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
@@ -120,10 +112,9 @@ def _fit_round(
 
     def judge(shape: Cylinder | Sphere, X_WO: Pose) -> RayAgreement:
         if isinstance(shape, Sphere):
-            return agreement(evidence, cast_sphere(evidence.eye, evidence.rays, shape.radius, X_WO.p))
+            return evidence.judge(cast_sphere, shape.radius, X_WO.p)
         r, z = shape.radius, shape.height / 2
-        profile = np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]])
-        return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile, X_WO))
+        return evidence.judge(cast_lathe, np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]]), X_WO)
 
     def cost(x: Array) -> float:
         return judge(*solid(x)).cost
@@ -177,7 +168,7 @@ def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
 
 
 def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
-    return agreement(evidence, cast_box(evidence.eye, evidence.rays, *_unpack(x, evidence.base_z)))
+    return evidence.judge(cast_box, *_unpack(x, evidence.base_z))
 
 
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.masks import Mask
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Array, frozen_array
@@ -36,7 +37,7 @@ class _Texels:
     normals: Array
 
 
-def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
+def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
     """Return the robust mean color of the pixels under ``mask`` (bool, shape (h, w)), as sRGB in [0, 1].
 
     The rim of the mask is excluded because colors mix there, as are the darkest 10 % (shadows) and the lightest 20 %
@@ -52,7 +53,7 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
     return float(r), float(g), float(b)
 
 
-def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> Mesh:
+def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: Mask) -> Mesh:
     """Return the mesh of a fitted shape in its object frame, textured with a PNG from the image (texture v points up).
 
     ``mask`` (bool, shape (h, w)) marks the object's pixels; colors outside the mask are never used. Raises
@@ -64,11 +65,12 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
     texels = _rasterize(atlas, vertices, faces)
-    colors = _paint(texels, _View.of(shape, frame, support, mask), np.array(dominant_color(frame, mask)) * 255.0)
+    core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
+    core = core if core.any() else mask
+    view = _View(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
+    colors = _paint(texels, view, np.array(dominant_color(frame, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
-    new_faces = atlas.faces.copy()
-    new_faces.setflags(write=False)
-    return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), encode_png(picture))
+    return Mesh(frozen_array(vertices[atlas.source]), atlas.faces, frozen_array(atlas.uv), encode_png(picture))
 
 
 def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
@@ -110,16 +112,10 @@ class _View:
     shape: FittedShape
     frame: Frame
     support: SupportSurface
-    core: NDArray[np.bool_]
+    core: Mask
     colors: NDArray[np.float32]
 
-    @classmethod
-    def of(cls, shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> _View:
-        core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
-        core = core if core.any() else mask
-        return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
-
-    def look(self, points: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def look(self, points: Array, normals: Array) -> tuple[Array, Mask]:
         """Return the colors of points in the object frame, shape (n, 3) in [0, 255], and a mask of visible points."""
         from scipy import ndimage
 
@@ -152,18 +148,17 @@ def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
     colors, done = np.tile(plain, (len(points), 1)), np.zeros(len(points), dtype=bool)
     # Try the half turn before the mirror images because it keeps text readable.
     for flip in ((1, 1, 1), (-1, -1, 1), (-1, 1, 1), (1, -1, 1)):
-        todo = np.nonzero(~done)[0]
-        if len(todo) == 0:
-            return colors
-        found, seen = view.look((points[todo] - center) * flip + center, normals[todo] * flip)
-        colors[todo[seen]] = found[seen]
-        done[todo[seen]] = True
+        if not done.all():
+            todo = np.nonzero(~done)[0]
+            found, seen = view.look((points[todo] - center) * flip + center, normals[todo] * flip)
+            colors[todo[seen]] = found[seen]
+            done[todo[seen]] = True
     if 10 <= done.sum() < len(done):
         _borrow(np.hstack([points - center, _NORMAL_WEIGHT * normals]), colors, done)
     return colors
 
 
-def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
+def _borrow(key: Array, colors: Array, done: Mask) -> None:
     """Fill in, in place, each color that is not ``done`` from the nearest one that is; colors too far away are kept."""
     from scipy.spatial import cKDTree
 
@@ -184,7 +179,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
     return np.clip(np.round(_nearest_fill(picture, on_surface)), 0, 255).astype(np.uint8)
 
 
-def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _nearest_fill(picture: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
     """Fill each pixel that is not ``known`` with the color of the nearest known pixel."""
     from scipy import ndimage
 
@@ -192,7 +187,7 @@ def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDA
     return np.asarray(picture[index[0], index[1]])
 
 
-def _eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+def _eroded(mask: Mask, pixels: int) -> Mask:
     from scipy import ndimage
 
     return np.asarray(ndimage.binary_erosion(mask, iterations=pixels))

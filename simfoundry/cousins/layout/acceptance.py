@@ -1,10 +1,9 @@
-"""Accept or reject layouts: settle them, then check their relations, visibility and reachability."""
+"""Accept or reject layouts: settle them, and then check relations, visibility and reachability."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from simfoundry.evaluate.resets.placement import rounded
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.predicate import Condition, parse_call, parts
+from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import is_ball, is_confined, run_to_rest, tilt_deg
 
@@ -32,22 +31,23 @@ class Examined:
     """The result of examining a layout.
 
     Attributes:
-        accepted: True if the layout was accepted.
         reasons: Reasons for rejection; empty if the layout was accepted.
-        poses: Settled poses X_WO of the objects that the layout moved.
         state: Settled state of all objects.
         unchecked: Checks that could not be performed.
     """
 
-    accepted: bool
     reasons: tuple[Reason, ...]
-    poses: Mapping[str, Pose]
     state: SceneState
     unchecked: tuple[str, ...]
 
+    @property
+    def accepted(self) -> bool:
+        """True if the layout was accepted."""
+        return not self.reasons
+
 
 def examine(twin: Twin, layout: Layout) -> Examined:
-    """Settle a layout and check it; the more expensive checks are skipped as soon as a cheaper one fails."""
+    """Settle a layout and check it. If a cheap check fails, the more expensive checks are skipped."""
     absent = twin.absent - set(layout.poses)
     settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
     reasons = list(_at_rest(layout, settled))
@@ -57,8 +57,7 @@ def examine(twin: Twin, layout: Layout) -> Examined:
         reasons += _seen(twin, layout, settled.state, unchecked)
     if not reasons:
         reasons += _reached(twin, settled.state, unchecked)
-    poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
-    return Examined(not reasons, tuple(reasons), poses, settled.state, tuple(dict.fromkeys(unchecked)))
+    return Examined(tuple(reasons), settled.state, tuple(dict.fromkeys(unchecked)))
 
 
 def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
@@ -79,54 +78,46 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
     """Yield a reason for each required relation that does not hold, and a reason if the goal is already true."""
     batch = StateBatch.of(twin.scene, [state])
-    for text in _false(twin, layout.asked, batch):
-        verdict = twin.judge(text, state)
-        if not verdict.value:
-            yield Reason("not_as_asked", f"{text} does not hold at rest: {verdict.why}", {"margin": verdict.margin})
-    for text in _false(twin, kept_relations(twin, layout.poses), batch):
-        verdict = twin.judge(text, state)
-        if not verdict.value:
-            yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", {"margin": verdict.margin})
+    required = (
+        ("not_as_asked", "does not hold at rest", layout.asked),
+        ("relation_lost", "no longer holds", kept_relations(twin, layout.poses)),
+    )
+    for code, says, texts in required:
+        if texts and not twin.judge.batch({"all": texts}, batch)[0][0]:  # usually, all texts are true
+            for text, verdict in ((text, twin.judge(text, state)) for text in texts):
+                if not verdict.value:
+                    yield Reason(code, f"{text} {says}: {verdict.why}", {"margin": verdict.margin})
     if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
         yield Reason("goal_true", f"the goal is already true: {goal.why}", {"margin": goal.margin})
 
 
-def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
-    """Return all conditions if at least one is false, else an empty tuple, which is the common case."""
-    return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
-
-
 def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
-    """Return the verdict on a condition if it is true, else None; stop at the first part that is false."""
+    """Return the verdict on a condition if it is true, else None. Evaluation stops at the first part that is false."""
     tag, below = parts(condition)
-    for one in below if tag == "all" else (condition,):
-        if not twin.judge.batch(one, batch)[0][0]:
-            return None
-    return twin.judge(condition, state)
+    holds = all(twin.judge.batch(one, batch)[0][0] for one in (below if tag == "all" else (condition,)))
+    return twin.judge(condition, state) if holds else None
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
     """Return the twin's relations that must still hold after the ``moved`` objects are moved.
 
-    These are the relations without moved objects, those between a rider and its support, and those about an object's
-    own joints or orientation.
+    These are the relations without moved objects, the relations between a rider and its support, and the relations
+    about an object's own joints or orientation.
     """
     gone = set(moved)
-    found = []
-    for text in twin.relations:
-        call = parse_call(text)
+
+    def is_kept(call: Call) -> bool:
         names = [a.partition(".")[0] for a in call.args]
-        about = gone & set(names)
         rides = len(names) == 2 and set(names) <= gone and names[0] in twin.riders(names[1])
-        if not about or rides or call.predicate in ("Open", "Closed", "Upright"):
-            found.append(text)
-    return tuple(found)
+        return rides or not gone & set(names) or call.predicate in ("Open", "Closed", "Upright")
+
+    return tuple(text for text in twin.relations if is_kept(parse_call(text)))
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
     """Yield a reason for each task object that no camera sees well enough.
 
-    Without a task, the moved objects other than distractors are checked instead.
+    If there is no task, the moved objects other than distractors are checked.
     """
     cameras = twin.scene.cameras
     if not cameras:
@@ -142,7 +133,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
 
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """Yield a reason for each task object that no arm can reach, by inverse kinematics."""
+    """Yield a reason for each task object that no arm can reach, according to inverse kinematics."""
     if twin.robots.reach.missing:
         unchecked.append(f"reach: {twin.robots.reach.missing}")
         return
@@ -154,22 +145,19 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
             continue
         result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
-            text = f"no arm can reach `{name}` from above: it is {result.away:.2f} m from the base of "
-            text += f"`{result.robot}`"
-            yield Reason("out_of_reach", text, {"away_m": result.away})
+            where = f"it is {result.away:.2f} m from the base of `{result.robot}`"
+            yield Reason("out_of_reach", f"no arm can reach `{name}` from above: {where}", {"away_m": result.away})
 
 
-# Minimum settling time, interval between rest checks, and maximum settling time [s].
-#
-# Settling ends before the minimum time only if the engine has put all bodies to sleep and nothing can move again.
+# Minimum settling time, interval between rest checks, and maximum settling time [s]. Settling ends before the minimum
+# time only if the engine has put all bodies to sleep, so that nothing can move again.
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
 
-# Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
+# Sleep threshold [m/s]. MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
 # hundredths of a millimeter.
 SLEEP = 5e-4
 
-# Time [s] at which velocities are set to zero if only balls are still moving; the remaining time shows whether they
-# rest in a hollow.
+# Time [s] at which velocities are set to zero if only balls are still moving. Balls in a hollow then stay in place.
 CALM_S = 2.0
 
 
@@ -195,20 +183,21 @@ class SettledLayout:
 
 
 def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
-    """Simulate a state until it comes to rest or the maximum settling time is reached.
+    """Simulate a state until all objects are at rest or the maximum settling time is reached.
 
-    The world's model is reused; ``absent`` objects are ignored.
+    ``absent`` objects are ignored; they are moved far away from the scene and from each other.
     """
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
+    away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
     _let_sleep(world)
-    world.reset(_without(world, state, gone))
+    world.reset(_with_poses(state, {n: away[n] for n in gone}) if gone else state)
     calmed: SceneState | None = None
 
     def watch(elapsed: float, moving: set[str]) -> bool:
         nonlocal calmed
         if moving and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in moving):
-            world.halt()  # a ball that stays in place from now on is in a hollow
+            world.halt()
             calmed = world.state()
         return _is_asleep(world) or bool(world.trouble())
 
@@ -226,24 +215,20 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
             deepest, between = contact.depth, (contact.a, contact.b)
     end = rounded(now)
     if gone:
-        end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
+        end = _with_poses(end, {n: state.poses[n] for n in gone})
     moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
     tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
     return SettledLayout(end, moved, tilted, tuple(o.name for o in items if o.name in moving), deepest, between)
 
 
-def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
-    """Return the state with absent objects moved far away from the scene and from each other."""
-    if not absent:
-        return state
-    away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
-    return SceneState.of({**state.poses, **{n: away[n] for n in absent}}, state.joints, state.motions)
+def _with_poses(state: SceneState, poses: dict[str, Pose]) -> SceneState:
+    return SceneState.of({**state.poses, **poses}, state.joints, state.motions)
 
 
 def _let_sleep(world: MujocoWorld) -> None:
-    """Enable sleeping if available, so that bodies at rest are not simulated until MuJoCo wakes them on contact.
+    """Let MuJoCo skip the simulation of bodies at rest until something touches them.
 
-    Sleeping requires MuJoCo 3.4.
+    Sleeping requires MuJoCo 3.4. Older versions simulate all bodies.
     """
     import mujoco
 
@@ -254,5 +239,5 @@ def _let_sleep(world: MujocoWorld) -> None:
 
 
 def _is_asleep(world: MujocoWorld) -> bool:
-    """Return whether all movable bodies are asleep."""
+    """Return True if all movable bodies are asleep."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0

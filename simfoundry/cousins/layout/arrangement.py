@@ -1,9 +1,9 @@
-"""Keep track of the objects standing in a scene, and place further objects among them, individually or in batches.
+"""Keep track of the objects in a scene, and place more objects among them, individually or in batches.
 
-In a batch, each object gets the first of its candidate poses that is clear of all previous objects, just as if each
-were placed in turn by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per object
-are drawn and tested against each other together. An individual search is needed only for an object without a free
-candidate in the batch.
+In a batch, each object gets the first of its candidate poses that is clear of all previous objects, as if the objects
+were placed individually by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per
+object are drawn and tested together. Only an object without a free candidate in the batch requires an individual
+search.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ GAP = 0.002
 # Number of candidates per object in a batch.
 EACH = 4
 
-# Maximum number of objects in a batch, small enough for the pairwise tables to fit in the processor cache.
+# Maximum number of objects in a batch; the pairwise tables of a batch fit into the processor cache.
 TOGETHER = 24
 
+# Position x and y [m] of an object's frame, and its rotation about z [rad].
 Spot = tuple[float, float, float]
 
 
 class _Block:
-    """A batch of candidate placements, :data:`EACH` per object.
+    """A batch of candidate placements, with :data:`EACH` candidates per object.
 
-    The block also records which candidates overlap each other or objects that are already standing.
+    The batch records which candidates overlap each other or objects that have already been placed.
     """
 
     def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator) -> None:
@@ -56,9 +57,9 @@ class _Block:
         turn = np.exp(1j * drawn[:, 2])
         self._center = drawn[:, 0] + 1j * drawn[:, 1]
         frame = self._center - turn * _each([o.middle for o in outlines])
-        self._spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
+        self.spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
         self._side = turn * _each([o.turn for o in outlines])
-        self._half = _each([complex(*o.half.tolist()) for o in outlines])
+        self._half = _each([o.half for o in outlines])
         self._low = _each([r.z + o.low for o, r in things]).real
         self._high = _each([r.z + o.high for o, r in things]).real
         self._boxy = [o.boxy for o in outlines]
@@ -66,7 +67,6 @@ class _Block:
         self._dead: list[bool] = (~stands).tolist()
         self._doubts: dict[int, list[int]] = {}
         self._meets: dict[int, list[int]] = {}
-        self._chosen: dict[int, int] = {}
         self._meet_each_other(stands)
         self._meet_entries(range(there.count))
 
@@ -89,35 +89,32 @@ class _Block:
 
     def _meet_entries(self, entries: range) -> None:
         """Record which candidates overlap the given entries."""
-        for c, entry in self._there.all_met(entries, self._center, self._side, self._half, self._low, self._high, GAP):
-            self._doubt(c, entry)
+        rectangles = self._center, self._side, self._half, self._low, self._high
+        for c, met in self._there.overlaps(entries, *rectangles, GAP).items():
+            self._doubt(c, met)
 
-    def _doubt(self, c: int, entry: int) -> None:
-        if self._boxy[c // EACH] and self._there.any_boxy((entry,)):
+    def _doubt(self, c: int, met: Iterable[int]) -> None:
+        """Record that candidate ``c`` overlaps the entries ``met``."""
+        if self._boxy[c // EACH] and self._there.any_boxy(met):
             self._dead[c] = True
         else:
-            self._doubts.setdefault(c, []).append(entry)
+            self._doubts.setdefault(c, []).extend(met)
 
-    def first_clear(self, t: int, clear: Clear) -> Spot | None:
-        """Return the first candidate of object ``t`` that is clear of all standing objects, or None."""
+    def first_clear(self, t: int, clear: Clear) -> int | None:
+        """Return the index of the first candidate of object ``t`` that is clear of all placed objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
-            if not self._dead[c] and (not doubts or clear(*self._spots[c], doubts)):
-                self._chosen[t] = c
-                return self._spots[c]
+            if not self._dead[c] and (not doubts or clear(*self.spots[c], doubts)):
+                return c
         return None
 
-    def entered(self, t: int, entries: range, chosen: bool) -> None:
-        """Record that object ``t`` has been placed and occupies the given entries.
-
-        ``chosen`` is true if it was placed at its chosen candidate, and false if it was placed elsewhere.
-        """
-        if not chosen:
+    def entered(self, entries: range, chosen: int | None) -> None:
+        """Record that an object was placed at candidate ``chosen``, or elsewhere, and occupies the given entries."""
+        if chosen is None:
             self._meet_entries(entries)
             return
-        for c in self._meets.get(self._chosen[t], ()):
-            for entry in entries:
-                self._doubt(c, entry)
+        for c in self._meets.get(chosen, ()):
+            self._doubt(c, entries)
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
@@ -139,8 +136,11 @@ def _each(values: Sequence[complex]) -> Complex:
 class Placeable:
     """An object to be placed.
 
-    ``riders`` move along with it, ``upright`` is its orientation before the rotation about z, and ``outline`` is the
-    shadow of the object and its riders.
+    Attributes:
+        name: Name of the object.
+        riders: Names of the objects that move along with it.
+        upright: Orientation before the rotation about z.
+        outline: Shadow of the object and its riders.
     """
 
     name: str
@@ -151,10 +151,8 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return the object ``name`` to be placed on ``on``, with all of its riders except those in ``staying``."""
-        riders = twin.riders(name)
-        if riders:
-            riders = tuple(n for n in riders if n not in set(staying))
+        """Return the object ``name`` to be placed on ``on``, with all its riders except for those in ``staying``."""
+        riders = tuple(n for n in twin.riders(name) if n not in set(staying))
         key = (name, on, riders)
         if key not in twin.placeables:
             upright = twin.upright(name, on)
@@ -179,21 +177,26 @@ class Placeable:
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
+def by_area(areas: Mapping[str, float]) -> tuple[str, ...]:
+    """Return object names sorted by decreasing shadow area [m^2], and alphabetically if areas are equal."""
+    return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
+
+
 class Arrangement:
-    """All standing objects in a scene, among which further objects are placed.
+    """The objects in a scene, among which more objects are placed.
 
     An arrangement poses the twin's solids, so only one arrangement per twin can be in use at a time.
     """
 
     def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
-        """Create an arrangement without the objects that have not been placed yet.
+        """Create an arrangement of the objects that have already been placed.
 
         Args:
             twin: The twin.
-            poses: Poses X_WO of objects that differ from the twin's.
-            moving: Names of objects that have not been placed yet, and whose riders have not been placed either.
+            poses: Poses X_WO of the objects that have been moved in the twin.
+            moving: Names of objects that have not been placed yet. Their riders have not been placed either.
         """
-        self.twin, self.tries = twin, 0
+        self.twin = twin
         self.poses = dict(twin.state.poses) | dict(poses)
         self.moved: dict[str, Pose] = {}
         self.dropped: set[str] = set()
@@ -216,7 +219,7 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Ignore the support in overlap tests if nothing protrudes above its level, because placed objects touch it."""
+        """Ignore the support in overlap tests if no part of it is above its level, because placed objects touch it."""
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -234,7 +237,7 @@ class Arrangement:
             region: Region from which placements are drawn.
             rng: Random generator.
             allowed: Additional test of many candidates at once.
-            also: Additional test that is called after the object has been posed among the twin's solids.
+            also: Additional test that is called with the object posed among the twin's solids.
         """
         self._stand_on(region.support)
 
@@ -243,9 +246,7 @@ class Arrangement:
             return also is None or also()
 
         clear = partial(self._is_clear, thing, region)
-        found = find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
-        self.tries += found.tried
-        return found
+        return find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
 
     def put_all(
         self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
@@ -256,29 +257,26 @@ class Arrangement:
             None if all objects were placed; otherwise the first object that could not be placed and its search result.
         """
         self._stand_on(support)
-        self.tries += EACH * len(things)
         for first in range(0, len(things), TOGETHER):
             batch = [(thing, thing.anywhere(support)) for thing in things[first : first + TOGETHER]]
             block = _Block([(thing.outline, region) for thing, region in batch], self.there, rng)
             for t, (thing, region) in enumerate(batch):
-                entered = self.there.count
-                chosen = spot = block.first_clear(t, partial(self._is_clear, thing, region))
-                if spot is None:
-                    found = self.find(thing, region, rng)
-                    if found.spot is None:
-                        return thing, found
-                    spot = found.spot
-                self.put(thing, region.z, spot)
-                block.entered(t, range(entered, self.there.count), chosen is not None)
+                count = self.there.count
+                chosen = block.first_clear(t, partial(self._is_clear, thing, region))
+                found = self.find(thing, region, rng) if chosen is None else Found(block.spots[chosen])
+                if found.spot is None:
+                    return thing, found
+                self.put(thing, region.z, found.spot)
+                block.entered(range(count, self.there.count), chosen)
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-        """Return whether an object at a candidate placement is clear of the entries ``met`` by its rectangle."""
+        """Return True if an object is clear of the entries ``met``, whose rectangles it overlaps."""
         self.pose(thing, thing.pose(x, y, region.z, yaw))
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return whether an object or one of its riders violates the clearance to at least one of the ``others``.
+        """Return True if an object or one of its riders is closer to one of the ``others`` than the clearance.
 
         Contact with the object named ``on`` is allowed, but overlap is not.
         """

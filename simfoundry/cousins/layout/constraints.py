@@ -1,7 +1,8 @@
-"""Resolve a recipe's placement constraints, and detect impossible ones before any sampling."""
+"""Resolve a recipe's placement constraints, and detect impossible constraints before sampling."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -9,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable, by_area
 from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, drop, largest_share
 from simfoundry.cousins.layout.supports import Support, hull
 from simfoundry.cousins.layout.twin import Twin
@@ -27,8 +28,8 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.predicate import parse_call, texts
 
-# Multiple of :data:`DROPS` to try before rejecting an object that can only partly fit. If one in fifty drops succeeds,
-# 8 of 100 requests are wrongly rejected; lower success rates are useless to a recipe.
+# Number of rounds of :data:`DROPS` before an object that can only partly fit is rejected. If one in fifty drops
+# succeeds, 8 of 100 recipes are wrongly rejected. Recipes with lower success rates are not useful.
 DOUBTED = 2
 
 
@@ -38,7 +39,8 @@ class PlacementConstraints:
 
     Attributes:
         anchor: Name of the anchor.
-        support: Level surface on which objects are placed around the anchor, or None if all objects are on or in it.
+        support: Level surface on which objects are placed around the anchor, or None if all objects are on or in the
+            anchor.
         order: Names of the objects in placement order.
         sets: For each object, the sets of predicates that can hold simultaneously.
     """
@@ -50,24 +52,21 @@ class PlacementConstraints:
 
 
 def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
-    """Resolve a scene axis; the result is cached in the twin.
+    """Resolve a scene axis. The result is cached in the twin.
 
     Raises:
-        ImpossibleError: The axis can never be satisfied; the error contains all reasons.
+        ImpossibleError: The axis can never be satisfied. The error contains all reasons.
     """
     key = axis.model_dump_json()
     if key not in twin.constraints:
-        twin.constraints[key] = _asks(twin, axis)
-    found = twin.constraints[key]
-    if isinstance(found, ImpossibleError):
-        raise ImpossibleError(found.reasons)
-    return found
+        twin.constraints[key] = _resolved(twin, axis)
+    return twin.constraints[key]
 
 
 def anchor_of(twin: Twin, axis: SceneAxis) -> str:
     """Return the name of the anchor, or an empty string if there is none.
 
-    If the axis does not specify an anchor, it is the first object in the goal that the axis does not move.
+    If the axis does not specify an anchor, the anchor is the first object in the goal that the axis does not move.
     """
     if axis.anchor is not None:
         return axis.anchor
@@ -75,14 +74,13 @@ def anchor_of(twin: Twin, axis: SceneAxis) -> str:
     for text, _ in texts(twin.goal) if twin.goal is not None else ():
         args = [a.partition(".")[0] for a in parse_call(text).args]
         about += args[1:2] + args[:1]
-    names = {o.name for o in twin.scene.objects}
-    return next((n for n in about if n in names and n not in axis.objects), "")
+    return next((n for n in about if n in twin.scene.by_name and n not in axis.objects), "")
 
 
-def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError:
+def _resolved(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
     reasons = list(_wrong_names(twin, axis))
     if reasons:
-        return ImpossibleError(tuple(reasons))
+        raise ImpossibleError(tuple(reasons))
     anchor = anchor_of(twin, axis)
     sets = {name: sets_of(words, axis.relations_per_object) for name, words in axis.objects.items()}
     beside = any(word in SIDES for words in axis.objects.values() for word in words)
@@ -90,7 +88,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
     if beside and support is None:
         text = f"objects cannot be placed beside `{anchor}`, because it does not rest on a level surface; it rests on "
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
-        return ImpossibleError((Reason("no_support", text),))
+        raise ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
         several = min(axis.relations_per_object, len(set(words)))
         if len(sets[name][0]) < several:
@@ -102,15 +100,14 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
     if support is not None and not reasons:
         reasons += too_full(twin, (support,), axis)
     if reasons:
-        return ImpossibleError(tuple(reasons))
+        raise ImpossibleError(tuple(reasons))
     on = support.name if support is not None else anchor
-    areas = {name: twin.outline(name, twin.upright(name, on)).area for name in axis.objects}
-    order = tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
+    order = by_area({name: twin.outline(name, twin.upright(name, on)).area for name in axis.objects})
     return PlacementConstraints(anchor, support, order, MappingProxyType(sets))
 
 
 def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
-    names = {o.name for o in twin.scene.objects}
+    names = twin.scene.by_name.keys()
 
     def hint(name: str) -> str:
         return nearest(name, names) or f"available objects: {', '.join(sorted(names))}"
@@ -136,22 +133,19 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
     """Return the level surface on which objects stand around an anchor, or None if there is none.
 
-    This is the surface that the anchor stands on or, for a fixed anchor, the surface that the objects stand on.
+    This is the surface under the anchor or, for a fixed anchor, the surface under most of the objects.
     """
     low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
     seen = [anchor]
     for name in seen:
-        for below in twin.carried.get(name, ()):
-            found = twin[below].support(low)
+        for other in twin.carried.get(name, ()):
+            found = twin[other].support(low)
             if found is not None and abs(found.height - low) < 0.005:
                 return found
-    counts: dict[str, int] = {}
-    for name in axis.objects:
-        for below in twin.carried.get(name, ()):
-            if below != anchor and below not in axis.objects:
-                counts[below] = counts.get(below, 0) + 1
+    below = (below for name in axis.objects for below in twin.carried.get(name, ()))
+    counts = Counter(name for name in below if name != anchor and name not in axis.objects)
     if twin.scene.object(anchor).fixed and (counts or twin.absent):
-        return twin[max(counts, key=lambda n: counts[n]) if counts else twin.ground].support(None)
+        return twin[counts.most_common(1)[0][0] if counts else twin.ground].support(None)
     return None
 
 
@@ -181,8 +175,7 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
                 f"`{name}` cannot be {SIDES[word]} `{anchor}`, because `{support.name}` extends only "
                 f"{max(0.0, end - high):.3f} m beyond the anchor on that side, and `{name}` is {wide:.3f} m wide"
             )
-            numbers = {"strip_deep_m": max(0.0, end - high), "width_m": wide}
-            yield Reason("no_room", text, numbers)
+            yield Reason("no_room", text, {"strip_deep_m": max(0.0, end - high), "width_m": wide})
             return
     farthest = _farthest(support, shape, side, wide)
     if axis.gap[0] > farthest:
@@ -197,8 +190,8 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
 def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) -> float:
     """Return an upper bound of the gap [m] to the anchor at which an object fits on a support.
 
-    The object's center must be at least half its width inside the edge of the support and, if a side is requested,
-    beyond the edge of the anchor on that side. The gap is smaller than the distance of the center from the anchor by at
+    The object's center must be at least half its width from the edge of the support and, if a side is requested, beyond
+    the edge of the anchor on that side. The gap is smaller than the distance between the center and the anchor by at
     least half the width.
 
     Args:
@@ -236,8 +229,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     share = max((largest_share(forms, box) for box in boxes), default=0.0)
     if share == 1.0 or (share > SURE and _goes_in(twin, axis, name, anchor)):
         return
-    size = " x ".join(f"{100 * v:.1f}" for v in np.sort(twin.shape(name).size())[::-1])
-    room = " x ".join(f"{100 * v:.1f}" for v in np.sort(max(boxes, key=np.prod))[::-1])
+    sides = twin.shape(name).size(), max(boxes, key=np.prod)
+    size, room = (" x ".join(f"{100 * v:.1f}" for v in np.sort(side)[::-1]) for side in sides)
     text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of it must be"
     text += " inside, but "
     if share <= SURE:
@@ -248,8 +241,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return whether at least one of many drops places an object that does not fit completely inside the anchor."""
-    rng = np.random.default_rng(0)  # the result must depend on the request only, not on a candidate
+    """Return True if at least one of many drops places an object that fits only partly inside the anchor."""
+    rng = np.random.default_rng(0)  # the result must not depend on a candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
         if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
@@ -269,14 +262,15 @@ SIDES = {
 # Predicates for objects that are supported by the anchor, as phrases.
 DROPPED = {"OnTop": "on", "Inside": "inside"}
 
+# Pairs of predicates that cannot hold at once.
 AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
-    """Return sets of up to ``together`` predicates that can hold at once, such that every predicate is in a set.
+    """Return sets of up to ``together`` predicates that can hold at once, such that each predicate is in a set.
 
-    The sets are as large as possible: a predicate that does not fit into any set of the maximum size is in the largest
-    sets that it does fit into.
+    The sets are as large as possible. A predicate that is not compatible with any set of the maximum size is in the
+    largest sets with which it is compatible.
     """
     words = tuple(dict.fromkeys(allowed))
     found: list[tuple[str, ...]] = []
@@ -289,7 +283,7 @@ def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...
 
 
 def compatible(words: Iterable[str]) -> bool:
-    """Return whether predicates between the same two objects can hold at once."""
+    """Return True if the given predicates between the same two objects can hold at once."""
     some = set(words)
     if any(pair <= some for pair in AGAINST):
         return False
@@ -305,7 +299,7 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
 
 
 # Maximum fraction of a table's area that shadows can fill if objects are placed at random, largest first. Disks or
-# squares of equal size reach 0.55 (the jamming limit of random sequential packing); small objects between large ones
+# squares of equal size reach 0.55 (the jamming limit of random sequential packing). Mixtures of large and small objects
 # fill slightly more.
 FULL = 0.85
 
@@ -318,15 +312,15 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Return the reasons why the objects that must rest on given surfaces cannot fit together, or none if they might.
+    """Return the reasons why the objects that must rest on given surfaces cannot fit, or an empty tuple if they might.
 
     Args:
-        twin: The twin, whose unmoved objects stay where they are.
+        twin: The twin. Objects that the axis does not move stay in place.
         places: Level surfaces on which the objects must stand.
         axis: The scene axis that moves objects, or None.
-        items: Distractors to choose from; none is repeated before all have been used.
-        count: Number of distractors; in the best case, the smallest ones are chosen.
-        around: Name of the object onto which the axis moves objects, by default one of the places.
+        items: Distractors to choose from. All are used before any distractor is repeated.
+        count: Number of distractors. In the best case, the smallest distractors are chosen.
+        around: Name of the object onto which the axis moves objects; by default, one of the places.
     """
     moves = axis.objects if axis is not None else {}
     names = list(dict.fromkeys(place.name for place in places))
@@ -348,10 +342,9 @@ def too_full(
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Return a lower bound of the total shadow area [m^2] of ``count`` items, all of which are used before any repeats.
+    """Return a lower bound of the total shadow area [m^2] of ``count`` items, used in turn.
 
-    If the bounding rectangles already fit into the ``free`` area [m^2], 0 is returned and the exact shadows are not
-    computed.
+    If the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed and the result is 0.
     """
     if not count or _sum([item.size[0] * item.size[1] for item in items], count) <= free:
         return 0.0
@@ -361,6 +354,6 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
 
 
 def _sum(areas: Sequence[float], count: int) -> float:
-    """Return the sum of ``count`` areas taken in turn, with the smallest areas in the last, incomplete turn."""
+    """Return the sum of ``count`` areas used in turn, where the last, incomplete turn uses the smallest areas."""
     whole, rest = divmod(count, len(areas))
     return whole * sum(areas) + sum(sorted(areas)[:rest])

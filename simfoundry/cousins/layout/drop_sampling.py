@@ -1,4 +1,4 @@
-"""Drop sampling: place objects on or inside the anchor by dropping them onto its collision geometry."""
+"""Place objects on or inside the anchor by dropping them onto its collision geometry."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.scene import Place
 
-# An object rests on an edge if its lowest point is closer to it than this [m]; dropped objects keep a gap of 1 mm.
+# Maximum distance [m] of an object's lowest point from an edge on which it rests; dropped objects keep a gap of 1 mm.
 EDGE = 0.003
 
 # Number of drops after which the object is considered not to fit.
@@ -32,9 +32,9 @@ def drop(
 ) -> Reason | None:
     """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
 
-    An object that must be on the anchor is placed on one of its levels, or at its first contact from above, from where
-    it may slide while settling. Poses in which it balances on an edge too narrow to stand on are rejected. An object
-    that must be inside is dropped upright first, and then also on its sides if it does not fit.
+    An object that must be on the anchor is placed on one of the anchor's levels, or at its first contact from above. It
+    may slide from there as it settles. Poses in which it balances on a narrow edge are rejected. An object that must be
+    inside the anchor is first dropped upright, and then also on its sides if it does not fit.
 
     Args:
         table: The arrangement to which the object is added.
@@ -59,7 +59,6 @@ def drop(
     ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
     for k in range(DROPS):
         thing = ways[0] if k < DROPS // 2 else ways[k % len(ways)]
-        table.tries += 1
         x, y, turn = rng.random(3)
         x, y = lowest[:2] + np.array([x, y]) * (highest - lowest)[:2]
         yaw = low + turn * (high - low)
@@ -108,7 +107,7 @@ def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: fl
 
 
 def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
-    """Return whether an object would balance on a narrow edge, that is, rest on the edge with its center above it."""
+    """Return True if an object would balance on a narrow edge, with its center above the edge."""
     import shapely
 
     edges = twin[anchor].edges
@@ -119,7 +118,7 @@ def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str)
 
 
 def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
-    """Return the object in two orientations lying on its side; empty if other objects ride on it."""
+    """Return the object lying on its side in two orientations, or an empty list if it has riders."""
     if thing.riders:
         return []
     sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
@@ -129,14 +128,14 @@ def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
 def dropped(
     twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
 ) -> Pose:
-    """Return the pose at which an object lowered from above first touches the anchor.
+    """Return the pose in which an object that is lowered from above first touches the anchor.
 
     Args:
         twin: The twin.
         thing: The object.
         anchor: Name of the anchor.
         X_WA: Pose of the anchor.
-        inside: True to place the object inside the anchor instead of on it.
+        inside: True to place the object inside the anchor, False to place it on the anchor.
         xy: Position of the object's frame [m].
         yaw: Rotation about z [rad].
 
@@ -157,7 +156,7 @@ TURNS = 240
 # Number of sample points in the object, the same as in the predicate ``Inside``.
 SAMPLES = 64
 
-# If the best fraction over the sampled orientations is below this, no intermediate orientation reaches
+# If the largest fraction over the sampled orientations is below this value, no other orientation reaches
 # :data:`ENCLOSED`.
 SURE = 0.4
 assert SURE < ENCLOSED
@@ -193,7 +192,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return a mask of the values covered by a window of a given length that starts at each value, shape (n, n)."""
+    """Return masks of the values covered by windows of the given length, one window per start value, shape (n, n)."""
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 

@@ -1,23 +1,23 @@
 """Propose new layouts in which objects are placed around an anchor, subject to a recipe's constraints.
 
-Predicates are chosen first, uniformly among those allowed for each object. The objects are then placed one after
-another, largest first, each uniformly over all allowed and free placements. If an object cannot be placed, all objects
-are placed again, up to a maximum number of attempts.
+The predicates of each object are chosen first, uniformly among the allowed ones. The objects are then placed one after
+another, largest first. Each placement is uniform over all allowed and free placements. If an object cannot be placed,
+all objects are placed again, up to a maximum number of attempts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable, by_area
 from simfoundry.cousins.layout.constraints import DROPPED, SIDES, PlacementConstraints, placement_constraints, side_axis
 from simfoundry.cousins.layout.drop_sampling import drop
-from simfoundry.cousins.layout.rejection_sampling import Found, Mask, Region
+from simfoundry.cousins.layout.rejection_sampling import Allowed, Found, Mask, Region
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin, TwinError
 from simfoundry.cousins.recipe.candidate import Reason, Rejected
@@ -37,54 +37,41 @@ class Layout:
     """New object poses.
 
     Attributes:
-        anchor: Name of the anchor; empty if there is none.
         asked: Conditions that must hold at rest.
         poses: Poses X_WO by name of all objects that move, including riders.
-        dropped: Objects dropped onto or into the anchor, which may move while they come to rest.
-        tries: Number of candidate placements drawn.
+        dropped: Names of the objects that were dropped onto or into the anchor. They may move as they come to rest.
     """
 
-    anchor: str
     asked: tuple[str, ...]
     poses: Mapping[str, Pose]
     dropped: frozenset[str] = frozenset()
-    tries: int = 0
 
-    def and_then(self, table: Arrangement, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
+    def extended(self, table: Arrangement, asked: tuple[str, ...] = ()) -> Layout:
         """Return this layout with the objects that were placed in an arrangement added to it."""
-        return Layout(
-            self.anchor or anchor,
-            (*self.asked, *asked),
-            MappingProxyType({**self.poses, **table.moved}),
-            self.dropped | table.dropped,
-            self.tries + tries,
-        )
+        poses = MappingProxyType({**self.poses, **table.moved})
+        return Layout((*self.asked, *asked), poses, self.dropped | table.dropped)
 
 
 # The unchanged layout of the twin.
-NOTHING = Layout("", (), MappingProxyType({}))
+NOTHING = Layout((), MappingProxyType({}))
 
 
 def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:
-    """Place the objects of an axis around its anchor, in addition to those in an earlier ``layout``.
+    """Place the objects of an axis around its anchor, in addition to the objects in an earlier ``layout``.
 
     Raises:
-        ImpossibleError: The axis can never be satisfied; this is detected before any sampling.
+        ImpossibleError: The axis can never be satisfied. This is detected before sampling.
     """
     asks = placement_constraints(twin, axis)
     chosen = {name: asks.sets[name][int(rng.integers(len(asks.sets[name])))] for name in asks.order}
+    asked = tuple(f"{word}({name}, {asks.anchor})" for name in sorted(chosen) for word in chosen[name])
     reason: Reason | None = None
-    tries = 0
     for _ in range(STARTS):
         table = Arrangement(twin, layout.poses, asks.order)
-        for name in asks.order:
-            reason = _place(table, asks, axis, name, chosen[name], rng)
-            if reason is not None:
-                break
-        tries += table.tries
+        placed = (_place(table, asks, axis, name, chosen[name], rng) for name in asks.order)
+        reason = next(filter(None, placed), None)
         if reason is None:
-            asked = tuple(f"{word}({name}, {asks.anchor})" for name in sorted(chosen) for word in chosen[name])
-            return layout.and_then(table, asks.anchor, asked, tries)
+            return layout.extended(table, asked)
     assert reason is not None
     return Rejected((reason,))
 
@@ -92,15 +79,15 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
 def scatter(
     twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
 ) -> Layout | Rejected:
-    """Place objects at random, without predicates, on the object ``on`` or on any of the twin's free level surfaces.
+    """Place objects at random, without predicates, on the object ``on`` or on any of the twin's level surfaces.
 
-    An object that does not fit on its randomly chosen surface is placed on a different one.
+    An object that does not fit on its randomly chosen surface is placed on a different surface.
 
     Args:
         twin: The twin.
         names: Names of the objects to place.
         rng: Random generator.
-        on: Name of the object to place them on; by default any suitable surface of the twin is used.
+        on: Name of the object to place them on. By default, all suitable surfaces in the twin are used.
         layout: Earlier layout to which the placements are added.
 
     Raises:
@@ -109,17 +96,16 @@ def scatter(
     places = twin.places if not on else tuple(filter(None, [twin[on].support(None)]))
     if not places:
         raise TwinError(f"objects cannot be placed on `{on or twin.ground}`, because it has no level surface")
-    order = by_size(twin, names, places[0].name)
+    outlines = {name: Placeable.of(twin, name, places[0].name).outline for name in names}
+    order = by_area({name: outline.area for name, outline in outlines.items()})
     areas = np.array([place.area for place in places])
     reason: Reason | None = None
-    tries = 0
     for _ in range(STARTS):
         chosen = rng.choice(len(places), len(order), p=areas / areas.sum()) if len(places) > 1 else [0] * len(order)
         table = Arrangement(twin, layout.poses, order)
         left, reason = _put_all(table, order, [places[k] for k in chosen], places, rng)
-        tries += table.tries
         if reason is None:
-            return layout.and_then(table, "", (), tries)
+            return layout.extended(table)
         if left > max(ALMOST, len(order) // 8):
             break
     assert reason is not None
@@ -138,13 +124,9 @@ def _put_all(
     Returns:
         The number of objects not placed, and the reason if an object does not fit on any support.
     """
-    left = len(names)
+    left, twin = len(names), table.twin
     for place in places:
-        things = [
-            Placeable.of(table.twin, name, place.name, names)
-            for name, at in zip(names, chosen, strict=True)
-            if at is place
-        ]
+        things = [Placeable.of(twin, n, place.name, names) for n, at in zip(names, chosen, strict=True) if at is place]
         while things:
             failed = table.put_all(things, place, rng)
             placed = len(things) if failed is None else things.index(failed[0])
@@ -159,19 +141,13 @@ def _put_all(
 
 
 def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
-    """Place an object on a support; return whether it fits there."""
+    """Place an object on a support, and return True if it fits there."""
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
     if found.spot is not None:
         table.put(thing, region.z, found.spot)
     return found.spot is not None
-
-
-def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
-    """Sort object names by decreasing shadow area, and alphabetically if areas are equal."""
-    areas = {name: Placeable.of(twin, name, on).outline.area for name in names}
-    return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
 
 def _place(
@@ -182,7 +158,7 @@ def _place(
     words: tuple[str, ...],
     rng: np.random.Generator,
 ) -> Reason | None:
-    """Place one object; return the reason if it cannot be placed."""
+    """Place an object, and return the reason if it cannot be placed."""
     if set(words) & set(DROPPED):
         return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids
@@ -211,10 +187,8 @@ def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support,
     return Region(low, np.maximum(low, high), turn, support, thing.height(support))
 
 
-def _judged(
-    table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float
-) -> Callable[[Array, Array, Array], Mask]:
-    """Return a vectorized test that uses the judge to select the candidates that satisfy the predicates."""
+def _judged(table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float) -> Allowed:
+    """Return a function that returns a mask of the candidates that satisfy the predicates."""
     twin, X_WA = table.twin, table.poses[anchor]
     condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
     upright = thing.upright.rotation
@@ -242,7 +216,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Return the reason why an object could not be placed, including the suitable and free areas of the support."""
+    """Return the reason why an object could not be placed, with the free area of the support and candidate counts."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {
@@ -273,10 +247,9 @@ def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ..
 
     The result is None if the predicates ``words`` do not request a side.
     """
-    sides = [axis for word in words if (axis := side_axis(twin.scene.viewer, word)) is not None]
-    if not sides:
+    axis = next((axis for word in words if (axis := side_axis(twin.scene.viewer, word)) is not None), None)
+    if axis is None:
         return None
-    axis = sides[0]
     across = np.array([-axis[1], axis[0], 0.0])
     edge = twin.shape(anchor, twin.state.poses[anchor]).extent(axis)[1]
     corners = np.column_stack([support.corners, np.zeros(len(support.corners))])

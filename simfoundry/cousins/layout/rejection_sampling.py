@@ -3,16 +3,16 @@
 Positions and yaw angles are drawn in batches, uniformly over a rectangle that contains the allowed region. The first
 candidate that passes all tests is used, so all allowed placements are equally likely. The tests are, in order:
 
-1. The entire shadow is over the support.
+1. The entire shadow of the object is over the support.
 2. The pose satisfies the predicates, which are evaluated for all remaining candidates at once.
-3. The object's rectangle does not overlap the rectangle of a standing object; this test is exact for boxes.
-4. If rectangles overlap, the convex parts do not; this is tested for one candidate at a time.
+3. The object's rectangle does not overlap the rectangle of another object. This test is exact for boxes.
+4. If the rectangles overlap, the convex parts do not overlap. Candidates are tested individually.
 """
 
 from __future__ import annotations
 
 import cmath
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,36 +22,38 @@ from numpy.typing import NDArray
 from simfoundry.cousins.layout.supports import Complex, Outline, Support
 from simfoundry.geometry.frames import Array
 
-# Number of candidates after which the search for a placement is abandoned.
+# Number of candidates after which the search for a placement fails.
 TRIES = 4096
 
-# Size of the first batch, size of the first batch if predicates are evaluated, and maximum size; batches grow.
+# Size of the first batch, size of the first batch if predicates are evaluated, and maximum batch size. Each batch is
+# larger than the one before.
 FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
 
-# An object stands on a level if the height of its lowest point is within this tolerance [m].
+# Tolerance [m] on the height of an object's lowest point for the object to stand on a level.
 NEAR_LEVEL = 0.02
 
 Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+
 # Function that returns a mask of the allowed candidates, given x and y [m] of the object's frame and its rotation about
 # z [rad], shape (n,) each.
 Allowed = Callable[[Array, Array, Array], Mask]
 
-# Function that returns whether a candidate is clear of the given entries, whose rectangles it overlaps.
+# Function that returns True if a candidate is clear of the given entries, whose rectangles it overlaps.
 Clear = Callable[[float, float, float, tuple[int, ...]], bool]
 
-# Function that returns whether a candidate passes a test that is too expensive to run on many candidates.
+# Function that returns True if a candidate passes a test that is too expensive to run on many candidates.
 Last = Callable[[float, float, float], bool]
 
 
 class Occupancy:
-    """Rectangles and height ranges of the objects in a scene; an object has one entry per link."""
+    """Rectangles and height ranges of the objects in a scene. An object has one entry for each link."""
 
     def __init__(self, room: int = 64) -> None:
         self.count = 0
         self.owners: list[str] = []
-        self._rows = np.zeros((6, room))  # center x and y, bounding radius, lowest, highest, area of the shadow
-        self._heights = np.zeros((2, room))  # lowest and highest, including excluded entries
+        # Rows: center x and y, bounding radius, lowest and highest point, area of the shadow. The last two rows are the
+        # lowest and highest points regardless of :meth:`set_aside`.
+        self._rows = np.zeros((8, room))
         self._half, self._turn = np.zeros((2, room), dtype=np.complex128)
         self._boxy: list[bool] = []
 
@@ -59,58 +61,32 @@ class Occupancy:
         """Add an entry for an object whose frame is at x, y, z [m] and rotated by ``yaw`` [rad] about z."""
         k = self.count
         if k == len(self._half):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
-            self._heights = np.concatenate([self._heights, np.zeros_like(self._heights)], axis=1)
-            self._half, self._turn = (np.concatenate([v, np.zeros_like(v)]) for v in (self._half, self._turn))
+            table = self._rows, self._half, self._turn
+            self._rows, self._half, self._turn = (np.concatenate([v, np.zeros_like(v)], axis=-1) for v in table)
         turn = cmath.rect(1.0, yaw)
-        center = complex(x, y) + turn * outline.middle
-        self._rows[:, k] = center.real, center.imag, outline.size, z + outline.low, z + outline.high, outline.area
-        self._heights[:, k] = self._rows[3:5, k]
-        self._half[k], self._turn[k] = complex(*outline.half.tolist()), turn * outline.turn
+        center, span = complex(x, y) + turn * outline.middle, (z + outline.low, z + outline.high)
+        self._rows[:, k] = center.real, center.imag, outline.size, *span, outline.area, *span
+        self._half[k], self._turn[k] = outline.half, turn * outline.turn
         self._boxy.append(outline.boxy)
         self.owners.append(owner)
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Ignore the entries of ``owner``, and no others, because objects that stand on it touch it."""
-        self._rows[3:5, : self.count] = self._heights[:, : self.count]
+        """Ignore only the entries of ``owner``, because objects that stand on it touch it."""
+        self._rows[3:5] = self._rows[6:]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
 
-    def near(self, center: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
-        """Find pairs of candidates and entries whose bounding circles are closer than ``gap`` [m].
-
-        Returns:
-            A mask of the pairs, and the offsets [m] from candidates to entries along x and y, shape (n, k) each.
-        """
-        rows = self._rows[:, : self.count]
-        dx, dy = rows[0] - center[:, :1], rows[1] - center[:, 1:]
-        reach = rows[2] + (outline.size + gap)
-        near = dx * dx + dy * dy < reach * reach
-        level = (rows[3] < z + outline.high + gap) & (rows[4] > z + outline.low - gap)
-        if not level.all():
-            near &= level
-        return near, dx, dy
-
-    def met(self, i: Index, j: Index, dx: Array, dy: Array, turn: Complex, outline: Outline, gap: float) -> Mask:
-        """Return whether the rectangles of candidates ``i`` overlap those of entries ``j``.
-
-        ``turn`` contains the rotations of the candidates as unit complex numbers; ``dx`` and ``dy`` [m] are the offsets
-        from candidates to entries.
-        """
-        half = complex(*outline.half.tolist())
-        return rectangles_meet(dx + 1j * dy, turn[i] * outline.turn, half, self._turn[j], self._half[j], gap)
-
-    def all_met(
+    def overlaps(
         self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
-    ) -> Iterator[tuple[int, int]]:
-        """Yield the indices of each rectangle and entry that overlap.
+    ) -> dict[int, list[int]]:
+        """Map the index of each rectangle to the given entries that it overlaps or is closer to than ``gap`` [m].
 
-        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m].
+        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m]. Rectangles that do
+        not overlap any entry are omitted.
         """
+        found = dict[int, list[int]]()
         rows = self._rows[:, entries.start : entries.stop]
-        if not rows.shape[1]:
-            return
         off = (rows[0] + 1j * rows[1]) - center[:, None]
         reach = rows[2] + (np.abs(half)[:, None] + gap)
         near = off.real**2 + off.imag**2 < reach * reach
@@ -118,22 +94,24 @@ class Occupancy:
         i, j = near.nonzero()
         k = j + entries.start
         met = rectangles_meet(off[i, j], side[i], half[i], self._turn[k], self._half[k], gap)
-        yield from zip(i[met].tolist(), k[met].tolist(), strict=True)
+        for rectangle, entry in zip(i[met].tolist(), k[met].tolist(), strict=True):
+            found.setdefault(rectangle, []).append(entry)
+        return found
 
     def area_on(self, height: float) -> float:
-        """Return the total shadow area [m^2] of the objects whose lowest point is near a height [m]."""
+        """Return the total shadow area [m^2] of the objects that stand on a level with the given height [m]."""
         low, area = self._rows[3, : self.count], self._rows[5, : self.count]
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Return whether at least one of the entries is a box that fills its rectangle."""
+        """Return True if at least one of the entries is a box that fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
 def rectangles_meet(
     off: Complex, turn_a: Complex, half_a: Complex | complex, turn_b: Complex, half_b: Complex | complex, gap: float
 ) -> Mask:
-    """Return whether pairs of rectangles overlap or are closer than ``gap`` [m], by the separating axis test.
+    """Test whether pairs of rectangles overlap or are closer than ``gap`` [m], by the separating axis theorem.
 
     Args:
         off: Vectors from the center of rectangle a to the center of rectangle b [m], as complex numbers.
@@ -155,13 +133,13 @@ def rectangles_meet(
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region from which placements of an object are drawn.
+    """The region from which the placements of an object are drawn.
 
     Attributes:
         low: Lower bounds of the center of the object's rectangle [m], shape (2,).
         high: Upper bounds of the center [m], shape (2,).
         turn: Range of the rotation about z [rad].
-        support: Level surface that the object stands on.
+        support: Level surface on which the object stands.
         z: Height of the object's frame [m].
     """
 
@@ -192,13 +170,13 @@ class Found:
         spot: x and y [m] of the object's frame and its rotation about z [rad], or None if the search failed.
         tried: Number of candidates drawn.
         standing: Number of candidates that were entirely over the support.
-        allowed: Number of those candidates that also satisfied the predicates.
+        allowed: Number of candidates over the support that also satisfied the predicates.
     """
 
     spot: tuple[float, float, float] | None
-    tried: int
-    standing: int
-    allowed: int
+    tried: int = 0
+    standing: int = 0
+    allowed: int = 0
 
 
 def find(
@@ -216,12 +194,12 @@ def find(
     Args:
         outline: Top view of the object.
         region: Region from which placements are drawn.
-        there: Objects that are already standing.
+        there: Objects that have already been placed.
         rng: Random generator.
         gap: Required distance from other objects [m].
         allowed: Additional test of many candidates at once.
-        clear: Test of a candidate whose rectangle overlaps entries; without it, such candidates are rejected.
-        last: Additional test, called only for candidates that passed all other tests.
+        clear: Test of a candidate whose rectangle overlaps entries. If it is None, these candidates are rejected.
+        last: Additional test that is called only for candidates that passed all other tests.
     """
     tried = standing = permitted = 0
     size, offset = FIRST if allowed is None else FIRST_JUDGED, outline.middle
@@ -238,35 +216,17 @@ def find(
             permitted += len(left)
         if not len(left):
             continue
-        center, yaw, turn = center[left], yaw[left], turn[left]
-        for k, met in _unblocked(outline, region.z, there, gap, last is None, center, turn):
-            p = complex(*center[k].tolist()) - complex(turn[k]) * offset
-            spot = p.real, p.imag, float(yaw[k])
-            if met and (clear is None or not clear(*spot, met)):
+        center, yaw, turn = center[left, 0] + 1j * center[left, 1], yaw[left], turn[left]
+        half, low, high = (
+            np.full(len(left), v) for v in (outline.half, region.z + outline.low, region.z + outline.high)
+        )
+        overlaps = there.overlaps(range(there.count), center, turn * outline.turn, half, low, high, gap)
+        for k in range(len(left)):
+            met = tuple(overlaps.get(k, ()))
+            if met and (clear is None or (outline.boxy and there.any_boxy(met))):
                 continue
-            if last is None or last(*spot):
+            p = complex(center[k]) - complex(turn[k]) * offset
+            spot = p.real, p.imag, float(yaw[k])
+            if not (met and clear is not None and not clear(*spot, met)) and (last is None or last(*spot)):
                 return Found(spot, tried, standing, permitted)
     return Found(None, tried, standing, permitted)
-
-
-def _unblocked(
-    outline: Outline, z: float, there: Occupancy, gap: float, first: bool, center: Array, turn: Complex
-) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Yield the candidates that may be free, in order, each with the entries whose rectangles it overlaps.
-
-    If only the ``first`` candidate is needed, the search stops after the first one that does not overlap any entries.
-    """
-    near, dx, dy = there.near(center, outline, z, gap)
-    some: list[bool] = np.asarray(near.any(axis=1)).tolist()
-    if first and False in some:
-        some = some[: some.index(False) + 1]
-    meets: dict[int, list[int]] = {}
-    if any(some):
-        i, j = near[: len(some)].nonzero()
-        met = there.met(i, j, dx[i, j], dy[i, j], turn, outline, gap)
-        for k, entry in zip(i[met].tolist(), j[met].tolist(), strict=True):
-            meets.setdefault(k, []).append(entry)
-    for k in range(len(some)):
-        found = meets.get(k, ())
-        if not (found and outline.boxy and there.any_boxy(found)):
-            yield k, tuple(found)

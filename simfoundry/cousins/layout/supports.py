@@ -1,6 +1,6 @@
 """Support surfaces and shadows of objects.
 
-A shadow is the convex outline of an object's vertical projection, together with the smallest rectangle around it.
+A shadow is the convex outline of an object's vertical projection. It is stored with the smallest rectangle around it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Complex = NDArray[np.complex128]
 # Number of corners of the polygon around the shadow of a ball.
 ROUND = 48
 
-# Tolerance [m] on the corner heights of a box that stands flat, to allow for the inaccuracy of settling.
+# Tolerance [m] on the corner heights of a box that stands flat; settled poses are slightly inaccurate.
 LEVEL = 2e-4
 
 
@@ -36,18 +36,18 @@ class Outline:
 
     Attributes:
         corners: Corners of the convex shadow [m], counterclockwise, shape (m, 2).
-        center: Center of the smallest rectangle around the shadow [m], shape (2,).
-        half: Half extents of the rectangle [m], shape (2,).
-        angle: Rotation of the rectangle [rad].
+        middle: Center of the smallest rectangle around the shadow, as the complex number x + iy [m].
+        half: Half extents of the rectangle, as a complex number [m].
+        turn: Rotation of the rectangle, as a unit complex number.
         low: Lowest height relative to the frame's origin [m].
         high: Highest height relative to the frame's origin [m].
         boxy: True if the object is a box that fills the rectangle from ``low`` to ``high``.
     """
 
     corners: Array
-    center: Array
-    half: Array
-    angle: float
+    middle: complex
+    half: complex
+    turn: complex
     low: float
     high: float
     boxy: bool
@@ -58,14 +58,14 @@ class Outline:
         if not len(shape.corners):
             raise ValueError("there are no convex parts")
         corners = _shadow(shape)
-        center, half, angle = _rectangle(corners)
+        middle, half, turn = _rectangle(corners)
         low, high = shape.extent(np.array([0.0, 0.0, 1.0]))
-        return cls(corners, center, half, angle, low, high, _fills(shape, corners, half, low, high))
+        return cls(corners, middle, half, turn, low, high, _fills(shape, corners, half, low, high))
 
     @cached_property
     def spread(self) -> Array:
         """Corners of the shadow relative to the rectangle's center [m], shape (2, m)."""
-        return np.ascontiguousarray((self.corners - self.center).T)
+        return np.ascontiguousarray((self.corners - [self.middle.real, self.middle.imag]).T)
 
     @cached_property
     def radius(self) -> float:
@@ -75,31 +75,21 @@ class Outline:
     @cached_property
     def size(self) -> float:
         """Radius [m] of the rectangle's circumscribed circle."""
-        return float(np.hypot(*self.half))
-
-    @cached_property
-    def middle(self) -> complex:
-        """Center of the rectangle as the complex number x + iy [m]."""
-        return complex(*self.center.tolist())
-
-    @cached_property
-    def turn(self) -> complex:
-        """Rotation of the rectangle as a unit complex number."""
-        return cmath.rect(1.0, self.angle)
+        return abs(self.half)
 
     @cached_property
     def area(self) -> float:
         """Area of the shadow [m^2]."""
-        return _area(self.corners)
+        return float(_areas(self.corners))
 
     @cached_property
     def width(self) -> float:
         """Minimum width of the shadow [m]: the smallest distance between two parallel lines that enclose it."""
-        return float(_spans(self.corners).min())
+        return float(np.ptp(_along_edges(self.corners)[2], axis=1).min())
 
 
 def _shadow(shape: Hulls) -> Array:
-    """Return the convex outline of all parts in the top view; balls are replaced with circumscribed polygons."""
+    """Return the convex outline of all parts in the top view; spheres are replaced with circumscribed polygons."""
     points, radius = shape.corners[:, :2], shape.radius[shape.part]
     angle = (np.arange(ROUND) + 0.5) * (2 * np.pi / ROUND)
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / ROUND)
@@ -122,9 +112,10 @@ def hull(points: Array) -> Array:
         return np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
 
 
-def _area(corners: Array) -> float:
-    x, y = corners.T
-    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+def _areas(corners: Array) -> Array:
+    """Return the signed areas [m^2] of polygons with corners of shape (..., m, 2)."""
+    x, y = corners[..., 0], corners[..., 1]
+    return np.asarray((x * np.roll(y, -1, axis=-1) - y * np.roll(x, -1, axis=-1)).sum(axis=-1) / 2)
 
 
 def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
@@ -137,15 +128,10 @@ def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
     return edges, edges @ corners.T, np.column_stack([-edges[:, 1], edges[:, 0]]) @ corners.T
 
 
-def _spans(corners: Array) -> Array:
-    across = _along_edges(corners)[2]
-    return np.asarray(across.max(axis=1) - across.min(axis=1))
+def _rectangle(corners: Array) -> tuple[complex, complex, complex]:
+    """Return the rectangle of smallest area around a convex polygon: center [m], half extents [m] and rotation.
 
-
-def _rectangle(corners: Array) -> tuple[Array, Array, float]:
-    """Return the rectangle of smallest area around a convex polygon: center [m], half extents [m] and angle [rad].
-
-    One side of this rectangle is parallel to an edge of the polygon.
+    One side of this rectangle is parallel to an edge of the polygon. All results are complex numbers.
     """
     edges, along, across = _along_edges(corners)
     spans = [(v.min(axis=1), v.max(axis=1)) for v in (along, across)]
@@ -155,16 +141,17 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
     v = np.array([-u[1], u[0]])
     (a0, a1), (b0, b1) = ((low[k], high[k]) for low, high in spans)
     center = u * (a0 + a1) / 2 + v * (b0 + b1) / 2
-    return center, np.array([a1 - a0, b1 - b0]) / 2, float(np.arctan2(u[1], u[0]))
+    return complex(*center), complex(a1 - a0, b1 - b0) / 2, cmath.rect(1.0, np.arctan2(u[1], u[0]))
 
 
-def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
-    """Return whether the object is a single box that stands flat."""
+def _fills(shape: Hulls, corners: Array, half: complex, low: float, high: float) -> bool:
+    """Return True if the object is a single box that stands flat."""
     z = shape.corners[:, 2]
     if len(shape.radius) != 1 or shape.radius[0] > 0 or len(z) != 8:
         return False
     flat = np.minimum(np.abs(z - low), np.abs(z - high)).max() < LEVEL
-    return bool(flat and abs(_area(corners) - 4 * half[0] * half[1]) < 1e-3 * _area(corners))
+    area = float(_areas(corners))
+    return bool(flat and abs(area - 4 * half.real * half.imag) < 1e-3 * area)
 
 
 # Minimum z component of the unit normal of a level face.
@@ -173,37 +160,33 @@ UPWARD = 0.999
 # Faces whose heights differ by less than this [m] belong to the same level.
 STEP = 1e-3
 
-# Width [m] below which an edge is too narrow to stand on, such as the side panel of a shelf or the rim of a box.
-# Graspable objects are about this wide or wider and would balance there.
+# Width [m] below which a strip, such as the side panel of a shelf or the rim of a box, is too narrow to stand on. Most
+# graspable objects are wider and would have to balance on it.
 NARROW = 0.04
 
-# Height above a level [m] from which rays test whether a hand has access; lower than the lips that keep objects on
-# trays.
+# Height above a level [m] at which rays test whether a hand can reach it; higher than the lips of trays.
 ABOVE = 0.02
 
-# Minimum fraction of the rays from a level's center that must leave the object for the level to be open; about a sixth
-# do on a shelf with an open front, and none in a closed drawer.
+# Minimum fraction of the rays from an open level's center that must leave the object. The fraction is about a sixth for
+# a shelf with an open front, and zero for a closed drawer.
 OPEN_SHARE = 0.05
 
 # Ray directions (x, y, 1) that cover a field of view of about 90 degrees.
 _FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
 
-# Rotations whose last column is the viewing direction: +x, -x, +y, -y and up.
-SIDEWAYS = tuple(
-    np.array(axes, dtype=np.float64).T
-    for axes in (
-        ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
-        ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
-        ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
-        ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-        ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    )
+# Axes of five views, each with its viewing direction last: +x, -x, +y, -y and up.
+VIEWS = (
+    ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+    ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """A level surface of an object.
+    """A level surface of an object, on which other objects can stand.
 
     Attributes:
         name: Name of the object.
@@ -228,7 +211,7 @@ class Support:
 
     @cached_property
     def middle(self) -> tuple[float, float]:
-        """A point on the level [m], away from its edges if possible."""
+        """A point on the level [m], away from its edges if possible, as x and y."""
         if self.plane is None:
             x, y = self.corners.mean(axis=0).tolist()
             return x, y
@@ -248,13 +231,15 @@ class Support:
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
     def holds(self, center: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
-        """Return whether entire shadows are over the level, shape (n,).
+        """Test whether entire shadows are over the level.
 
         Args:
             center: Centers of the shadows' rectangles [m], shape (n, 2).
             turn: Rotations about z as unit complex numbers, shape (n,).
-            spread: :attr:`Outline.spread` [m], either shared by all shadows, shape (2, m), or per shadow, shape
-                (n, 2, m).
+            spread: :attr:`Outline.spread` [m], with shape (2, m) if all shadows are equal, otherwise (n, 2, m).
+
+        Returns:
+            A mask of the shadows over the level, shape (n,).
         """
         # Rotate the sides into the object's frame to find the shadow's farthest corner along each normal.
         sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
@@ -277,15 +262,11 @@ class Support:
 def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
     """Return all level surfaces of an object that other objects can stand on, lowest first.
 
-    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are excluded. If ``links`` is given,
+    Strips narrower than :data:`NARROW` and levels that the object itself encloses are excluded. If ``links`` is given,
     only the surfaces of these links are returned.
     """
-    found = []
-    for _, triangles in _levels(shape, links):
-        support = _support(name, triangles, shape, NARROW)
-        if support is not None and not _is_enclosed(support, shape):
-            found.append(support)
-    return tuple(found)
+    found = (_support(name, triangles, shape, NARROW) for _, triangles in _levels(shape, links))
+    return tuple(support for support in found if support is not None and not _is_enclosed(support, shape))
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
@@ -305,13 +286,9 @@ def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | 
 
 def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
     """Return the heights [m] and areas of strips narrower than :data:`NARROW`, such as shelf sides and box rims."""
-    found = []
-    for height, triangles in _levels(shape, links):
-        plane = _plane(triangles)
-        narrow = plane.difference(_without_strips(plane, NARROW))
-        if narrow.area > 0:
-            found.append((height, narrow))
-    return found
+    planes = [(height, _plane(triangles)) for height, triangles in _levels(shape, links)]
+    strips = [(height, plane.difference(_without_strips(plane, NARROW))) for height, plane in planes]
+    return [(height, strip) for height, strip in strips if strip.area > 0]
 
 
 def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
@@ -329,7 +306,7 @@ def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[fl
 def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
     """Return the level surface formed by triangles, without strips narrower than ``narrow`` [m].
 
-    The result is None if nothing remains.
+    The result is None if no surface remains.
     """
     import shapely
 
@@ -353,26 +330,17 @@ def _plane(triangles: Array) -> BaseGeometry:
 
 
 def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
-    """Return an area without the strips narrower than ``narrow`` [m]; the corners of the remainder are unchanged."""
+    """Return an area without strips narrower than ``narrow`` [m]; the corners of the remaining area are unchanged."""
     half = narrow / 2
     return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Return whether the object encloses a level to such an extent that a hand cannot reach its center."""
+    """Return True if the object encloses a level so that a hand cannot reach the level's center."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False
-    x, y = support.middle
-    seen_from = np.array([x, y, support.height + ABOVE])
-    out = 0
-    for side in SIDEWAYS:  # one view to each side and one upward; each view ignores geometry behind it
-        local = (triangles - seen_from) @ side
-        rays = scattered_rays(*_FAN)
-        out += int((first_hits(local, rays).triangle < 0).sum())
-    return out < OPEN_SHARE * len(SIDEWAYS) * len(_FAN[0])
-
-
-def _areas(triangles: Array) -> Array:
-    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    return np.asarray((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2)
+    local, rays = triangles - [*support.middle, support.height + ABOVE], scattered_rays(*_FAN)
+    # Each view ignores the geometry behind it.
+    out = sum(int((first_hits(local @ np.transpose(view), rays).triangle < 0).sum()) for view in VIEWS)
+    return out < OPEN_SHARE * len(VIEWS) * len(_FAN[0])

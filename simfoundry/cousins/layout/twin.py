@@ -1,11 +1,11 @@
-"""The digital twin from which cousins are derived: the settled scene with its judge and cached shapes."""
+"""The digital twin from which cousins are derived: a settled scene with its judge and cached shapes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -33,19 +33,18 @@ if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.layout.arrangement import Placeable
     from simfoundry.cousins.layout.constraints import PlacementConstraints
-    from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.predicates import Judge
 
 
-# Distance [m] of absent objects from the scene and from each other, so that they do not collide as they fall.
+# Distance [m] of absent objects from the scene and from each other; they must not collide as they fall.
 ELSEWHERE = 100.0
 
-# A level surface at least this far [m] below a tabletop is considered the floor; the lowest tables are about this high.
+# Minimum height [m] of a tabletop above the floor; the lowest tables are about this high.
 UNDERFOOT = 0.3
 
 
 class TwinError(SimfoundryError):
-    """Raised for a scene from which cousins cannot be derived; the message explains the reason."""
+    """Raised for a scene from which cousins cannot be derived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +56,9 @@ class Twin:
         state: State at rest.
         goal: Goal of the task, or None if there is no task.
         robots: The robots in the scene.
-        carried: Names of the supports of each free object.
-        absent: Names of objects that are in the scene but have not been placed by a layout yet.
-        base: Twin from which this one was derived by :meth:`extended` or :meth:`at`; unchanged data are shared.
+        carried: Names of the objects that support each free object.
+        absent: Names of objects in the scene that no layout has placed yet.
+        base: Twin from which this twin was derived by :meth:`extended` or :meth:`at`. Unchanged data are shared.
     """
 
     scene: Scene
@@ -69,9 +68,9 @@ class Twin:
     carried: Mapping[str, tuple[str, ...]]
     absent: frozenset[str] = frozenset()
     base: Twin | None = field(default=None, repr=False)
-    # Caches that are not shared with derived twins: placement constraints by the JSON text of their axis; objects to be
-    # placed by name, support and riders; objects at rest by name; and shadows of objects with riders.
-    constraints: dict[str, PlacementConstraints | ImpossibleError] = field(default_factory=dict, init=False, repr=False)
+    # Caches that are not shared with derived twins: placement constraints by the JSON text of their axis, objects to be
+    # placed by name, support and riders, objects at rest by name, and shadows of objects with riders.
+    constraints: dict[str, PlacementConstraints] = field(default_factory=dict, init=False, repr=False)
     placeables: dict[tuple[str, str, tuple[str, ...]], Placeable] = field(default_factory=dict, init=False, repr=False)
     _objects: dict[str, TwinObject] = field(default_factory=dict, init=False, repr=False)
     _outlines: dict[tuple[object, ...], Outline] = field(default_factory=dict, init=False, repr=False)
@@ -95,8 +94,8 @@ class Twin:
 
         Args:
             scene: The scene.
-            goal: Goal of the task, if any.
-            robots: Names of the robots that act in the task; by default all robots.
+            goal: Goal of the task, or None if there is no task.
+            robots: Names of the robots that act in the task; by default, all robots.
 
         Raises:
             TwinError: The scene does not come to rest.
@@ -117,34 +116,29 @@ class Twin:
     def extended(self, objects: Sequence[SceneObject]) -> Twin:
         """Return the twin with objects added or replaced.
 
-        An object with an existing name replaces the original at the same pose; the result must then be settled with
+        An object with an existing name replaces the original at the same pose. The result must then be settled with
         :func:`simfoundry.cousins.layout.acceptance.examine`. All other objects are absent until a layout places them.
         """
         new = {item.name: item for item in objects}
-        known = {item.name for item in self.scene.objects}
         here = tuple(new.get(item.name, item) for item in self.scene.objects)
-        absent = [item for item in objects if item.name not in known]
-        # Absent objects keep their orientation but are moved far apart, because engines start from these poses.
-        away = [Pose.of((ELSEWHERE * (1 + len(self.absent) + k), 0.0, 0.0), o.X_WO.q) for k, o in enumerate(absent)]
-        more = tuple(replace(item, X_WO=X_WO) for item, X_WO in zip(absent, away, strict=True))
+        absent = [item for item in objects if item.name not in self.scene.by_name]
+        # Absent objects keep their orientations but are moved far apart, because engines start from these poses.
+        away = (ELSEWHERE * (1 + len(self.absent) + k) for k in range(len(absent)))
+        more = tuple(replace(o, X_WO=Pose.of((x, 0.0, 0.0), o.X_WO.q)) for o, x in zip(absent, away, strict=True))
         poses = dict(self.state.poses) | {item.name: item.X_WO for item in more}
         joints = {k: v for k, v in self.state.joints.items() if k.partition(".")[0] not in new}
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
         initial = SceneState.initial(replace(self.scene, objects=tuple(new.values())))
-        return replace(
-            self,
-            scene=replace(self.scene, objects=(*here, *more)),
-            state=SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions)),
-            absent=self.absent | {item.name for item in more},
-            base=self,
-        )
+        state = SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions))
+        scene = replace(self.scene, objects=(*here, *more))
+        return replace(self, scene=scene, state=state, absent=self.absent | {item.name for item in more}, base=self)
 
     def at(self, state: SceneState) -> Twin:
         """Return the twin with its scene in a different state."""
         return replace(self, state=state, base=self)
 
     def _is_as_in_base(self, name: str) -> bool:
-        """Return whether an object is the same as in the base twin, in the same state."""
+        """Return True if an object and its state are the same as in the base twin."""
         if self.base is None:
             return False
         item = self.scene.object(name)
@@ -155,21 +149,21 @@ class Twin:
 
     @cached_property
     def judge(self) -> Judge:
-        """Judge that evaluates conditions in this scene."""
+        """The judge that evaluates conditions in this scene."""
         from simfoundry.predicates import Judge
 
         return self.base.judge if self.base is not None and self.base.scene is self.scene else Judge(self.scene)
 
     @cached_property
     def world(self) -> MujocoWorld:
-        """MuJoCo world of the scene without its robots, used for all layouts."""
+        """The MuJoCo world that is used for all layouts of the scene, without robots."""
         if self.base is not None and self.base.scene is self.scene:
             return self.base.world
         return MujocoWorld(bare(self.scene))
 
     @cached_property
     def solids(self) -> Solids:
-        """Convex parts of all objects and robots, posed as in :attr:`state`."""
+        """The convex parts of all objects and robots, posed as in :attr:`state`."""
         joints = {item.name: self.state.of_object(item) for item in self.scene.objects}
         made = Solids((*self.scene.objects, *self.robots.obstacles), joints)
         for name, pose in self.state.poses.items():
@@ -220,7 +214,7 @@ class Twin:
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """Visible fraction of each free object in the twin itself, from the best camera; absent objects are omitted."""
+        """Visible fraction of each free object in the twin itself from the best camera, without absent objects."""
         if self.base is not None:
             return self.base.shares_seen
         if not self.scene.cameras:
@@ -236,8 +230,8 @@ class Twin:
     def upright(self, name: str, on: str) -> Pose:
         """Return the orientation of an object before it is rotated about z to place it, as a pose at the origin.
 
-        If the object is supported only by ``on`` in the twin, this is its orientation in the twin. Otherwise it may be
-        leaning or lying in a container, so its frame is made upright and only its original yaw is preserved.
+        If only ``on`` supports the object in the twin, this is its orientation in the twin. Otherwise, the object may
+        lean or lie in a container, so its frame is made upright and only its yaw is preserved.
         """
         if name not in self.absent and self.carried.get(name) == (on,):
             return Pose.of(q=self.state.poses[name].q)
@@ -246,7 +240,7 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """Return the objects that move along with ``name`` because only it or its other riders support them."""
+        """Return the objects that move along with ``name``, because only ``name`` or other riders support them."""
         if self.base is not None:
             return self.base.riders(name)
         return self._riders.get(name, ())
@@ -266,8 +260,8 @@ class Twin:
     def places(self) -> tuple[Support, ...]:
         """Level surfaces on which new objects can be placed.
 
-        These are the levels of all fixed objects, except the floor under furniture. If there are none, the largest
-        level of the object that supports the most others is used.
+        These are the levels of all fixed objects except for the floor under furniture. If there are no such levels, the
+        largest level of the object that supports the most other objects is used.
         """
         found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
@@ -290,7 +284,7 @@ class Twin:
 
     @cached_property
     def ground(self) -> str:
-        """Name of the object that supports the most other objects; raises :class:`TwinError` if there is none."""
+        """Name of the object that supports the most other objects; :class:`TwinError` is raised if there is none."""
         below = [name for found in self.carried.values() for name in found]
         names = [o.name for o in self.scene.objects if o.name in below]
         if not names:
@@ -300,15 +294,13 @@ class Twin:
     @cached_property
     def task_objects(self) -> tuple[str, ...]:
         """Names of the objects in the goal, in order of appearance."""
-        if self.goal is None:
-            return ()
-        names = {o.name for o in self.scene.objects}
-        found = [a.partition(".")[0] for text, _ in texts(self.goal) for a in parse_call(text).args]
-        return tuple(dict.fromkeys(name for name in found if name in names))
+        goals = texts(self.goal) if self.goal is not None else ()
+        found = [a.partition(".")[0] for text, _ in goals for a in parse_call(text).args]
+        return tuple(dict.fromkeys(name for name in found if name in self.scene.by_name))
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """Relations listed in the scene that hold in :attr:`state`; results for unchanged objects are reused."""
+        """Relations listed in the scene that hold in :attr:`state`. The results for unchanged objects are reused."""
         return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
 
     def _holds(self, text: str) -> bool:
@@ -319,7 +311,7 @@ class Twin:
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
-    """Return whether a level is the floor, that is, far below the ground level and under most of it."""
+    """Return True if a level is the floor, which is far below the ground level and under most of it."""
     import shapely
 
     if ground.height - level.height < UNDERFOOT:
@@ -330,8 +322,11 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
 
 def bare(scene: Scene) -> Scene:
     """Return a copy of the scene for settling, without robots and without visuals on links that have colliders."""
-    objects = tuple(
-        replace(o, links=tuple(replace(k, visuals=() if k.colliders else k.visuals) for k in o.links), variants=())
-        for o in scene.objects
-    )
+    objects = tuple(map(_bare, scene.objects))
     return replace(scene, objects=objects, robots=(), mounted=(), background=None, relations=())
+
+
+@lru_cache(maxsize=512)  # derived twins share most of their objects
+def _bare(item: SceneObject) -> SceneObject:
+    links = tuple(replace(link, visuals=() if link.colliders else link.visuals) for link in item.links)
+    return replace(item, links=links, variants=())

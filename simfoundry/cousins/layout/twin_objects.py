@@ -1,4 +1,4 @@
-"""Objects and robots in a twin at their rest poses, with cached shape measures and collision tests."""
+"""The objects and robots in a twin at their rest poses, with cached shape measures and collision tests."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
     from simfoundry.robots.reach import ArmReach
 
-# Radius and height [m] of the column that reserves space for the base of a robot without a model. A Panda's foot
-# extends 0.155 m from its axis, and smaller arms have smaller feet; no placed object is higher above a table than this.
+# Radius and height [m] of the column that reserves space for the base of a robot without a model. A Panda's base
+# extends 0.155 m from its axis, smaller arms have smaller bases, and placed objects are lower than the column.
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
 
 
 class TwinRobots:
-    """The robots in a twin, in their initial configurations, used as obstacles and for reachability tests."""
+    """The robots in a twin in their initial configurations, used as obstacles and for reachability tests."""
 
     def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
         self._scene, self.names = scene, names
@@ -52,19 +52,19 @@ class TwinRobots:
 
     @cached_property
     def obstacles(self) -> tuple[SceneObject, ...]:
-        """All robots as obstacles; robots without a model are represented by a column at their base."""
+        """All robots as obstacles. A robot without a model is represented by a column at its base."""
         absent = [(left.path.partition(".")[2], left.X_WB) for left in self._scene.left_out if left.X_WB is not None]
         there = {item.name for item in self.items}
         return (*self.items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
 
     @cached_property
     def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
-        """Shadow of each link of each obstacle in the world frame, by obstacle name."""
+        """Shadows of the links of each obstacle in the world frame, by obstacle name."""
         return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot, from its collision geometry because visual meshes have too many triangles."""
+        """Surface of each robot's collision geometry; the visual meshes have too many triangles."""
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
@@ -73,7 +73,7 @@ class TwinRobots:
 class TwinObject:
     """An object in a twin with its rest pose ``X_WO`` and cached shape measures.
 
-    In ``item``, the joints are at their rest positions and the object's frame is at the origin.
+    ``item`` is the object with its frame at the origin and its joints at their rest positions.
     """
 
     item: SceneObject
@@ -98,7 +98,7 @@ class TwinObject:
 
     @cached_property
     def shadows(self) -> tuple[Outline, ...]:
-        """Shadow of each link of the object."""
+        """Shadows of the object's links at its rest pose."""
         return link_shadows(self.placed)
 
     @cached_property
@@ -143,7 +143,7 @@ class TwinObject:
 def _shape(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> Hulls:
     """Return the convex parts of an object at the origin.
 
-    The result is cached because library objects occur in many twins, under different names.
+    The result is cached, because library objects occur in many twins under different names.
     """
     return hulls(SceneObject("", "", False, IDENTITY, links, joints))
 
@@ -154,8 +154,8 @@ def _surface(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> VisibleSurfa
 
 
 def link_shadows(shape: Hulls) -> tuple[Outline, ...]:
-    """Return the shadow of each link in a shape."""
-    links = [shape.of_link(k) for k in dict.fromkeys(shape.link.tolist())]
+    """Return the shadows of the links in a shape."""
+    links = (shape.of_link(k) for k in dict.fromkeys(shape.link.tolist()))
     return tuple(Outline.of(link) for link in links if len(link.corners))
 
 
@@ -172,10 +172,7 @@ Index = NDArray[np.int64]
 
 
 class Solids:
-    """Collision geometry of objects as MuJoCo geoms, used only for distance queries.
-
-    Poses are set with :meth:`put`; nothing is simulated.
-    """
+    """Collision geometry of objects as MuJoCo geoms for distance queries. Nothing is simulated."""
 
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
         import mujoco
@@ -213,7 +210,7 @@ class Solids:
         return every, np.concatenate(p), np.concatenate(turned)
 
     def put(self, name: str, X_WO: Pose) -> None:
-        """Set the pose of an object; its parts are updated lazily when they are queried."""
+        """Set the pose of an object. The poses of its parts are updated at the next query."""
         self._waiting[name] = X_WO
 
     def _posed(self, name: str) -> tuple[Array, Array, Array]:
@@ -235,26 +232,21 @@ class Solids:
         return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
-        """Return whether two objects overlap or are less than ``gap`` [m] apart."""
-        mine, yours = self._own[a][0], self._own[b][0]
-        for i, j, _ in self._near(a, b, gap):
-            if self._distance(self._model, self._data, mine[i], yours[j], gap + 1e-3, None) < gap:
-                return True
-        return False
+        """Return True if two objects overlap or are less than ``gap`` [m] apart."""
+        near = ((i, j) for i, j, _ in self._near(a, b, gap))
+        return any(self._distance(self._model, self._data, i, j, gap + 1e-3, None) < gap for i, j in near)
 
     def distance(self, a: str, b: str, far: float) -> float:
-        """Return the signed distance between two objects [m], negative if they overlap, and at most ``far``."""
-        mine, yours = self._own[a][0], self._own[b][0]
+        """Return the signed distance between two objects [m], limited to ``far``; negative if they overlap."""
         best = far
         for i, j, bound in self._near(a, b, far):
             if bound >= best:
                 break
-            found = self._distance(self._model, self._data, mine[i], yours[j], max(best, 1e-3), None)
-            best = min(best, found)
+            best = min(best, self._distance(self._model, self._data, i, j, max(best, 1e-3), None))
         return float(best)
 
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
-        """Yield pairs of parts that may be closer than ``far`` [m], each with a lower bound of their distance [m].
+        """Yield the geom indices of parts that may be closer than ``far`` [m], and a lower bound of their distance [m].
 
         The pairs are sorted by increasing lower bound.
         """
@@ -273,14 +265,11 @@ class Solids:
         )
         kept = np.flatnonzero(bound < far)
         for k in kept[np.argsort(bound[kept], kind="stable")]:
-            yield int(i[k]), int(j[k]), float(bound[k])
+            yield int(self._own[a][0][i[k]]), int(self._own[b][0][j[k]]), float(bound[k])
 
 
 def _bare(link: Link) -> Link:
-    """Return the link with its shape only.
-
-    All colliders get the same surface parameters, so the compiled model does not need explicit contact pairs.
-    """
+    """Return the link without visuals, and with equal surfaces so that the model has no explicit contact pairs."""
     colliders = tuple(
         replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
     )
@@ -288,7 +277,7 @@ def _bare(link: Link) -> Link:
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:
-    """Return the distance of points from boxes [m], shape (k,); points inside a box have distance 0.
+    """Return the distances of points from boxes [m], shape (k,); the distance of a point inside a box is 0.
 
     Args:
         off: Vectors from the box centers to the points [m], shape (k, 3).

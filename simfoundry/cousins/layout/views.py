@@ -1,4 +1,4 @@
-"""Compute the visibility of objects: the fraction that is inside a camera's image and not occluded."""
+"""Visibility of objects: the fraction of an object that is inside a camera's image and not occluded."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from simfoundry.geometry.shapes import Geometry, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, SceneObject
 
-# Fraction of an object that at least one camera must see; if less is visible in the twin, that fraction suffices.
+# Fraction of an object that at least one camera must see. If less is visible in the twin, that fraction is sufficient.
 SEEN = 0.6
 
 # Near plane of a camera [m].
 CLOSEST = 0.01
 
-# Number of rays along each side of an object's rectangle in the image; the result is then accurate to about 3%.
+# Number of rays along each side of an object's rectangle in the image; gives an accuracy of about 3%.
 RAYS = 16
 
-# Number of edges around a round shape; the outline error is at most 3.4% of the radius, about the ray resolution.
+# Number of edges around a round shape. The outline error is at most 3.4% of the radius, about the ray resolution.
 SEGMENTS = 12
 
 
@@ -48,7 +48,7 @@ class VisibleSurface:
         """Collect the surface of an object at its current joint positions.
 
         The surface consists of the visuals, or of the colliders for links without visuals. Transparent visuals are
-        ignored because they do not occlude anything.
+        ignored, because they do not occlude anything.
         """
         X_OL = link_poses(item)
         found = [np.zeros((0, 3, 3))]
@@ -78,7 +78,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """Return the fraction of an object's silhouette that is inside a camera's image and not occluded by ``others``."""
+    """Return the fraction of an object's silhouette that is inside the image and not occluded by ``others``."""
     local = thing.seen_from(camera)
     corners = local.reshape(-1, 3)
     ahead = corners[corners[:, 2] > CLOSEST]
@@ -119,11 +119,11 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))
     if z > other.radius + CLOSEST:  # entirely in front of the camera, so it may be outside the rectangle's cone
-        for at, k in ((x, 0), (y, 1)):
-            is_before = at - low[k] * z < -other.radius * np.hypot(1, low[k])
-            is_beyond = at - high[k] * z > other.radius * np.hypot(1, high[k])
-            if is_before or is_beyond:
-                return np.zeros((0, 3, 3))
+        center = np.array([x, y])
+        before = center - low * z < -other.radius * np.hypot(1, low)
+        beyond = center - high * z > other.radius * np.hypot(1, high)
+        if (before | beyond).any():
+            return np.zeros((0, 3, 3))
     local = other.seen_from(camera)
     z = local[:, :, 2]
     may_hide = (z.min(axis=1) < depth) & (z.max(axis=1) > CLOSEST)
@@ -142,7 +142,7 @@ def best_view(
         cameras: The cameras; there must be at least one.
         name: Name of the object.
         surfaces: Surfaces of all objects by name; other objects may occlude this one.
-        enough: Stop at the first camera that sees at least this fraction.
+        enough: The search stops at the first camera that sees at least this fraction.
 
     Returns:
         The name of the camera and the fraction that it sees.

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from simfoundry.cousins.objects.components import MAIN, Component, Key, Kind, parts_of, with_parts
 from simfoundry.cousins.objects.geometry import Edit
-from simfoundry.cousins.objects.parts import MAIN, Component, Key, Kind, parts_of, with_parts
 from simfoundry.cousins.objects.profiles import Rng
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Material

@@ -1,10 +1,11 @@
-"""Check that a variant can serve the same functions in the tasks as the twin's object."""
+"""Check that a variant can be used in the tasks in the same way as the twin's object."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations, product
 from types import MappingProxyType
 
 import numpy as np
@@ -29,6 +30,7 @@ from simfoundry.spec.models.predicate import Call, Effect, parse_call, texts
 from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.rest import run_to_rest, tilt_deg
 from simfoundry.worlds.settle import settle
 
 
@@ -37,9 +39,9 @@ class Needs:
     """The requirements on a variant.
 
     Attributes:
-        rests: `OnTop` and `Inside` calls that involve the object and must be possible.
+        rests: `OnTop` and `Inside` calls with the object that must be possible.
         joints: Names of the joints that must move.
-        opening: Opening of the gripper that must grasp the object [m], or None.
+        opening: Opening of the gripper that must grasp the object [m], or None if no gripper must grasp it.
         others: The other objects in the calls, by name.
     """
 
@@ -85,15 +87,15 @@ MARGIN = 0.003
 
 @dataclass(frozen=True, eq=False)
 class ObjectBaseline:
-    """The twin's object and the requirements that it meets itself; variants must meet only these.
+    """The twin's object and the requirements that it meets. Variants must meet only these requirements.
 
     Attributes:
         item: The lowered object.
         needs: The original requirements.
         rests: Calls that hold in trials with the twin's object.
         lacks: Descriptions of requirements that the twin's object does not meet.
-        steady: True if the twin's object stands stably on a table.
-        opening: Opening of the gripper [m], or None if grasping is not required or impossible for the twin's object.
+        steady: True if the twin's object is stable on a table.
+        opening: Opening of the gripper [m], or None if grasping is not required or the twin's object is too wide.
     """
 
     item: SceneObject
@@ -105,27 +107,22 @@ class ObjectBaseline:
 
     @classmethod
     def of(cls, item: SceneObject, needs: Needs) -> ObjectBaseline:
-        """Run the checks on the twin itself."""
-        kept, lacks = [], []
-        for call in needs.rests:
-            outcome = rests(call, {**needs.others, item.name: item})
-            if outcome.passed:
-                kept.append(call)
-            else:
-                lacks.append(f"{call}: {outcome.why}")
-        steady = stands(item)
-        if not steady.passed:
-            lacks.append(f"stands: {steady.why}")
-        width = grasp_width(solid(item))
-        opening = needs.opening
+        """Run the checks on the twin's object."""
+        failures = {call: rest_failure(call, {**needs.others, item.name: item}) for call in needs.rests}
+        lacks = [f"{call}: {why}" for call, why in failures.items() if why is not None]
+        unstable = instability(item)
+        if unstable is not None:
+            lacks.append(f"stands: {unstable}")
+        width, opening = grasp_width(solid(item)), needs.opening
         if opening is not None and width > opening - MARGIN:
             lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
             opening = None
-        return cls(item, needs, tuple(kept), tuple(lacks), steady.passed, opening)
+        possible = tuple(call for call, why in failures.items() if why is None)
+        return cls(item, needs, possible, tuple(lacks), unstable is None, opening)
 
 
 def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
-    """Yield the reasons for rejecting a lowered candidate, starting with the cheapest checks."""
+    """Yield the reasons for rejecting a lowered candidate. The cheapest checks are performed first."""
     yield from _open_meshes(item)
     yield from _size(item, twin.item, category_prior(category))
     if twin.opening is not None:
@@ -135,17 +132,13 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
             text = f"it {narrow}, but the gripper opens only {length(twin.opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
-    jam = moves(item, twin.item) if twin.needs.joints else None
-    if jam is not None:
-        yield jam
-    if twin.steady:
-        outcome = stands(item)
-        if not outcome.passed:
-            yield Reason("stands", f"on a table, it {outcome.why}")
+    if twin.needs.joints:
+        yield from _joint_faults(item, twin.item)
+    if twin.steady and (why := instability(item)) is not None:
+        yield Reason("stands", f"on a table, it {why}")
     for call in twin.rests:
-        outcome = rests(call, {**twin.needs.others, item.name: item})
-        if not outcome.passed:
-            yield Reason("affordance", f"{call} no longer holds: {outcome.why}")
+        if (why := rest_failure(call, {**twin.needs.others, item.name: item})) is not None:
+            yield Reason("affordance", f"{call} no longer holds: {why}")
 
 
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
@@ -164,17 +157,16 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
 
 
 def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> Iterator[Reason]:
-    """Check the longest side, mass and density against the category's ranges.
+    """Yield a reason for each of the longest side, the mass and the density that is not in the category's range.
 
     If the category is unknown, the ranges are relative to the twin's object.
     """
     low, high = bounds(item)
-    side = float((high - low).max())
-    weight = sum(link.mass for link in item.links)
     twin_low, twin_high = bounds(twin)
-    before = float((twin_high - twin_low).max()), sum(link.mass for link in twin.links)
-    sizes = sort.size if sort is not None else (SCALE[0] * before[0], SCALE[1] * before[0])
-    weights = sort.mass if sort is not None else (WEIGHT[0] * before[1], WEIGHT[1] * before[1])
+    side, before = float((high - low).max()), float((twin_high - twin_low).max())
+    weight, twin_weight = (sum(link.mass for link in one.links) for one in (item, twin))
+    sizes = sort.size if sort is not None else (SCALE[0] * before, SCALE[1] * before)
+    weights = sort.mass if sort is not None else (WEIGHT[0] * twin_weight, WEIGHT[1] * twin_weight)
     if not sizes[0] <= side <= sizes[1]:
         text = f"it is {length(side)} long, but objects of its kind are {length(sizes[0])} to {length(sizes[1])}"
         yield Reason("size", text, {"side": side, "least": sizes[0], "most": sizes[1]})
@@ -186,11 +178,15 @@ def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> I
         yield Reason("mass", f"its mean density within its bounds is {density:.3g} kg/m^3", {"density": density})
 
 
+# Name of the table in a trial.
 TABLE = "trial_table"
 GRAVITY = frozen_array([0.0, 0.0, -9.81])
 
-# Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval between checks [s].
-STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
+# Time over which objects at rest must not move [s], and maximum duration of a trial [s].
+WINDOW_S, LONGEST_S = 0.25, 4.0
+
+# Maximum tilt [deg] of an object that supports or contains another object after a trial.
+MAX_TILT_DEG = 5.0
 
 # How far joints are opened during a trial, as a fraction of their range.
 OPENED = 0.95
@@ -198,117 +194,96 @@ OPENED = 0.95
 # Number of positions per joint to test for jamming.
 STEPS = 9
 
-# Penetration depth between links of the same object above which a joint is considered jammed [m].
+# Penetration depth [m] between links of the same object above which a joint is considered jammed.
 DEEPEST = 0.001
 
 # Minimum joint range of a variant as a fraction of the twin's joint range.
 LEAST_RANGE = 0.75
 
-# Orientations in which to put an object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
+# Orientations in which to put one object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
 # tilted in two directions.
 TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
 
 
-@dataclass(frozen=True)
-class TrialOutcome:
-    """The result of a trial; ``why`` explains it with numbers."""
-
-    passed: bool
-    why: str
-
-
-def stands(item: SceneObject) -> TrialOutcome:
-    """Test whether an object on a table stays in place and does not topple when tilted slightly."""
-    placed = _on_table(item)
-    if isinstance(placed, TrialOutcome):
-        return placed
+def instability(item: SceneObject) -> str | None:
+    """Return the reason why an object on a table moves or topples when tilted slightly, or None if it is stable."""
+    try:
+        placed = _on_table(item)
+    except PlaceError as error:
+        return error.message
     with MujocoWorld(_scene(placed)) as world:
-        report = settle(world).objects[0]
-    return TrialOutcome(report.passed, "; ".join(report.problems) or f"moved {report.drift * 1000:.1f} mm")
+        return "; ".join(settle(world).objects[0].problems) or None
 
 
-def rests(call: Call, things: Mapping[str, SceneObject]) -> TrialOutcome:
-    """Test whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` is released on or in ``b``.
+def rest_failure(call: Call, objects: Mapping[str, SceneObject]) -> str | None:
+    """Return the reason why ``OnTop(a, b)`` or ``Inside(a, b)`` does not hold after ``a`` is released on or in ``b``.
 
-    A few orientations of ``a`` are tried, and the joints of ``b`` are opened first. ``things`` contains both objects by
-    name.
+    A few orientations of ``a`` are tried, and the joints of ``b`` are opened first. The result is None if the predicate
+    holds for at least one orientation. ``objects`` contains both objects by name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
-    base = _on_table(_opened(things[b]))
-    if isinstance(base, TrialOutcome):
-        return base
-    why = f"`{a}` could not be placed {'inside' if call.predicate == 'Inside' else 'on'} `{call.args[1]}`"
+    try:
+        base = _on_table(_opened(objects[b]))
+    except PlaceError as error:
+        return error.message
+    why: str | None = f"`{a}` could not be placed {'inside' if call.predicate == 'Inside' else 'on'} `{call.args[1]}`"
     for place in _places(call, base):
         try:
-            X_WA = solve(things[a], place, {base.name: base}, None)
+            X_WA = solve(objects[a], place, {base.name: base}, None)
         except PlaceError as error:
             why = error.message
             continue
-        outcome = _let_go(call, replace(things[a], X_WO=X_WA, fixed=False), base)
-        if outcome.passed:
-            return outcome
-        why = outcome.why
-    return TrialOutcome(False, why)
+        why = _release_failure(call, replace(objects[a], X_WO=X_WA, fixed=False), base)
+        if why is None:
+            break
+    return why
 
 
 def _places(call: Call, base: SceneObject) -> Iterator[Place]:
-    inside = call.predicate == "Inside"
     low, high = bounds(base)
-    sides = (0.0, 0.25, -0.25) if not inside else (0.0,)
-    for y in sides:
-        for turn in TURNS if inside else TURNS[:2]:
-            local_xy = None if y == 0 else (0.0, round(y * float(high[1] - low[1]), 4))
-            rpy = turn if any(turn) else None
-            place = Place(inside=call.args[1], rpy_deg=rpy) if inside else Place(on=call.args[1], rpy_deg=rpy)
-            yield place if local_xy is None else place.model_copy(update={"local_xy": local_xy})
+    inside = call.args[1] if call.predicate == "Inside" else None
+    on = call.args[1] if inside is None else None
+    for y, turn in product((0.0,), TURNS) if inside else product((0.0, 0.25, -0.25), TURNS[:2]):
+        xy = (0.0, round(y * float(high[1] - low[1]), 4)) if y else None
+        yield Place(on=on, inside=inside, rpy_deg=turn if any(turn) else None, local_xy=xy)
 
 
-def _let_go(call: Call, a: SceneObject, b: SceneObject) -> TrialOutcome:
+def _release_failure(call: Call, a: SceneObject, b: SceneObject) -> str | None:
+    """Return the reason why a predicate does not hold after ``a`` is released and comes to rest, or None if it does."""
     scene = _scene(b, a)
     with MujocoWorld(scene) as world:
-        state = _calmed(world)
-        try:
-            verdict = Judge(scene)(str(call), state)
-        except PredicateError as error:
-            return TrialOutcome(False, str(error))
-        tilt = state.poses[b.name].rotation[2, 2]
-    if tilt < np.cos(np.radians(5.0)):
-        return TrialOutcome(False, f"`{b.name}` tilted by {np.degrees(np.arccos(np.clip(tilt, -1, 1))):.0f} deg")
-    return TrialOutcome(verdict.value, verdict.why)
-
-
-def _calmed(world: MujocoWorld) -> SceneState:
-    """Simulate until nothing moves anymore, for at most :data:`LONGEST` seconds, and return the state."""
-    steps = max(1, round(LOOK / world.timestep))
-    for _ in range(round(LONGEST / LOOK)):
-        world.step(steps)
+        run_to_rest(world, WINDOW_S, 0.0, LONGEST_S, lambda _: ())
         state = world.state()
-        if max(state.speeds.values(), default=0.0) < STILL:
-            break
-    return state
+    try:
+        verdict = Judge(scene)(str(call), state)
+    except PredicateError as error:
+        return str(error)
+    tilt = tilt_deg(b.X_WO, state.poses[b.name])
+    if tilt > MAX_TILT_DEG:
+        return f"`{b.name}` tilted by {tilt:.0f} deg"
+    return None if verdict.value else verdict.why
 
 
-def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
-    """Return a reason if a joint has a much smaller range than the twin's or jams along its path, else None."""
+def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
+    """Yield a reason if a joint has a much smaller range than the twin's joint or if the links jam."""
+    limits = {joint.name: joint.limits for joint in twin.joints if joint.limits is not None}
     for joint in item.joints:
-        own = next((j for j in twin.joints if j.name == joint.name), None)
-        if joint.limits is None or own is None or own.limits is None:
+        if joint.limits is None or joint.name not in limits:
             continue
-        span, before = (limits[1] - limits[0] for limits in (joint.limits, own.limits))
+        span, before = (high - low for low, high in (joint.limits, limits[joint.name]))
         if span < LEAST_RANGE * before:
             text = f"`{joint.name}` has a range of {span:.3f}, compared to {before:.3f} in the twin"
-            return Reason("joint", text, {"range": span, "twin": before})
+            yield Reason("joint", text, {"range": span, "twin": before})
+            return
     deepest, where = _jam(item)
     if deepest > DEEPEST and deepest > _jam(twin)[0] + 1e-4:
-        text = f"its links overlap by {deepest * 1000:.1f} mm with {where}"
-        return Reason("joint", text, {"overlap": deepest})
-    return None
+        yield Reason("joint", f"its links overlap by {deepest * 1000:.1f} mm with {where}", {"overlap": deepest})
 
 
 def _jam(item: SceneObject) -> tuple[float, str]:
-    """Return the deepest penetration between links of an object [m] over the range of each joint.
+    """Return the deepest penetration between links of an object [m], and a description of the joint position.
 
-    The second value describes the joint position at which it occurs.
+    Each joint is moved over its entire range while the other joints stay closed.
     """
     import mujoco
 
@@ -316,10 +291,9 @@ def _jam(item: SceneObject) -> tuple[float, str]:
     alone = replace(item, X_WO=Pose.of(), fixed=True)
     with MujocoWorld(_scene(alone)) as world:
         model, data = world.model, world.data
-        ids = {link.name: model.body(item.qualified(link.name)).id for link in item.links}
-        bodies = {k: name for name, k in ids.items()}
+        bodies = {model.body(item.qualified(link.name)).id for link in item.links}
         geoms = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and model.geom_contype[g]]
-        pairs = [(g, h) for g in geoms for h in geoms if g < h and model.geom_bodyid[g] != model.geom_bodyid[h]]
+        pairs = [(g, h) for g, h in combinations(geoms, 2) if model.geom_bodyid[g] != model.geom_bodyid[h]]
         for joint in item.joints:
             if joint.limits is None:
                 continue
@@ -341,13 +315,10 @@ def _opened(item: SceneObject) -> SceneObject:
     return replace(item, joints=joints)
 
 
-def _on_table(item: SceneObject) -> SceneObject | TrialOutcome:
+def _on_table(item: SceneObject) -> SceneObject:
+    """Return an object placed on the table; raise :class:`PlaceError` if it cannot be placed."""
     free = replace(item, fixed=False, variants=())
-    try:
-        X_WO = solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None)
-    except PlaceError as error:
-        return TrialOutcome(False, error.message)
-    return replace(free, X_WO=X_WO)
+    return replace(free, X_WO=solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None))
 
 
 def _scene(*items: SceneObject) -> Scene:

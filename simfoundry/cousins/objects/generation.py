@@ -1,7 +1,7 @@
 """Generate variants with models, as in the paper.
 
 A VLM identifies components and proposes variations, an image model draws them, the VLM judges the images, and a mesh
-model reconstructs the objects. The resulting candidates are checked like any others.
+model reconstructs the objects. The resulting candidates are checked in the same way as all other candidates.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
+from itertools import chain, zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -40,7 +41,6 @@ from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 
 T = TypeVar("T", bound=BaseModel)
 
-DIMENSIONS = ("geometry", "topology", "visual")
 # Names used in recipes for the paper's dimensions.
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
 
@@ -62,7 +62,7 @@ class PromptModel(Protocol):
 
 
 class VariationProposal(NamedTuple):
-    """A variation of a component in one dimension, as described by the VLM."""
+    """A variation of a component in one dimension, described by the VLM."""
 
     component: str
     dimension: str
@@ -73,17 +73,17 @@ class VariationProposal(NamedTuple):
 class Generation:
     """A source of candidates that queries models with images of the object and its scene.
 
-    All proposals for an object are requested together with its first candidate. Equal model responses produce equal
-    candidates. A model failure is reported as the reason for rejecting the candidate; after :data:`FAILURES`
-    consecutive failures, the :class:`SimfoundryError` is raised.
+    All proposals for an object are requested with its first candidate. Equal model responses produce equal candidates.
+    If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, the
+    :class:`SimfoundryError` is raised.
 
     Attributes:
         vlm: Vision-language model.
         images: Image model.
         meshes: Mesh model.
         scene: Image of the scene.
-        picture: Image of the object; rendered if None.
-        counts: Numbers of proposals per component in geometry, topology and appearance.
+        picture: Image of the object. If it is None, an image is rendered.
+        counts: Numbers of proposals for each component in geometry, topology and appearance.
     """
 
     vlm: PromptModel
@@ -125,31 +125,28 @@ class Generation:
         return built(item, self.meshes.make(picture, seed + k), proposals[place])
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
-        """Run prompts A, B and C, and yield proposals while alternating between components for variety."""
+        """Run prompts A, B and C, and yield the proposals, alternating between components."""
         names = self.vlm.ask(prompt("a_components"), [picture], ComponentNames).components
         wanted = [name for name in names if not axis.components or name in axis.components]
         queues = []
         for name in wanted:
-            geometry, topology, visual = self.counts
-            if topology and not self.vlm.ask(prompt("b_topology", component=name), [picture], TopologyAnswer).yes:
-                topology = 0
-            asked = prompt(
-                "c_variations", component=name, num_geometry=geometry, num_topology=topology, num_visual=visual
-            )
-            told = self.vlm.ask(asked, [picture], Variations)
-            limits = dict(zip(DIMENSIONS, (geometry, topology, visual), strict=True))
+            counts = dict(zip(CHANGES, self.counts, strict=True))
+            asked = prompt("b_topology", component=name)
+            if counts["topology"] and not self.vlm.ask(asked, [picture], TopologyAnswer).yes:
+                counts["topology"] = 0
+            numbers = {f"num_{dimension}": count for dimension, count in counts.items()}
+            told = self.vlm.ask(prompt("c_variations", component=name, **numbers), [picture], Variations)
             queue = [
                 VariationProposal(name, dimension, words[:300])
-                for dimension in DIMENSIONS
+                for dimension, count in counts.items()
                 if CHANGES[dimension] in axis.changes
-                for words in getattr(told, dimension)[: limits[dimension]]
+                for words in getattr(told, dimension)[:count]
             ]
             queues.append(queue)
-        for turn in range(max(map(len, queues), default=0)):
-            yield from (queue[turn] for queue in queues if turn < len(queue))
+        yield from filter(None, chain.from_iterable(zip_longest(*queues)))
 
     def _edited(self, picture: bytes, proposal: VariationProposal) -> bytes | Reason:
-        """Run prompts D and E; return an image that the VLM considers reasonable, or the reason for the failure."""
+        """Run prompts D and E, and return an image that the VLM judged reasonable, or the reason for the failure."""
         component, dimension, words = proposal
         asked = prompt("d_edit", component=component, dimension=dimension, variation_description=words)
         why = ""
@@ -166,7 +163,7 @@ class Generation:
 def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
     """Convert a generated mesh to a draft.
 
-    The mesh is scaled to the twin's size, aligned with the twin's base, and made of the twin's material.
+    The mesh is scaled to the size of the twin's object, aligned with its base, and gets its material.
 
     Args:
         item: The twin's object.
@@ -174,14 +171,12 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
         proposal: The variation from which the mesh was generated.
 
     Raises:
-        MeshError: The mesh could not be read or has several textures.
+        MeshError: The mesh cannot be read or has several textures.
     """
     with TemporaryDirectory(prefix="simfoundry-made-") as scratch:
         path = Path(scratch) / "made.glb"
         path.write_bytes(glb)
-        read = joined(read_parts(path))
-        if read is None:
-            raise MeshError("SF301", "the generated mesh has several textures, but an OBJ file can have only one")
+        read = joined(read_parts(path), "the generated mesh")
         vertices = fitted(read.vertices, *bounds(alone(item)))
         first, written = mesh_files(Mesh(frozen_array(vertices), read.faces, read.uv, read.texture))
         kept = Path(scratch) / Path(first).name
@@ -197,9 +192,9 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
 
 
 def fitted(vertices: Array, low: Array, high: Array) -> Array:
-    """Scale points uniformly so that the geometric mean of their side lengths matches given bounds.
+    """Scale points uniformly to the size of given bounds, measured by the geometric mean of the side lengths.
 
-    The result is centered on the bounds horizontally and has the same lowest height.
+    The result is centered horizontally on the bounds and has the same lowest height.
 
     Args:
         vertices: Points in any unit, shape (n, 3).
@@ -213,7 +208,7 @@ def fitted(vertices: Array, low: Array, high: Array) -> Array:
 
 
 def picture_of(item: ObjectAsset, side: int = SIDE) -> bytes:
-    """Render the object on a transparent background, seen from the front and above.
+    """Render an object on a transparent background, viewed from the front and above.
 
     Returns:
         A PNG with ``side`` pixels in width and height.
@@ -267,7 +262,7 @@ class PictureVerdict(BaseModel):
 
 
 def prompt(name: str, **variables: Any) -> str:
-    """Render one of the paper's prompts; raise an error if a required variable is missing."""
+    """Render one of the paper's prompts, and raise an error if a required variable is missing."""
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
@@ -279,12 +274,12 @@ def prompt(name: str, **variables: Any) -> str:
 
 @dataclass(frozen=True)
 class SourceSetup:
-    """Settings for sources that a run supplies.
+    """Settings of a run for the sources of variants.
 
     Attributes:
         scene: Document of the twin's scene; an image of the scene is shown to the models.
         library: Folder of the library, or None.
-        vlm: Name of the vision-language model for recipes that do not specify one.
+        vlm: Name of the vision-language model for recipes that do not specify a model.
     """
 
     scene: Path
@@ -293,10 +288,10 @@ class SourceSetup:
 
 
 def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> Mapping[str, Origins]:
-    """Open the sources other than rules that an axis uses.
+    """Open the sources that an axis uses, except for rules.
 
     Raises:
-        ImpossibleError: A source is not configured; the error lists what is missing.
+        ImpossibleError: A source is not configured. The error lists what is missing.
     """
     wanted = {source: name for name, of in reversed(axis.objects.items()) for source in of.sources}
     found: dict[str, Origins] = {}

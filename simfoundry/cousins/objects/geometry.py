@@ -10,53 +10,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simfoundry.cousins.objects.components import MAIN, Component, Key, Kind, components, each, parts_of, with_parts
 from simfoundry.cousins.objects.parts import (
-    MAIN,
-    Component,
-    Key,
-    Kind,
     aimed,
     at,
-    axis_of,
     bounds,
-    capsule,
-    components,
-    cylinder,
-    each,
-    is_level,
-    lathe_of,
+    is_radial,
     moved,
-    outward,
-    parts_in,
-    parts_of,
     rod,
+    scaled,
     shaped,
-    with_parts,
     with_rod,
 )
-from simfoundry.cousins.objects.profiles import (
-    THINNEST,
-    Profile,
-    Rng,
-    flared,
-    forms_of,
-    outside,
-    swelled,
-    thickened,
-    walled,
-)
+from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, outside, swelled, thickened, walled
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
-from simfoundry.spec.models.base import (
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
-    PrismShape,
-    Shape,
-    SphereShape,
-)
+from simfoundry.spec.models.base import LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6
@@ -65,7 +35,7 @@ SQUARE = 1e-6
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
     """Return the asset scaled along x, y and z by ``factor``, shape (3,), or by the nearest factor its shapes allow.
 
-    Parts that are round about z stay round, and balls stay balls. Wall thickness is scaled too.
+    Parts that are round about z remain round, and spheres remain spheres. The wall thickness is also scaled.
     """
     f = allowed(spec, factor)
     out = each(spec, lambda _, part: stretched_part(part, f))
@@ -99,29 +69,7 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
             return _leaning_rod(there, size, turn[:, 2], f)
         upright = abs(turn[2, 2]) > 1 - SQUARE and abs(f[0] - f[1]) < SQUARE
         local = np.array(f) if upright else np.full(3, float(np.cbrt(f.prod())))
-    return shaped(there, _scaled(part.shape, local))
-
-
-def _scaled(shape: Shape, f: Array) -> Shape:
-    """Return a shape scaled along its own axes by ``f``, shape (3,)."""
-    x, y, z = (float(v) for v in f)
-    across = float(np.sqrt(x * y))
-    match shape:
-        case BoxShape():
-            a, b, c = shape.box
-            return BoxShape(box=(a * x, b * y, c * z))
-        case SphereShape():
-            return SphereShape(sphere=shape.sphere * float(np.cbrt(x * y * z)))
-        case LatheShape():
-            rings = tuple((r * across, h * z) for r, h in shape.lathe.profile)
-            return LatheShape.model_validate({"lathe": {"profile": rings}})
-        case PrismShape():
-            outline = tuple((u * x, v * y) for u, v in shape.prism.outline)
-            return PrismShape.model_validate({"prism": {"outline": outline, "height": shape.prism.height * z}})
-        case CylinderShape(cylinder=size):
-            return cylinder(size.radius * across, size.height * z)
-        case CapsuleShape(capsule=size):
-            return capsule(size.radius * across, size.height * z)
+    return shaped(there, scaled(part.shape, local))
 
 
 def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Array) -> PartSpec:
@@ -144,13 +92,12 @@ def _joint(joint: JointSpec, f: Array) -> JointSpec:
 
 
 def is_ball(spec: AssetSpec) -> bool:
-    """Return whether an asset consists of a single ball."""
-    every = list(parts_of(spec).values())
-    return len(every) == 1 and isinstance(every[0].shape, SphereShape)
+    """Return True if an asset consists of a single sphere."""
+    return [type(part.shape) for part in parts_of(spec).values()] == [SphereShape]
 
 
 def _round_about_z(part: PartSpec) -> bool:
-    """Return whether x and y must be scaled equally to preserve a part's shape."""
+    """Return True if x and y must be scaled equally to preserve a part's shape."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):
         return rod(part) is None
@@ -159,18 +106,17 @@ def _round_about_z(part: PartSpec) -> bool:
 
 
 def _is_square(rotation: Array) -> bool:
-    """Return whether a rotation maps coordinate axes onto coordinate axes."""
+    """Return True if a rotation maps coordinate axes onto coordinate axes."""
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
 # The changed asset and a description of the change.
 Edit = tuple[AssetSpec, str]
 
-# Range of the stretch factor along each axis; results with a size or mass implausible for the category are rejected
-# later.
+# Range of the stretch factor along each axis. Variants with an implausible size or mass are rejected later.
 LEAST, MOST = 0.74, 1.36
 
-# Parts farther from the axis than this fraction of the body's radius are considered attached to its wall.
+# Minimum distance of a part from the axis, as a fraction of the body's radius, to be attached to the body's wall.
 ATTACHED = 0.6
 
 
@@ -187,13 +133,13 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
 # Ranges of the factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in stores.
 HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
 
-# Minimum foot radius as a fraction of the rim radius; vessels with smaller feet topple when pushed.
+# Minimum foot radius as a fraction of the rim radius. Vessels with smaller feet topple when pushed.
 SMALLEST_FOOT = 0.35
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Replace a vessel's silhouette with another suitable one, and change its height, width, wall, floor and foot."""
-    lathe = lathe_of(spec, component)
+    """Replace a vessel's silhouette, and change its height, width, wall, floor and foot."""
+    lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1:  # another link, such as a lid, must fit the existing rim
         return None
     key, old = lathe
@@ -201,24 +147,21 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         return None
     widest = float(old.outer[:, 0].max())
     was = np.array([old.height, widest, old.thinnest])
-    height, rim, wall = (float(v) for v in was * [_factor(rng, between) for between in (HEIGHTS, RIMS, WALLS)])
+    factors = [float(np.exp(rng.uniform(*np.log(between)))) for between in (HEIGHTS, RIMS, WALLS)]
+    height, rim, wall = (float(v) for v in was * factors)
     forms = forms_of(old.height / widest)
     name = list(forms)[int(rng.integers(len(forms)))]
     share, form = forms[name]
     foot = rim * float(np.clip(rng.uniform(*share), SMALLEST_FOOT, 1.0))
     floor = max((old.height - old.depth) * float(rng.uniform(0.85, 1.2)), wall)
-    made = walled(outside(form, foot, rim, height, rng), max(wall, THINNEST), floor)
+    made = walled(outside(form, foot, rim, height, rng), wall, floor)
     if made is None:
         return None
     return with_profile(spec, key, old, made), f"{name}, {height * 1000:.0f} mm high, {2 * rim * 1000:.0f} mm wide"
 
 
-def _factor(rng: Rng, between: tuple[float, float]) -> float:
-    return float(np.exp(rng.uniform(*np.log(between))))
-
-
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the slope of a wall; the rim is unchanged if another link, such as a lid, must fit it."""
+    """Change the slope of a wall. The rim stays unchanged if another link, such as a lid, must fit."""
     foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
@@ -249,15 +192,15 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the dimensions of a handle, knob, cap or stem while its attachment point stays in place."""
+    """Change the dimensions of a handle, knob, cap or stem. Its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
-    out = outward(spec, component)
+    out = component.outward(spec)
     if out is None:
         return None
     # Scale by the reach along `out`, the direction in which the component protrudes, and by the span across it.
     factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
     # The attachment point is at the end opposite to `out`, centered across it.
-    low, high = bounds(parts_in(spec, component))
+    low, high = bounds(component.parts_in(spec))
     anchor = np.where(out > 0, low, np.where(out < 0, high, (low + high) / 2))
     parts = parts_of(spec)
     for key in component.parts:
@@ -270,18 +213,18 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile], Profile], words: str) -> Edit | None:
-    """Return the asset with a component's profile changed and all attached parts moved along.
+    """Return the asset with a component's profile changed and the attached parts moved accordingly.
 
     The result is None if the component is not a solid of revolution.
     """
-    lathe = lathe_of(spec, component)
-    return None if lathe is None else (with_profile(spec, *lathe, change(lathe[1])), words)
+    lathe = component.lathe(spec)
+    return (with_profile(spec, *lathe, change(lathe[1])), words) if lathe is not None else None
 
 
 def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
-    """Return the asset with the profile of one part replaced.
+    """Return the asset with the profile of a part replaced.
 
-    Parts that are attached to its wall or located on top of it are moved along.
+    Parts that are attached to its wall or located on top of it are moved accordingly.
     """
     parts = parts_of(spec)
     base = at(parts[key])[2]
@@ -293,7 +236,7 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
 
 
 def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float) -> dict[Key, PartSpec]:
-    """Move the parts of a component along with the wall that they are attached to.
+    """Move the parts of a component with the wall to which they are attached.
 
     Args:
         parts: The parts of the component.
@@ -333,13 +276,6 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
         else:
             out[key] = moved(part, p + rise)
     return out
-
-
-def is_radial(part: PartSpec) -> bool:
-    """Return whether a rod points away from the z axis of its link."""
-    p, axis = at(part), axis_of(part)
-    off = float(np.hypot(*p[:2]))
-    return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9
 
 
 # Edits, and the kinds of components that they apply to.

@@ -1,6 +1,6 @@
 """Deform meshes smoothly, and replace handles with swept tubes.
 
-The deformations map points one-to-one, so closed meshes stay closed.
+A deformation never maps two points to the same point, so closed meshes stay closed.
 """
 
 from __future__ import annotations
@@ -15,23 +15,9 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, merged, read_parts
-from simfoundry.cousins.objects.parts import (
-    Component,
-    Key,
-    Kind,
-    aimed,
-    at,
-    axis_of,
-    capsule,
-    components,
-    lathe_of,
-    outward,
-    parts_in,
-    parts_of,
-    rod,
-    with_parts,
-)
-from simfoundry.cousins.objects.profiles import Profile, Rng
+from simfoundry.cousins.objects.components import Component, Key, Kind, components, parts_of, with_parts
+from simfoundry.cousins.objects.parts import aimed, at, axis_of, capsule, rod
+from simfoundry.cousins.objects.profiles import Profile, Rng, resampled
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
@@ -64,10 +50,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
     heights = np.concatenate([piece.vertices[:, 2] for pieces in read.values() for piece in pieces])
     low, high = float(heights.min()), float(heights.max())
     for key, part in meshes.items():
-        piece = joined(read[key])
-        if piece is None:
-            message = f"{part.mesh} has several textures, but an OBJ file can have only one"
-            raise MeshError("SF301", message, "merge them into one image")
+        piece = joined(read[key], part.mesh or "")
         # x and y are scaled by a smooth positive function of z, and z by a constant, so the Jacobian is positive.
         share = (piece.vertices[:, 2] - low) / (high - low)
         vertices = piece.vertices * factor
@@ -103,30 +86,31 @@ def strips(rings: NDArray[np.integer]) -> NDArray[np.int32]:
     return np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=1).astype(np.int32)
 
 
-def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
-    """Merge the pieces of a mesh file; return None if they have different textures."""
+def joined(parts: tuple[MeshPart, ...], name: str) -> MeshPart:
+    """Merge the pieces of the mesh called ``name``; raise :class:`MeshError` if they have several textures."""
     if len(parts) == 1:
         return parts[0]
     if any(p.texture is not None for p in parts):
-        return None
+        message = f"{name} has several textures, but an OBJ file can have only one"
+        raise MeshError("SF301", message, "merge them into one image")
     return MeshPart(*merged(parts), rgba=next((p.rgba for p in parts if p.rgba is not None), None))
 
 
-# Number of rings along a tube's path, and number of corners per ring. On a mug's handle, this gives facets of 2 mm,
-# which shading hides.
+# Number of rings along a tube's path, and number of corners per ring. The facets of a mug's handle are then 2 mm wide
+# and are hidden by shading.
 RINGS, AROUND = 33, 14
 
-# Number of capsules in a tube's collision geometry; they deviate by 0.8 mm from a half circle with a radius of 30 mm.
+# Number of capsules in a tube's collision geometry. They deviate by 0.8 mm from a half circle with a radius of 30 mm.
 COLLIDERS = 7
 
 # Length [m] by which a tube's axis extends into the body, so that its entire end is inside an inclined or curved wall.
-# Points that would protrude on the other side are pulled back into the wall.
+# Points beyond the other side of the wall are moved back into the wall.
 SUNK = 0.004
 
 # Fraction of a wall's thickness that the ends of a handle penetrate.
 IN_WALL = 0.5
 
-# Name of the visual part; the collision parts are capsules.
+# Name of the visual part of a tube; the collision parts are capsules.
 LOOK = "handle_look"
 
 
@@ -139,8 +123,8 @@ class Loop:
         out: Unit vector along which the handle protrudes, shape (3,).
         reach: Distance of the bar's axis from the feet [m].
         radius: Radius of the bar [m].
-        wall: Profile of the solid of revolution that the handle is attached to, and the height of its frame in the link
-            [m]; None if the handle is attached to another kind of body.
+        wall: Profile of the solid of revolution to which the handle is attached, and the height of its frame in the
+            link [m]; None if the handle is attached to another kind of body.
     """
 
     feet: Array
@@ -151,14 +135,14 @@ class Loop:
 
     @classmethod
     def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
-        """Return the loop formed by a component's rods, or None if the component is not a loop, such as a knob."""
-        own = parts_in(spec, component)
+        """Return the loop formed by a component's rods, or None if the component is not a loop."""
+        own = component.parts_in(spec)
         rods = [(part, size) for part in own if (size := rod(part)) is not None]
         wall = _wall(spec, component.link)
         # The handle protrudes radially from a solid of revolution, and along a coordinate axis from any other body.
         middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
         off = float(np.linalg.norm(middle))
-        out = middle / off if wall is not None and off > 1e-3 else outward(spec, component)
+        out = middle / off if wall is not None and off > 1e-3 else component.outward(spec)
         if out is None or len(rods) != len(own):
             return None
         posts = [(p, size) for p, size in rods if abs(float(axis_of(p) @ out)) > 0.9]
@@ -175,7 +159,7 @@ class Loop:
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Return points [m], shape (n, 3), with those deeper inside the wall than :attr:`sunk` moved outward."""
+        """Move points [m], shape (n, 3), that are deeper inside the wall than :attr:`sunk` outward to that depth."""
         if self.wall is None:
             return points
         profile, base = self.wall
@@ -186,15 +170,13 @@ class Loop:
 
 
 def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
-    for component in components(spec):
-        lathe = lathe_of(spec, component) if component.kind is Kind.VESSEL and component.link == link else None
-        if lathe is not None:
-            return lathe[1], float(at(parts_of(spec)[lathe[0]])[2])
-    return None
+    vessels = (c for c in components(spec) if c.kind is Kind.VESSEL and c.link == link)
+    lathe = next((lathe for c in vessels if (lathe := c.lathe(spec)) is not None), None)
+    return None if lathe is None else (lathe[1], float(at(parts_of(spec)[lathe[0]])[2]))
 
 
 def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """Replace the loop handles of an asset with smooth tubes, all of which have the same random form.
+    """Replace the loop handles of an asset with smooth tubes of the same random form.
 
     Args:
         spec: The asset.
@@ -228,9 +210,7 @@ def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
     along, off = form(t)
     start, end = loop.feet - SUNK * loop.out
     points = start + along[:, None] * (end - start) + (loop.reach + SUNK) * off[:, None] * loop.out
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    even = np.linspace(0.0, way[-1], RINGS)
-    return np.column_stack([np.interp(even, way, points[:, k]) for k in range(3)])
+    return resampled(points, RINGS)
 
 
 def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
@@ -267,10 +247,7 @@ def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
 def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, radius: float, mesh: str) -> AssetSpec:
     """Replace the rods of a handle with capsules along a path and a visual mesh."""
     # Shorten the chain so that the round ends of the outer capsules extend no deeper into the body than the tube.
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    short = SUNK + max(radius - loop.sunk, 0.0)
-    spots = np.linspace(short, way[-1] - short, COLLIDERS + 1)
-    joints = np.column_stack([np.interp(spots, way, path[:, k]) for k in range(3)])
+    joints = resampled(path, COLLIDERS + 1, SUNK + max(radius - loop.sunk, 0.0))
     parts = parts_of(spec)
     model = parts[component.parts[0]]
     kept = {k: p for k, p in parts.items() if k not in component.parts}
@@ -286,18 +263,18 @@ def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, ra
 
 
 def _square(t: Array) -> tuple[Array, Array]:
-    """Return a superellipse, which is nearly straight along the grip and has round corners."""
+    """Return a superellipse that is nearly straight along the grip and has round corners."""
     c, s = np.cos(np.pi * t), np.sin(np.pi * t)
     return (1 - np.sign(c) * np.abs(c) ** 0.5) / 2, np.abs(s) ** 0.5
 
 
 def _ear(t: Array) -> tuple[Array, Array]:
-    """Return an ear shape, which protrudes farther near its end."""
+    """Return an ear shape that protrudes farther near its end."""
     return (1 - np.cos(np.pi * t)) / 2, 1.05 * np.sin(np.pi * t) * (0.62 + 0.38 * t**1.5) / 0.84
 
 
 def _ring(t: Array) -> tuple[Array, Array]:
-    """Return more than half a circle, which bulges beyond its feet."""
+    """Return a circular arc that bulges beyond its feet."""
     angle = np.pi * (1.3 * t - 0.15)
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 

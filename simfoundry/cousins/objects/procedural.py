@@ -10,10 +10,10 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.cousins.objects.appearance import APPEARANCE, recolor
+from simfoundry.cousins.objects.components import MAIN, Component, Kind, components, parts_of
 from simfoundry.cousins.objects.geometry import GEOMETRY, Edit, reshape, stretch
 from simfoundry.cousins.objects.item import ObjectAsset
 from simfoundry.cousins.objects.meshes import deformed, swept
-from simfoundry.cousins.objects.parts import MAIN, Component, Kind, components, parts_of
 from simfoundry.cousins.objects.profiles import Rng
 from simfoundry.cousins.objects.skins import skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY

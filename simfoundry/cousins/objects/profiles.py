@@ -1,4 +1,4 @@
-"""Profiles of solids of revolution: edits, and silhouettes for vessels with walls of uniform thickness."""
+"""Edit the profiles of solids of revolution, and create vessels with walls of uniform thickness."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ HOLLOW = 0.12
 # Minimum number of bands in a curved wall; each band is split into convex parts.
 LEVELS = 5
 
-# Maximum ratios of height to rim radius for dishes, bowls and pots; vessels above the last limit are cups.
+# Maximum ratios of height to rim radius for dishes, bowls and pots. Taller vessels are cups.
 FLAT, LOW, WIDE = 0.4, 0.8, 1.4
 
 # Minimum wall thickness [m].
 THINNEST = 0.0015
 
-# Minimum fraction of a wall's thickness that must remain after curving it; a wall thinned by a third still looks
-# plausible.
+# Minimum fraction of a wall's thickness that must remain after the wall is curved. A wall that is a third thinner still
+# looks plausible.
 KEPT_WALL = 0.6
 
 # Fractions of a curve's deviation from a straight line to try, in this order.
@@ -38,7 +38,7 @@ class Profile:
     """The profile of a solid of revolution as two chains of points (radius, height) [m].
 
     ``outer`` runs from the axis at the foot up to the rim, shape (k, 2). ``inner`` runs from the rim down to the axis,
-    shape (m, 2); for a solid body, it is the flat or domed top.
+    shape (m, 2). For a solid body, ``inner`` is the flat or domed top.
     """
 
     outer: Array
@@ -82,7 +82,7 @@ class Profile:
 
     @property
     def is_hollow(self) -> bool:
-        """Return whether the body has a cavity."""
+        """True if the body has a cavity."""
         return self.depth > HOLLOW * self.height and len(self.inner) >= 3
 
     @property
@@ -121,8 +121,8 @@ def _finer(chain: Array, gap: float) -> Array:
 def swelled(profile: Profile, grow: Array) -> Profile:
     """Scale the outer radius of a body by a curve, and move the inside along with the outside.
 
-    On a wall that is almost horizontal, such as a plate's, a curve would thin the wall. The curve is then flattened
-    until at least the fraction :data:`KEPT_WALL` of the thickness remains.
+    A curve makes an almost horizontal wall, such as a plate's, thinner. The curve is then flattened until at least the
+    fraction :data:`KEPT_WALL` of the thickness remains.
 
     Args:
         profile: The profile.
@@ -139,12 +139,11 @@ def swelled(profile: Profile, grow: Array) -> Profile:
 
 def _swelled(profile: Profile, grow: Array) -> Profile:
     fine, gap = profile, profile.height / LEVELS
-    if len(grow) > 2:  # add rings to long walls so that they can bend
+    if len(grow) > 2:  # long walls need more rings to bend
         fine = Profile(_finer(fine.outer, gap), _finer(fine.inner, gap) if fine.is_hollow else fine.inner)
     steps = np.linspace(0.0, 1.0, len(grow))
     # Add a ring to both chains, including the edge that connects them, wherever a chain or the curve bends. All points
-    # at the same height then move by the same distance, inside and outside, so edges that do not cross beforehand
-    # cannot cross afterward.
+    # at the same height then move by the same distance, so edges that do not cross before cannot cross afterward.
     bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
     inner = np.concatenate([fine.outer[-1:], fine.inner])
     outer = fine.outer
@@ -171,7 +170,7 @@ def flared(profile: Profile, out: float, band: float) -> Profile:
 
 
 def thickened(profile: Profile, more: float) -> Profile:
-    """Thicken the wall and the floor inward by ``more`` [m], or thin them if it is negative.
+    """Make the wall and the floor thicker on the inside by ``more`` [m], or thinner if ``more`` is negative.
 
     The wall never becomes thinner than :data:`THINNEST`.
     """
@@ -213,11 +212,11 @@ def _ring_at(chain: Array, height: float) -> Array:
 
 # -- silhouettes -------------------------------------------------------------------------------------------------------
 
-# Number of rings in a curved wall; for a bulge of 10% of a cup's radius, the chords then deviate by less than 0.1 mm.
+# Number of rings in a curved wall. For a bulge of 10% of a cup's radius, the error is then less than 0.1 mm.
 POINTS = 13
 
-# Normalized profile: function that maps heights from 0 (foot) to 1 (rim), shape (k,), to outer radii that are scaled so
-# that the foot is 0 and the rim is 1, shape (k,).
+# Normalized profile: a function that maps heights from 0 (foot) to 1 (rim), shape (k,), to outer radii that are scaled
+# so that the foot is 0 and the rim is 1, shape (k,).
 Form = Callable[[Array, Rng], Array]
 
 # Forms by name: range of the foot radius as a fraction of the rim radius, and the normalized profile.
@@ -244,10 +243,19 @@ def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Arr
         rng: Random generator for the form.
     """
     t = np.linspace(0.0, 1.0, 101)
-    wall = np.column_stack([foot + (rim - foot) * form(t, rng), t * height])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wall, axis=0), axis=1))])
-    even = np.linspace(0.0, along[-1], POINTS)
-    return np.column_stack([np.interp(even, along, wall[:, k]) for k in range(2)])
+    return resampled(np.column_stack([foot + (rim - foot) * form(t, rng), t * height]), POINTS)
+
+
+def arc_lengths(chain: Array) -> Array:
+    """Return the distance [m] of each point in a chain, shape (k, d), from the first point along the chain."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
+
+
+def resampled(chain: Array, count: int, margin: float = 0.0) -> Array:
+    """Return evenly spaced points on a chain, shape (count, d), without a ``margin`` [m] at both ends."""
+    along = arc_lengths(chain)
+    even = np.linspace(margin, along[-1] - margin, count)
+    return np.column_stack([np.interp(even, along, values) for values in chain.T])
 
 
 def walled(outside: Array, wall: float, floor: float) -> Profile | None:
@@ -255,7 +263,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
 
     Args:
         outside: Outer wall from foot to rim [m], shape (k, 2).
-        wall: Wall thickness [m].
+        wall: Wall thickness [m]; at least :data:`THINNEST` is used.
         floor: Height of the inner floor [m].
 
     Returns:
@@ -263,6 +271,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
     """
     from shapely.geometry import Polygon
 
+    wall = max(wall, THINNEST)
     tangent = np.gradient(outside, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     inward = np.column_stack([-tangent[:, 1], tangent[:, 0]])

@@ -1,35 +1,28 @@
-"""Skins: patterns that are baked into textures and applied to a component's parts as visual-only meshes."""
+"""Apply patterns to the parts of a component as visual meshes with textures."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.cousins.objects.appearance import Color, color_gap, color_of, palette_of, priors, varied
+from simfoundry.cousins.objects.components import MAIN, Kind, components, parts_of, with_added, with_parts
 from simfoundry.cousins.objects.meshes import mesh_files, strips
-from simfoundry.cousins.objects.parts import (
-    MAIN,
-    Kind,
-    components,
-    parts_in,
-    parts_of,
-    rod,
-    with_added,
-    with_parts,
-)
-from simfoundry.cousins.objects.profiles import FLAT, LOW, Profile, Rng
+from simfoundry.cousins.objects.parts import rod
+from simfoundry.cousins.objects.profiles import FLAT, LOW, Profile, Rng, arc_lengths
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
+from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, SphereShape
 
-# Width and height of a texture [px]; gives a resolution of 1.3 mm around a mug, and PNG files of 20 to 60 kB.
+# Width and height of a texture [px]. The resolution around a mug is then 1.3 mm, and PNG files have 20 to 60 kB.
 PIXELS = 192
 
-# Number of sides of a solid of revolution; the chords then deviate from the circle by 0.1% of the radius.
+# Number of sides of a solid of revolution. The sides deviate from the circle by 0.1% of the radius.
 AROUND = 64
 
 
@@ -43,7 +36,7 @@ Pattern = Callable[[Field, Field, Rng], Field]
 def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
     """Apply a random pattern to one of the main components.
 
-    The original parts remain as collision geometry and keep their mass.
+    The original parts remain in the asset as collision geometry and keep their mass.
 
     Args:
         spec: The asset.
@@ -55,7 +48,7 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
         unchanged and the description is empty.
     """
     found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
-    found = [c for c in found if not _is_chain(parts_in(spec, c))]
+    found = [c for c in found if not _is_chain(c.parts_in(spec))]
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
@@ -74,7 +67,7 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     looks: dict[str, PartSpec] = {}
     for k, key in enumerate(key for key in component.parts if color_of(spec, key) == own):
         part = parts[key]
-        mesh = _meshed(part.shape, image, name in priors().patterns["around_axis"]) if part.use == "both" else None
+        mesh = _meshed(part, image, name in priors().patterns["around_axis"]) if part.use == "both" else None
         if mesh is None:
             continue
         file, written = mesh_files(mesh)
@@ -92,12 +85,12 @@ SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kin
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Return whether the parts are several rods, as in a banana, for which separate patterns would have seams."""
+    """Return True if the parts are several rods, as in a banana, on which separate patterns would have seams."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
 def _patterns(text: str) -> list[str]:
-    """Return the names of patterns that suit a material and category, both of which are named in ``text``."""
+    """Return the names of the patterns for the material and category in ``text``."""
     styles: list[dict[str, list[str]]] = priors().patterns["styles"]
     return next(style["patterns"] for style in styles if any(word in text for word in style.get("words", [""])))
 
@@ -113,7 +106,7 @@ def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng)
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """Draw a texture with a pattern in the lower two thirds and a plain color above for insides and edges.
+    """Draw a texture with a pattern in the lower two thirds, and with a plain color for insides and edges above.
 
     Returns:
         The texture as PNG data.
@@ -139,43 +132,41 @@ PLAIN = 0.83
 # -- surfaces ---------------------------------------------------------------------------------------------------------
 
 
-def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
-    """Convert a shape to a closed mesh with an image on its visible surfaces.
+def _meshed(part: PartSpec, image: bytes, around: bool) -> Mesh | None:
+    """Convert a part's shape to a closed mesh with an image on its visible surfaces.
 
     Args:
-        shape: The shape.
+        part: The part.
         image: The texture as PNG data.
         around: True if the pattern wraps around the axis, even on flat objects such as plates.
 
     Returns:
         The mesh, or None if the shape is not supported.
     """
-    match shape:
+    match part.shape:
         case LatheShape():
-            return _turned(Profile.of(shape), image, around)
-        case SphereShape():
-            r = shape.sphere
+            return _turned(Profile.of(part.shape), image, around)
+        case SphereShape(sphere=r):
             arc = np.linspace(-np.pi / 2, np.pi / 2, 25)
             return _turned(Profile(np.column_stack([r * np.cos(arc), r * np.sin(arc)]), np.zeros((0, 2))), image)
         case BoxShape():
-            return _box(np.array(shape.box), image)
+            return _box(np.array(part.shape.box), image)
         case PrismShape():
-            return _prism(np.array(shape.prism.outline), shape.prism.height, image)
-    if shape is not None and (size := rod(PartSpec(shape=shape))) is not None:
+            return _prism(np.array(part.shape.prism.outline), part.shape.prism.height, image)
+    if (size := rod(part)) is not None:
         r, half = size[0], size[1] / 2
-        bend = np.linspace(0.0, np.pi / 2, 9) if "capsule" in type(shape).model_fields else np.zeros(1)
+        bend = np.linspace(0.0, np.pi / 2, 9) if hasattr(part.shape, "capsule") else np.zeros(1)
         cap = np.column_stack([r * np.cos(bend), half + r * np.sin(bend)])
-        wall = np.concatenate([cap[::-1] * [1.0, -1.0], cap])
-        ends = np.array([[0.0, wall[0, 1]]]), np.array([[0.0, wall[-1, 1]]])
-        return _turned(Profile(np.concatenate([ends[0], wall]), ends[1]), image)
+        outer = np.concatenate([cap[::-1] * [1.0, -1.0], cap])
+        return _turned(Profile(np.concatenate([outer[:1] * [0.0, 1.0], outer]), outer[-1:] * [0.0, 1.0]), image)
     return None
 
 
 def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     """Revolve a profile about z and apply an image to it.
 
-    Plates and bowls have the image on the inside, from the center to the rim. All objects except plates have it on the
-    outside, from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
+    Plates and bowls have the image on the inside, from the center to the rim. All objects except for plates have it on
+    the outside, from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
     unless its pattern wraps ``around`` the axis.
     """
     outer, inner = profile.outer, profile.inner
@@ -204,31 +195,23 @@ def _shares(chain: Array, skip: int) -> Array:
     """Return the arc lengths of the points on a chain, normalized to run from 0 at point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
+    length = arc_lengths(chain)
     return np.asarray(np.clip((length - length[skip]) / (length[-1] - length[skip]), 0.0, 1.0))
 
 
 def _box(size: Array, image: bytes) -> Mesh:
     """Return a box with the image on each face."""
-    vertices: list[Array] = []
-    uv: list[Array] = []
-    faces: list[tuple[int, int, int]] = []
-    for axis in range(3):
+    vertices, uv, faces = [], [], []
+    for k, (axis, sign) in enumerate(product(range(3), (-1.0, 1.0))):
         left, up = (axis + 1) % 3, (axis + 2) % 3
+        corners = np.empty((4, 3))
+        corners[:, axis], corners[:, left], corners[:, up] = sign, [-1, 1, 1, -1], [-1, -1, 1, 1]
+        vertices.append(corners * size / 2)
         turn = ((0, 0), (0, 1), (1, 1), (1, 0)) if size[left] < size[up] else ((0, 0), (1, 0), (1, 1), (0, 1))
-        for sign in (-1.0, 1.0):
-            corners = np.zeros((4, 3))
-            corners[:, axis] = sign * size[axis] / 2
-            corners[:, left] = np.array([-1, 1, 1, -1]) * size[left] / 2
-            corners[:, up] = np.array([-1, -1, 1, 1]) * size[up] / 2
-            start = 4 * len(vertices)
-            vertices.append(corners)
-            uv.append(np.array(turn, dtype=np.float64) * [1.0, PAINTED])
-            order = ((0, 1, 2), (0, 2, 3)) if sign > 0 else ((0, 2, 1), (0, 3, 2))
-            faces += [(start + a, start + b, start + c) for a, b, c in order]
-    return Mesh(
-        frozen_array(np.concatenate(vertices)), np.array(faces, np.int32), frozen_array(np.concatenate(uv)), image
-    )
+        uv.append(np.array(turn) * [1.0, PAINTED])
+        faces.append(np.array(((0, 1, 2), (0, 2, 3)) if sign > 0 else ((0, 2, 1), (0, 3, 2))) + 4 * k)
+    every = np.concatenate(faces).astype(np.int32)
+    return Mesh(frozen_array(np.concatenate(vertices)), every, frozen_array(np.concatenate(uv)), image)
 
 
 def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
@@ -241,7 +224,7 @@ def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
     ring = outline if turns.sum() > 0 else outline[::-1]
     n = len(ring)
     closed = np.concatenate([ring, ring[:1]])
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    way = arc_lengths(closed)
     levels = (-height / 2, height / 2)
     walls = np.concatenate([np.column_stack([closed, np.full(n + 1, z)]) for z in levels])
     around = np.concatenate([np.column_stack([way / way[-1], np.full(n + 1, v)]) for v in (0.0, PAINTED)])

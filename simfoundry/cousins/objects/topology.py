@@ -7,27 +7,9 @@ from itertools import product
 
 import numpy as np
 
+from simfoundry.cousins.objects.components import Component, Kind, components, each, parts_of, with_added, with_parts
 from simfoundry.cousins.objects.geometry import Edit, with_profile
-from simfoundry.cousins.objects.parts import (
-    UP,
-    Component,
-    Kind,
-    aimed,
-    at,
-    bounds,
-    capsule,
-    components,
-    cylinder,
-    each,
-    lathe_of,
-    moved,
-    outward,
-    parts_in,
-    parts_of,
-    rod,
-    with_added,
-    with_parts,
-)
+from simfoundry.cousins.objects.parts import UP, aimed, at, bounds, capsule, cylinder, moved, rod
 from simfoundry.cousins.objects.profiles import Profile, Rng, raised_foot
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
@@ -51,7 +33,7 @@ def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     if body is None or len(handles) > 1:
         return None
     added = {}
-    for (_, name), part in zip(component.parts, parts_in(spec, component), strict=True):
+    for (_, name), part in zip(component.parts, component.parts_in(spec), strict=True):
         roll, pitch, yaw = part.pose.rpy_deg or (0.0, 0.0, part.pose.yaw_deg or 0.0)
         turned = part.pose.model_copy(update={"rpy_deg": (roll, pitch, yaw + 180.0), "yaw_deg": None})
         opposite = at(part) * np.array([-1.0, -1.0, 1.0])
@@ -97,7 +79,7 @@ def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a ring foot under a vessel."""
-    lathe = lathe_of(spec, component) if _vessel(spec, component) is not None else None
+    lathe = component.lathe(spec) if _vessel(spec, component) is not None else None
     if lathe is None:
         return None
     key, profile = lathe
@@ -107,11 +89,11 @@ def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Replace a drawer's bar handle with one or two round knobs."""
-    out = outward(spec, component)
+    out = component.outward(spec)
     drawers = {joint.child for joint in spec.joints.values() if joint.type == "prismatic"}
     if out is None or component.link not in drawers or abs(out[2]) > 0.5:
         return None
-    old = parts_in(spec, component)
+    old = component.parts_in(spec)
     low, high = bounds(old)
     wide, middle = high - low, (low + high) / 2
     along = np.array([abs(out[1]), abs(out[0]), 0.0])
@@ -136,7 +118,7 @@ def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | Non
     peers = [c for c in components(spec) if c.kind is Kind.KNOB and c.link == component.link]
     if len(peers) != 2:
         return None
-    a, b = (parts_in(spec, c)[0] for c in peers)
+    a, b = (c.parts_in(spec)[0] for c in peers)
     if float(np.linalg.norm(at(a) - at(b))) < 4 * (rod(a) or (0.02,))[0]:
         return None
     return with_added(spec, component.link, {"knob_middle": moved(a, (at(a) + at(b)) / 2)}), "a third knob"
@@ -146,9 +128,9 @@ def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a knob on top of a lid."""
     if any(name.startswith("top_knob") for _, name in parts_of(spec)):
         return None
-    low, high = bounds(parts_in(spec, component))
+    low, high = bounds(component.parts_in(spec))
     radius, height = rng.uniform(0.01, 0.016), rng.uniform(0.014, 0.022)
-    lathe = lathe_of(spec, component)
+    lathe = component.lathe(spec)
     middle = at(parts_of(spec)[lathe[0]]) if lathe is not None else (low + high) / 2
     spot = np.array([*middle[:2], high[2] + height / 2 - 0.001])
     knob = PartSpec(shape=cylinder(radius, height), pose=aimed(spot, UP))
@@ -157,7 +139,7 @@ def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a divider beside an existing one."""
-    part = parts_in(spec, component)[0]
+    part = component.parts_in(spec)[0]
     if not isinstance(part.shape, BoxShape) or part.pose.rpy_deg or part.pose.yaw_deg:
         return None
     low, high = bounds(spec.links[component.link].parts.values())
@@ -174,7 +156,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
     """Add a low board across an open box."""
     if any(c.kind is Kind.DIVIDER or c.kind is Kind.DRAWER for c in components(spec)):
         return None
-    boards = parts_in(spec, component)
+    boards = component.parts_in(spec)
     low, high = bounds(boards)
     thick = min(min(board.shape.box) for board in boards if isinstance(board.shape, BoxShape))
     size = high - low
@@ -185,7 +167,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
     spot[k] += rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.3) * size[k]
     spot[2] = low[2] + 0.5 * thick + box[2] / 2
     x, y, z = (float(v) for v in box)
-    board = PartSpec(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))
+    board = PartSpec(shape=BoxShape(box=(x, y, z)), pose=aimed(spot, UP))
     return with_added(spec, component.link, {"divider": board}), "a board across"
 
 
@@ -193,7 +175,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add four round feet, and raise all other parts."""
     if any(c.kind is Kind.BASE for c in components(spec)):
         return None
-    low, high = bounds(parts_in(spec, component))
+    low, high = bounds(component.parts_in(spec))
     size = high - low
     if min(size[:2]) < 0.08 or low[2] < -1e-6:
         return None
@@ -203,7 +185,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     inset = 1.4 * radius
     corners = product((low[0] + inset, high[0] - inset), (low[1] + inset, high[1] - inset))
     added = {
-        f"foot_{n}": PartSpec(shape=cylinder(radius, up), pose=_upright(np.array([x, y, low[2] + up / 2])))
+        f"foot_{n}": PartSpec(shape=cylinder(radius, up), pose=aimed(np.array([x, y, low[2] + up / 2]), UP))
         for n, (x, y) in enumerate(corners)
     }
     joints = {
@@ -255,7 +237,7 @@ def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a leaf to the stem of a round fruit."""
     if not any(c.kind is Kind.TURNED for c in components(spec)):
         return None
-    stem = parts_in(spec, component)[0]
+    stem = component.parts_in(spec)[0]
     if any(name == "leaf" for _, name in parts_of(spec)) or rod(stem) is None:
         return None
     spot = at(stem) + np.array([0.009, 0.0, 0.003])
@@ -268,14 +250,14 @@ def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a clip to a horizontal cap, as on a pen."""
-    cap = parts_in(spec, component)[0]
+    cap = component.parts_in(spec)[0]
     low, high = bounds([cap])
     size = high - low
     if size[0] < 2 * size[2] or any(name == "clip" for _, name in parts_of(spec)):
         return None
     long = float(rng.uniform(0.55, 0.8) * size[0])
     spot = np.array([(low[0] + high[0]) / 2, 0.0, high[2] + 0.0008])
-    part = cap.model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": _upright(spot)})
+    part = cap.model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": aimed(spot, UP)})
     return with_added(spec, component.link, {"clip": part}), "a clip on its cap"
 
 
@@ -304,7 +286,7 @@ def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | No
 
     The result is None if the component is not a vessel, already has a handle, or belongs to an object with other links.
     """
-    lathe = lathe_of(spec, component)
+    lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):
         return None
     return lathe[1], at(parts_of(spec)[lathe[0]])
@@ -312,11 +294,6 @@ def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | No
 
 def _is_shallow(profile: Profile) -> bool:
     return profile.height < SHALLOW * 2 * float(profile.outer[:, 0].max())
-
-
-def _upright(xyz: Array) -> PoseSpec:
-    x, y, z = (round(float(v), 6) for v in xyz)
-    return PoseSpec(xyz=(x, y, z))
 
 
 def _raised(pose: PoseSpec, up: float) -> PoseSpec:

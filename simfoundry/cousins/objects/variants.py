@@ -23,9 +23,9 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import merged, read_parts, weld
 from simfoundry.cousins.objects.appearance import priors
 from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults
+from simfoundry.cousins.objects.components import parts_of
 from simfoundry.cousins.objects.geometry import is_ball
 from simfoundry.cousins.objects.item import ObjectAsset, lay, lowered
-from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
 from simfoundry.cousins.objects.retrieval import Likeness, likeness
 from simfoundry.cousins.recipe.candidate import Reason

@@ -24,7 +24,7 @@ from simfoundry.cousins.objects.variants import Origins, Progress, variants, wri
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.cousins.recipe.document import Recipe, relative
 from simfoundry.cousins.recipe.library import LibraryItem
-from simfoundry.cousins.run.run import WORK
+from simfoundry.cousins.run.log import WORK
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower

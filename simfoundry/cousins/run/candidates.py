@@ -1,6 +1,6 @@
 """Sample the candidates of a recipe.
 
-Candidate k is a pure function of the recipe, its twin, the seed and k, so it is the same in every process. The axes are
+Candidate k depends only on the recipe, its twin, the seed and k, so it is the same in every process. The axes are
 sampled in this order: object variants, layout, distractors, task. The resulting scene is then settled and checked.
 """
 
@@ -37,19 +37,19 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
 
-# Factory for the sampler that a worker calls for each candidate.
+# Factory of the sampler that a worker calls for each candidate.
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
 
-# Maximum number of prepared twins with replaced or added objects to keep in memory. Each takes about 10 MB; recipes
-# with few choices do not need more.
-KEPT_TWINS = 8
+# Maximum number of twins with replaced or added objects to keep in memory. Each takes about 10 MB. With 16 twins,
+# recipes with few variants prepare each combination only once.
+KEPT_TWINS = 16
 
 
 @dataclass(frozen=True)
 class SamplerSetup:
-    """Everything a process needs to sample candidates: the paths of the recipe and the output folder, and the seed.
+    """The data that a process needs to sample candidates: the paths of the recipe and the output folder, and the seed.
 
-    ``vlm`` is the name of the vision-language model that may be queried by the process that starts a run.
+    ``vlm`` is the name of the vision-language model that the process that starts a run may query.
     """
 
     recipe: str
@@ -76,7 +76,7 @@ class CandidateSampler:
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, setup.vlm))
 
     def require_possible(self) -> None:
-        """Raise :class:`ImpossibleError` if the recipe cannot be satisfied by any candidate."""
+        """Raise :class:`ImpossibleError` if no candidate can satisfy the recipe."""
         twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
         asks = placement_constraints(twin, axis) if axis is not None else None
         places = twin.places if distractors is not None else ()
@@ -115,8 +115,11 @@ class CandidateSampler:
 class _Draw:
     """A random draw from all axes.
 
-    ``others`` are the choices that replace objects in the ``twin``, ``added`` are the distractors, and ``layout``
-    contains the new poses.
+    Attributes:
+        twin: The twin with replaced and added objects.
+        layout: The new poses.
+        others: Replacements of objects in the twin, by object name.
+        added: Distractors, by object name.
     """
 
     twin: Twin
@@ -126,12 +129,12 @@ class _Draw:
 
     @property
     def is_moved(self) -> bool:
-        """Return whether the scene differs from the twin and therefore must be settled."""
+        """True if the scene differs from the twin and must be settled."""
         return bool(self.layout.poses or self.others or self.added)
 
 
 def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
-    """Sample each axis in turn. Each axis has its own random stream, so adding an axis does not affect the others."""
+    """Sample the axes one after another. Each axis has its own random stream, so axes do not affect each other."""
     by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
     spec, pool = shared.recipe.spec, shared.pool
     if pool.most is not None:
@@ -159,7 +162,7 @@ def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str
     items, spec = shared.recipe.distractors, shared.recipe.scene_spec
     count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
     order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
-    found: dict[str, library.LibraryItem] = {}
+    found = dict[str, library.LibraryItem]()
     for k in order[:count]:
         found[free_name(items[k].name, {*spec.objects, *spec.robots, *found})] = items[k]
     return found
@@ -171,7 +174,7 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
-    """Write the documents for a draw that settled successfully; return the accepted or rejected candidate."""
+    """Return the candidate for a draw that settled successfully, with its documents or with reasons for rejection."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents, moved, goal = dict[str, str](), set[str](), ""
     if found is not None:
@@ -205,7 +208,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Return the reasons why the twin's task is impossible with this combination of individually valid variants."""
+    """Return the reasons why the twin's task is impossible with this combination of variants."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.context import TaskContext
@@ -218,7 +221,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
-    """Return the document fields, except poses, of replaced and added objects."""
+    """Return the document fields of replaced and added objects, without their poses."""
     found: dict[str, Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
@@ -231,7 +234,10 @@ def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
 
 
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the relations to write: twin relations that still hold, requested ones, and supports of added objects."""
+    """Return the relations to write to the document.
+
+    These are the twin's relations that still hold, the requested ones, and the supports of added objects.
+    """
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:

@@ -1,11 +1,11 @@
-"""Run outputs: the manifest, progress summaries, images, and a USD stage that contains all cousins as variants.
+"""Write the outputs of a run: the manifest, summaries, images, and a USD stage that contains all cousins as variants.
 
-``manifest.json`` contains the request, every cousin, and every rejected candidate with its reasons and numbers. It is
-streamed line by line, so it can be larger than memory. It contains no timestamps, paths or process counts, so equal
-runs produce identical bytes.
+``manifest.json`` contains the request, every cousin, and every rejected candidate with its reasons. The manifest is
+written line by line, so it can be larger than memory. It contains no timestamps, paths or process counts, so equal runs
+produce identical bytes.
 
 The stage ``NAME.usda`` references ``NAME/usd``, a build of the twin that also contains the objects from all cousins.
-Each variant in the variant set ``cousin`` poses moved objects, selects the variants of replaced objects, and
+Each variant in the variant set ``cousin`` poses the moved objects, selects the variants of replaced objects, and
 deactivates absent objects. The variant ``twin`` is the twin itself.
 """
 
@@ -14,12 +14,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from simfoundry.backends.artifact import number
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import Recipe, relative
-from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
+from simfoundry.cousins.run.log import Reader
+from simfoundry.cousins.run.run import MANIFEST, Ledger, RunPlan
 from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import MARK, writing_atomically
@@ -48,24 +49,19 @@ def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
 
 
 def write_manifest(plan: RunPlan, ledger: Ledger) -> Path:
-    """Write the manifest to the folder of the cousins and return its path."""
+    """Write the manifest to the output folder and return its path."""
     path = plan.out / MANIFEST
     with Reader() as reader, writing_atomically(path) as stream:
         head = json.dumps(summary(plan, ledger), indent=1, ensure_ascii=False)
         stream.write(head.removesuffix("\n}").encode())
         for key, accepted in (("cousins", True), ("rejected", False)):
-            entries = (_entry(reader.candidate(p)) for p in ledger.counted() if p.accepted is accepted)
-            _write_list(stream, key, entries)
+            stream.write(f',\n "{key}": ['.encode())
+            for k, place in enumerate(p for p in ledger.counted() if p.accepted is accepted):
+                text = json.dumps(_entry(reader.candidate(place)), ensure_ascii=False)
+                stream.write(f"{',' if k else ''}\n  {text}".encode())
+            stream.write(b"\n ]")
         stream.write(b"\n}\n")
     return path
-
-
-def _write_list(stream: IO[bytes], key: str, entries: Iterator[dict[str, Any]]) -> None:
-    stream.write(f',\n "{key}": ['.encode())
-    for k, entry in enumerate(entries):
-        text = json.dumps(entry, ensure_ascii=False)
-        stream.write(f"{',' if k else ''}\n  {text}".encode())
-    stream.write(b"\n ]")
 
 
 def _entry(candidate: Candidate) -> dict[str, Any]:
@@ -89,10 +85,7 @@ def told(ledger: Ledger, top: int = 3) -> str:
 
 
 def examples(ledger: Ledger) -> dict[str, str]:
-    """Return an example message for each rejection reason, ordered by decreasing frequency.
-
-    The example is the message for the first candidate that was rejected for that reason.
-    """
+    """Return the message of the first rejection for each rejection code, with the most frequent code first."""
     found: dict[str, str] = {}
     with Reader() as reader:
         for place in ledger.counted():
@@ -108,10 +101,10 @@ WIDTH = 384
 
 
 def draw(file: Path) -> bytes | None:
-    """Render a scene from its viewpoint, or else from its first camera.
+    """Render a scene from its viewpoint, or from its first camera if it has no viewpoint.
 
     Returns:
-        The image as PNG data, or None if the scene has no camera.
+        The image as PNG data, or None if the scene has no cameras.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.render.montage import png_bytes
@@ -162,7 +155,7 @@ Objects = Mapping[str, Mapping[str, Any]]
 
 
 def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
-    """Write a stage that contains all cousins of a run to ``path`` and return the path.
+    """Write a stage that contains all cousins in a run to ``path`` and return the path.
 
     Raises:
         OutputError: The file name does not end with `.usda`.
@@ -221,8 +214,7 @@ def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, M
         "objects": {name: dict(item) for name, item in added.items()}
         | {name: {"variants": {key: {"asset": ref} for key, ref in of.items()}} for name, of in others.items()},
     }
-    text = write_tree(plain_tree(data), SceneSpec)
-    loaded = load(plan.out / "whole.scene.yaml", text=text)
+    loaded = load(plan.out / "whole.scene.yaml", text=write_tree(plain_tree(data), SceneSpec))
     return lower(loaded, Cache.default())
 
 

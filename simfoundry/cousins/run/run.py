@@ -1,158 +1,29 @@
 """Examine candidates until a run is complete, log the results, and resume interrupted runs.
 
 The cousins are the first N accepted candidates by index. Candidates that are examined out of order or beyond the last
-cousin do not affect the result. It therefore does not depend on the number of workers, their scheduling, kills or
-shards.
-
-The log is append-only, so a kill at any point loses at most one line. ``OUT/.cousins/log.jsonl`` records full runs, and
-``log-2-of-4.jsonl`` records a shard. Each line is flushed to disk before the next one is written. A truncated line is
-ignored and removed before anything is appended.
+cousin do not affect the result. The result therefore does not depend on the number of workers, their scheduling,
+interruptions or shards.
 """
 
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import WORK, Log, LogEntry, Reader, log_file, logs, read_places, replace_logs
 from simfoundry.cousins.run.worker_pools import CandidatePool
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import write_atomically, writing_atomically
+from simfoundry.runtime.files import write_atomically
 
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.variant_pool import VariantCount
-
-# Subfolder of the output folder for a run's internal files.
-WORK = ".cousins"
-
-WHOLE = "log.jsonl"
-
-
-class LogEntry(NamedTuple):
-    """The location of a candidate's line in a log, and whether the candidate was accepted."""
-
-    file: Path
-    start: int
-    length: int
-    accepted: bool
-
-
-def log_file(out: Path, shard: tuple[int, int] | None) -> Path:
-    """Return the path of the log for a full run, or for the shard (i, n)."""
-    return out / WORK / (WHOLE if shard is None else f"log-{shard[0]}-of-{shard[1]}.jsonl")
-
-
-def logs(out: Path) -> list[Path]:
-    """Return the paths of all logs in an output folder, starting with the log of the full run."""
-    return sorted((out / WORK).glob("log*.jsonl"), key=lambda path: (path.name != WHOLE, path.name))
-
-
-def read_places(file: Path) -> dict[int, LogEntry]:
-    """Index the complete lines in a log by candidate; raise :class:`OutputError` if the file is not a log."""
-    found: dict[int, LogEntry] = {}
-    if not file.is_file():
-        return found
-    with file.open("rb") as stream:
-        start = 0
-        for number, line in enumerate(stream, 1):
-            if not line.endswith(b"\n"):
-                break  # truncated by a kill
-            try:
-                index = int(json.loads(line)["index"])
-            except (ValueError, KeyError, TypeError):
-                raise OutputError(
-                    f"{file}:{number} is not a valid line in a cousins log; move the file elsewhere to examine its "
-                    "candidates again"
-                ) from None
-            found[index] = LogEntry(file, start, len(line), b'"reasons":' not in line[:40])
-            start += len(line)
-    return found
-
-
-class Reader(ExitStack):
-    """Reads candidates at known positions and keeps the log files open between reads."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._open: dict[Path, int] = {}
-
-    def line(self, place: LogEntry) -> bytes:
-        """Return the line at a position."""
-        if place.file not in self._open:
-            self._open[place.file] = self.enter_context(place.file.open("rb")).fileno()
-        return os.pread(self._open[place.file], place.length, place.start)
-
-    def candidate(self, place: LogEntry) -> Candidate:
-        """Return the candidate at a position."""
-        return Candidate.of(self.line(place))
-
-
-class Log(ExitStack):
-    """An append-only log that a single process may write to; closing the log releases its lock."""
-
-    def __init__(self, file: Path) -> None:
-        super().__init__()
-        self.file = file
-        file.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = self.enter_context(file.open("ab"))
-        _lock(self._stream.fileno(), file)
-        with file.open("rb") as stream:
-            end = sum(len(line) for line in stream if line.endswith(b"\n"))  # removes a truncated line
-        self._stream.truncate(end)
-        self._stream.seek(end)
-
-    def add(self, candidate: Candidate) -> LogEntry:
-        """Append a candidate durably so that it survives a machine crash."""
-        line = candidate.line().encode() + b"\n"
-        start = self._stream.tell()
-        self._stream.write(line)
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        return LogEntry(self.file, start, len(line), candidate.accepted)
-
-
-def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int, LogEntry]:
-    """Replace all logs with a single log.
-
-    Args:
-        out: Output folder of the run.
-        places: Candidate indices and the positions of their lines, in the order in which to write them.
-
-    Returns:
-        The new positions by candidate index.
-    """
-    old, now = logs(out), dict[int, LogEntry]()
-    whole, start = out / WORK / WHOLE, 0
-    with Reader() as reader, writing_atomically(whole) as stream:
-        for index, place in places:
-            stream.write(reader.line(place))
-            now[index] = LogEntry(whole, start, place.length, place.accepted)
-            start += place.length
-    for file in old:
-        if file != whole:
-            file.unlink(missing_ok=True)
-    return now
-
-
-def _lock(handle: int, file: Path) -> None:
-    """Lock the file until it is closed; do nothing on file systems that do not support locks."""
-    with suppress(ImportError, OSError):
-        import fcntl
-
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(
-                f"another run is writing to {file.parent.parent}; wait until it ends, or stop it"
-            ) from None
-
 
 # Minimum number of candidates to examine before a recipe can be judged too hard.
 PATIENCE = 200
@@ -172,7 +43,7 @@ class RunEnd(StrEnum):
 
 @dataclass
 class Ledger:
-    """Counts the candidates ``first``, ``first + step``, … in this order, up to the first one not yet examined.
+    """Counts the candidates ``first``, ``first + step``, … in order, up to the first one that was not examined yet.
 
     Attributes:
         wanted: Number of candidates to accept.
@@ -182,7 +53,7 @@ class Ledger:
         known: Log entries of all examined candidates by index.
         accepted: Indices of the counted candidates that were accepted.
         totals: Number of counted candidates rejected for each reason.
-        unchecked: Checks that could not be performed for at least one accepted candidate.
+        unchecked: Checks that could not be performed for at least one accepted candidate, as keys.
         next_index: Index of the first candidate that is not counted yet.
         end: Reason why the run ended, or OPEN.
     """
@@ -217,15 +88,14 @@ class Ledger:
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
-        """Continue counting until a candidate has not been examined yet or the run ends.
+        """Count candidates until the next candidate has not been examined yet or the run ends.
 
         Args:
-            reader: Reads the candidates from the logs.
-            settled: Called with each newly counted candidate that was accepted.
+            reader: Reader of the logs.
+            settled: Callback that receives each newly counted candidate that was accepted.
         """
         while self.end is RunEnd.OPEN and self.next_index in self.known:
-            place = self.known[self.next_index]
-            candidate = reader.candidate(place)
+            candidate = reader.candidate(self.known[self.next_index])
             self.next_index += self.step
             if candidate.accepted:
                 self.accepted.append(candidate.index)
@@ -263,15 +133,12 @@ class Ledger:
         return RunEnd.EXHAUSTED if self._is_beyond(self.next_index) else RunEnd.OPEN
 
 
-# Maximum number of candidates per worker to examine ahead of the first unexamined one; limits memory use and wasted
-# work.
+# Maximum number of candidates per worker to examine ahead of the first unexamined candidate. This limits memory use and
+# wasted work.
 AHEAD = 32
 
-# File name of a run's final report in the output folder.
+# File name of a run's manifest in the output folder.
 MANIFEST = "manifest.json"
-
-# Callback that receives the ledger after each candidate.
-Heard = Callable[[Ledger], None]
 
 
 @dataclass(frozen=True)
@@ -285,7 +152,7 @@ class RunPlan:
         shard: (i, n) to examine only every n-th candidate, starting with candidate i (1-based), and to write no
             cousins; None for a full run.
         most: Number of candidates, or None if it is unbounded.
-        variants: Variant counts for each object that varies.
+        variants: Variant counts of each object that varies.
     """
 
     out: Path
@@ -296,7 +163,7 @@ class RunPlan:
     variants: tuple[VariantCount, ...] = ()
 
     def ledger(self) -> Ledger:
-        """Return an empty ledger; a shard must accept only its fraction of the wanted cousins."""
+        """Return an empty ledger for this run; a shard accepts only its fraction of the requested cousins."""
         if self.shard is None:
             return Ledger(self.wanted, most=self.most)
         first, step = self.shard
@@ -318,26 +185,25 @@ def begin(plan: RunPlan) -> None:
         for key, value in plan.about.items():
             if found.get(key) != value:
                 differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
-                raise OutputError(
-                    f"{plan.out} contains cousins from a different run: its {key} {differs}; choose another folder or "
-                    "delete this one"
-                )
+                text = f"{plan.out} contains cousins from a different run: its {key} {differs}; choose another folder "
+                raise OutputError(text + "or delete this one")
         return
-    strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []
+    strange = sorted(p.name for p in plan.out.iterdir() if p.name != WORK) if plan.out.is_dir() else []
     if strange:
-        raise OutputError(
-            f"{plan.out} contains {sorted(strange)[0]}, which was not written by a cousins run; choose an empty folder"
-        )
+        text = f"{plan.out} contains {strange[0]}, which was not written by a cousins run; choose an empty folder"
+        raise OutputError(text)
     write_atomically(path, (json.dumps(plan.about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
-def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
-    """Examine candidates until the plan is fulfilled or fails; candidates in the logs are not examined again.
+def run(
+    plan: RunPlan, pool: Callable[[], CandidatePool], heard: Callable[[Ledger], None] = lambda ledger: None
+) -> Ledger:
+    """Examine candidates until the run ends; candidates that are already in the logs are not examined again.
 
     Args:
         plan: Parameters of the run.
         pool: Function that opens the worker pool; called only if there are candidates to examine.
-        heard: Called with the ledger after each candidate.
+        heard: Callback that receives the ledger after each candidate.
 
     Returns:
         The final ledger.
@@ -358,7 +224,7 @@ def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda 
         ledger.advance(reader, settled)
         heard(ledger)
         if ledger.end is not RunEnd.OPEN:
-            _see_no_more(plan, ledger)
+            _require_none_beyond(plan, ledger)
             return ledger
         with closing(pool()) as workers:
             for candidate in _examined(ledger, workers):
@@ -368,14 +234,12 @@ def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda 
     return ledger
 
 
-def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
-    """Raise :class:`OutputError` if the folder contains more cousins than requested."""
+def _require_none_beyond(plan: RunPlan, ledger: Ledger) -> None:
+    """Raise :class:`OutputError` if the output folder contains more cousins than requested."""
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
-        raise OutputError(
-            f"{plan.out} contains {len(beyond)} documents of cousins beyond the {plan.wanted} requested; "
-            "choose another folder, or request as many cousins as before"
-        )
+        text = f"{plan.out} contains {len(beyond)} documents of cousins beyond the {plan.wanted} requested; choose "
+        raise OutputError(text + "another folder, or request as many cousins as before")
 
 
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
@@ -392,7 +256,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:
-    """Write a cousin's documents, unless identical files already exist."""
+    """Write a cousin's documents unless identical files already exist."""
     for kind, name in candidate.files().items():
         path, data = out / name, candidate.documents[kind].encode()
         if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):
@@ -400,5 +264,5 @@ def write_documents(out: Path, candidate: Candidate) -> None:
 
 
 def finish(plan: RunPlan, ledger: Ledger) -> None:
-    """Merge the logs into a single log that contains exactly the counted candidates, in order."""
+    """Replace all logs with a single log that contains only the counted candidates, in order."""
     ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

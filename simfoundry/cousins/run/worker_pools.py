@@ -18,7 +18,7 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.extras import install_line
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
-# Timeout for examining a candidate [s]; for the first candidate of a process, this includes starting the process.
+# Timeout for examining a candidate [s]. For the first candidate of a process, this includes starting the process.
 SILENCE_S = 600.0
 
 
@@ -26,7 +26,7 @@ SILENCE_S = 600.0
 class Work:
     """The job of a worker process: create a sampler and call it for each candidate.
 
-    ``factory`` (``module:name``) is called with ``arguments`` to create the sampler.
+    The sampler is created by calling ``factory`` (``module:name``) with ``arguments``.
     """
 
     factory: str
@@ -39,12 +39,12 @@ class Work:
         return made
 
 
-# Sampler of this worker process, created for its first candidate; a worker process serves only one run.
+# The sampler of this worker process, created for its first candidate. A worker process serves only one run.
 _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
 
 
 def line_of(work: Work, index: int) -> str:
-    """Return a candidate serialized to one line, the format in which processes exchange candidates."""
+    """Examine a candidate and return it as one line of text, the format in which processes exchange candidates."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()
@@ -59,7 +59,7 @@ class CandidatePool(Protocol):
         """Submit the index of a candidate to examine."""
 
     def next(self) -> Candidate:
-        """Wait until any submitted candidate has been examined, and return it."""
+        """Wait until one of the submitted candidates has been examined, and return it."""
 
     def close(self) -> None:
         """Stop all workers, including those that are busy."""
@@ -80,7 +80,7 @@ class LocalPool:
         self._pool.submit(index, f"{__name__}:line_of", self.work, index, attempts=2)
 
     def next(self) -> Candidate:
-        """Wait until any submitted candidate has been examined, and return it."""
+        """Wait until one of the submitted candidates has been examined, and return it."""
         index, result = self._pool.next()
         return failed(index, result.how) if isinstance(result, WorkerError) else Candidate.of(result)
 
@@ -97,8 +97,8 @@ def failed(index: int, how: str) -> Candidate:
 class RayPool:
     """A pool of actors on a Ray cluster.
 
-    The pool connects to the cluster specified by ``RAY_ADDRESS``, or starts one on this machine. The paths of the
-    recipe and the output folder must be valid on every node, for example on a shared file system.
+    The pool connects to the cluster at ``RAY_ADDRESS``, or starts a cluster on this machine. The paths of the recipe
+    and the output folder must be valid on every node, for example on a shared file system.
     """
 
     def __init__(self, work: Work, size: int | None) -> None:
@@ -122,7 +122,7 @@ class RayPool:
         self._hand_out()
 
     def next(self) -> Candidate:
-        """Wait until any submitted candidate has been examined, and return it."""
+        """Wait until one of the submitted candidates has been examined, and return it."""
         done, _ = self._ray.wait(list(self._running), num_returns=1)
         index, actor = self._running.pop(done[0])
         self._idle.append(actor)
@@ -133,7 +133,7 @@ class RayPool:
             return failed(index, f"failed ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
 
     def close(self) -> None:
-        """Stop the actors, and disconnect from or shut down the cluster if this pool connected to it."""
+        """Stop the actors, and shut down Ray if this pool started it."""
         for actor in [*self._idle, *(actor for _, actor in self._running.values())]:
             self._ray.kill(actor)
         if self._owns:
@@ -156,10 +156,10 @@ class _Actor:
 
 
 def _connect(ray: Any, size: int | None) -> None:
-    """Connect to the cluster at ``RAY_ADDRESS``, or start one on this machine with this process's import path.
+    """Connect to the cluster at ``RAY_ADDRESS``, or start a cluster on this machine with this process's import path.
 
-    Ray puts the driver's working directory first on the import path. Inside a checkout, it would shadow the installed
-    package, so Ray is started from an empty folder.
+    Ray puts the driver's working directory first on the import path. In a checkout, this directory would shadow the
+    installed package, so Ray is started from an empty folder.
     """
     import logging
     import sys

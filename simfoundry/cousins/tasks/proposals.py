@@ -126,11 +126,7 @@ def _parts(setting: TaskContext, name: str) -> str:
 
 
 def judged(
-    told: Sequence[Told | Unread],
-    setting: TaskContext,
-    source: str,
-    scene: str = "",
-    exclude: Sequence[str] = (),
+    told: Sequence[Told | Unread], setting: TaskContext, source: str, scene: str = "", exclude: Sequence[str] = ()
 ) -> list[Proposal]:
     """Verify tasks proposed by a model.
 

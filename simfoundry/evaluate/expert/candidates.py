@@ -6,9 +6,9 @@ Both are computed from collision geometry.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import combinations_with_replacement, islice, product
 
 import numpy as np
 
@@ -35,8 +35,8 @@ SPACING, FINE = 0.006, 0.0025
 # Number of best grasps to keep.
 MOST = 300
 
-# Minimum cosine of the angle between a finger's closing direction and the surface normal, to stay within the friction
-# cone.
+# Minimum cosine of the angle between a finger's closing direction and the surface normal, which keeps the contact force
+# within the friction cone.
 FACING = 0.92
 
 # Clearance beside each finger during the approach [m].
@@ -54,13 +54,13 @@ ALIKE = 0.004
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A grasp by a parallel gripper; better grasps have a lower ``cost``.
+    """A grasp by a parallel gripper.
 
     Attributes:
         X_WH: The pose of the hand when it closes.
         width: The width of the object between the fingers [m].
         open: The fraction by which the gripper is closed during the approach.
-        cost: The cost of the grasp.
+        cost: The cost of the grasp, which is lower for better grasps.
     """
 
     X_WH: Pose
@@ -84,15 +84,11 @@ def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
     The closing directions are measured from the longest extent of the shape as seen along the approach direction. One
     of them is therefore exactly perpendicular to it, so that long objects can be grasped across their width.
     """
-    side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    side = np.cross(approach, side)
+    side = np.cross(approach, [1.0, 0.0, 0.0] if abs(approach[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     other = np.cross(approach, side)
-    flat = shape.corners @ np.column_stack([side, other])
-    _, axes = np.linalg.eigh(np.cov(flat.T))
-    start = math.atan2(axes[1, 1], axes[0, 1])
-    for k in range(YAWS):
-        angle = start + k * math.pi / YAWS
+    _, axes = np.linalg.eigh(np.cov((shape.corners @ np.column_stack([side, other])).T))
+    for angle in math.atan2(axes[1, 1], axes[0, 1]) + np.arange(YAWS) * math.pi / YAWS:
         y = math.cos(angle) * side + math.sin(angle) * other
         yield np.column_stack([np.cross(y, approach), y, approach])
 
@@ -106,11 +102,9 @@ def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]
         jaws: The geometry of the fingers.
         approaches: The approach directions to consider.
     """
-    found: list[Grasp] = []
-    for approach in approaches:
-        for R_WH in rotations(shape, approach):
-            found += _along(shape, center, jaws, R_WH)
     flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
+    turns = (R_WH for approach in approaches for R_WH in rotations(shape, approach))
+    found = (grasp for R_WH in turns for grasp in _along(shape, center, jaws, R_WH))
     both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
     return sorted(both, key=lambda g: g.cost)[:MOST]
 
@@ -123,26 +117,23 @@ def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterato
     a, h = np.meshgrid(across, along, indexing="ij")
     y = (low[1] + high[1]) / 2
     starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R_WH.T
-    lines = crossings(shape, starts, R_WH[:, 1])
-    spans = [
-        [_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))
-    ]
+    rays = list(product(range(len(across)), range(len(along))))
+    lines = zip(rays, crossings(shape, starts, R_WH[:, 1]), strict=True)
+    spans = {ray: _holdable(found, jaws) for ray, found in lines}
     tilt = math.acos(min(1.0, max(-1.0, -float(R_WH[2, 2]))))
-    for i in range(len(across)):
-        for j in range(len(along)):
-            for span in spans[i][j]:
-                middle = R_WH @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
-                area = _area(spans, i, j, span)
-                _, first, tip = jaws.at_width(span.width)
-                opened = jaws.at_width(min(span.width + 2 * PRELOAD, jaws.opening))[0]
-                aside = middle - center
-                aside = aside - (aside @ R_WH[:, 2]) * R_WH[:, 2]
-                off = float(np.linalg.norm(aside))
-                tight = max(0.0, 0.008 - (jaws.opening - span.width) / 2) / 0.008
-                for depth in ((first + tip) / 2, tip - TIP):
-                    shallow = 0.15 if depth > (first + tip) / 2 else 0.0
-                    cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
-                    yield Grasp(Pose.of(middle - R_WH[:, 2] * depth, quat_from_matrix(R_WH)), span.width, opened, cost)
+    for i, j in rays:
+        for span in spans[i, j]:
+            middle = R_WH @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
+            area = _area(spans, i, j, span)
+            _, first, tip = jaws.at_width(span.width)
+            opened = jaws.at_width(min(span.width + 2 * PRELOAD, jaws.opening))[0]
+            aside = middle - center
+            off = float(np.linalg.norm(aside - (aside @ R_WH[:, 2]) * R_WH[:, 2]))
+            tight = max(0.0, 0.008 - (jaws.opening - span.width) / 2) / 0.008
+            for depth in ((first + tip) / 2, tip - TIP):
+                shallow = 0.15 if depth > (first + tip) / 2 else 0.0
+                cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
+                yield Grasp(Pose.of(middle - R_WH[:, 2] * depth, quat_from_matrix(R_WH)), span.width, opened, cost)
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
@@ -153,25 +144,16 @@ def _grid(low: float, high: float, most: int, spacing: float) -> Array:
 
 def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
     """Return the spans, and the sequences of consecutive spans, that the fingers can hold from both ends."""
-    widest = jaws.opening - 2 * CLEARANCE
-    found = []
-    for i, first in enumerate(spans):
-        for last in spans[i:]:
-            facing = min(first.facing, last.facing)
-            if last.end - first.start <= widest and facing >= FACING:
-                found.append(Span(first.start, last.end, facing))
-    return found
+    pairs = combinations_with_replacement(spans, 2)
+    found = (Span(first.start, last.end, min(first.facing, last.facing)) for first, last in pairs)
+    return [span for span in found if span.width <= jaws.opening - 2 * CLEARANCE and span.facing >= FACING]
 
 
-def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
+def _area(spans: dict[tuple[int, int], list[Span]], i: int, j: int, span: Span) -> float:
     """Return the fraction of neighboring rays that hit the same surfaces, a measure of the pads' contact area."""
-    around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1) if di or dj]
-    alike = 0
-    for k, m in around:
-        if 0 <= k < len(spans) and 0 <= m < len(spans[k]):
-            near = (max(abs(other.start - span.start), abs(other.end - span.end)) for other in spans[k][m])
-            alike += min(near, default=math.inf) < ALIKE
-    return alike / len(around)
+    around = [(i + di, j + dj) for di, dj in product((-1, 0, 1), repeat=2) if di or dj]
+    near = ([max(abs(o.start - span.start), abs(o.end - span.end)) for o in spans.get(ray, ())] for ray in around)
+    return sum(min(off, default=math.inf) < ALIKE for off in near) / len(around)
 
 
 # Number of rotations about the vertical axis to try.
@@ -185,7 +167,7 @@ SUNK = 0.008
 
 UP = np.array([0.0, 0.0, 1.0])
 
-# Number of placements of each kind that suffices, and maximum number of upended poses to try.
+# Number of placements of each kind to find, and maximum number of upended poses to try.
 ENOUGH, LOOKED_AT = 48, 400
 
 # Cost per meter of distance from the center [1/m].
@@ -224,8 +206,7 @@ class _Target:
     def spots(self) -> list[tuple[Array, float]]:
         """Return horizontal positions [m] above the support and their distances from its center [m], closest first."""
         middle = self._part.middle(self._R_WC)
-        if self._inside:
-            middle = hollow(self._part, middle, self._R_WC)
+        middle = hollow(self._part, middle, self._R_WC) if self._inside else middle
         axes = self._R_WC[:, :2]
         half = [(high - low) / 2 for low, high in (self._part.extent(axes[:, k]) for k in range(2))]
         rows, columns = (np.linspace(-0.8, 0.8, _odd(1.6 * h / GRID_SPACING)) * h for h in half)
@@ -274,13 +255,13 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
     lying = [(turn, 0.0) for turn in _turned(state.poses[name])]
     found = _central([p for place in _tried(item, lying, spots) if (p := support.place(*place)) is not None])
     if inside:
-        on_end = _tried(item, list(_on_end(item, state)), spots)[:LOOKED_AT]
+        on_end = _tried(item, _on_end(item, state), spots)[:LOOKED_AT]
         found += islice((p for place in on_end if (p := support.place(*place)) is not None), ENOUGH)
     return sorted(found, key=lambda p: p.cost)
 
 
 def _tried(
-    item: SceneObject, turns: list[tuple[Pose, float]], spots: list[tuple[Array, float]]
+    item: SceneObject, turns: Iterable[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
     """Combine every rotation with every position; return them with the rotated shape and the cost, cheapest first."""
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
@@ -307,7 +288,7 @@ def _odd(count: float) -> int:
 
 
 def _turned(pose: Pose) -> list[Pose]:
-    """Return rotations of a pose about the vertical axis."""
+    """Return the rotation of a pose, turned about the vertical axis."""
     now = Pose.of(q=pose.q)
     return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
 
@@ -319,23 +300,16 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
         return
     now = Pose.of(q=state.poses[item.name].q)
     level = now.rotation[:, axis]
-    heading = math.atan2(level[1], level[0])
-    for lean in LEANS:
-        for sign in (1, -1):
-            # Rotate about the horizontal axis perpendicular to the object until it points down or up.
-            upend = Pose.of(q=_about(heading + math.pi / 2, sign * (math.pi / 2 - lean))) @ now
-            for turn in _turned(upend):
-                yield turn, 0.3 + 0.1 * lean
-
-
-def _about(heading: float, angle: float) -> Array:
-    half = angle / 2
-    return np.array([math.cos(half), math.sin(half) * math.cos(heading), math.sin(half) * math.sin(heading), 0.0])
+    heading = math.atan2(level[1], level[0]) + math.pi / 2
+    for lean, sign in product(LEANS, (1, -1)):
+        # Rotate about the horizontal axis perpendicular to the object until it points down or up.
+        half = sign * (math.pi / 2 - lean) / 2
+        q = [math.cos(half), math.sin(half) * math.cos(heading), math.sin(half) * math.sin(heading), 0.0]
+        yield from ((turn, 0.3 + 0.1 * lean) for turn in _turned(Pose.of(q=q) @ now))
 
 
 def _long_axis(item: SceneObject) -> int | None:
     """Return the index of the axis along which the object is long, or None."""
-    shape = hulls(replace(item, X_WO=Pose.of()))
-    size = shape.size()
+    size = hulls(replace(item, X_WO=Pose.of())).size()
     axis = int(size.argmax())
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm, Jaws, finger_positions
+from simfoundry.robots.arm import Arm, Jaws
 from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
@@ -26,8 +27,8 @@ LINE = 0.015
 # Rotation step between the configurations of a straight line [rad].
 TURN = 0.1
 
-# Maximum joint step between two configurations of a line [rad]; a larger step means that the IK solution jumped to
-# another branch.
+# Maximum joint step [rad] between two configurations of a line; a larger step means that the inverse kinematics jumped
+# to another branch.
 LEAP = 0.35
 
 # Joint step at which paths are checked for collisions [rad].
@@ -36,8 +37,8 @@ FINE = 0.08
 # Minimum clearance for motions in free space [m].
 GAP = 0.004
 
-# Preferred clearance for motions in free space [m]; joints lag behind their targets by different amounts and cut
-# corners.
+# Preferred clearance [m] for motions in free space; joints lag behind their targets by different amounts, so the arm
+# cuts corners.
 WIDE = 0.02
 
 # Maximum number of configurations in a search, and the step size of the search [rad].
@@ -79,13 +80,7 @@ class ArmPlanner:
         return self.cell.clash(moving, gap, ignore) is None
 
     def line(
-        self,
-        q: Array,
-        X_WH: Pose,
-        share: float,
-        held: Held | None = None,
-        gap: float = 0.0,
-        ignore: Iterable[str] = (),
+        self, q: Array, X_WH: Pose, share: float, held: Held | None = None, gap: float = 0.0, ignore: Iterable[str] = ()
     ) -> Path | None:
         """Return configurations that move the hand in a straight line, or None if the arm cannot follow the line.
 
@@ -102,9 +97,8 @@ class ArmPlanner:
         path = [q]
         for k in range(1, count + 1):
             between = self.arm.solve(blend(start, X_WH, k / count), path[-1])
-            if between is None or np.abs(between - path[-1]).max() > LEAP:
-                return None
-            if not self.clear(between, share, held, gap, ignore):
+            leaps = between is None or np.abs(between - path[-1]).max() > LEAP
+            if between is None or leaps or not self.clear(between, share, held, gap, ignore):
                 return None
             path.append(between)
         return path
@@ -115,10 +109,7 @@ class ArmPlanner:
         The preferred clearance is used if possible.
         """
         for gap in (WIDE, GAP):
-
-            def free(posture: Array, gap: float = gap) -> bool:
-                return self.clear(posture, share, held, gap)
-
+            free = partial(self.clear, share=share, held=held, gap=gap)
             if not free(goal):
                 continue
             if _straight(q, goal, free):
@@ -133,10 +124,8 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
     """Interpolate between two poses; ``share`` is 0 at ``a`` and 1 at ``b``."""
     qb = b.q if float(a.q @ b.q) >= 0 else -b.q
     angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
-    if angle < 1e-6:
-        return Pose.of(a.p + share * (b.p - a.p), b.q)
-    q = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle)
-    return Pose.of(a.p + share * (b.p - a.p), q)
+    turned = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle) if angle >= 1e-6 else b.q
+    return Pose.of(a.p + share * (b.p - a.p), turned)
 
 
 # Function that returns True if a configuration is free of collisions.
@@ -144,7 +133,7 @@ Free = Callable[[Array], bool]
 
 
 def _straight(a: Array, b: Array, free: Free) -> bool:
-    """Return True if all configurations between two given ones are free; the first is assumed to be free."""
+    """Return True if all configurations on the straight line to ``b`` are free; ``a`` itself is not checked."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))
 
@@ -214,24 +203,22 @@ FAR = 0.03
 
 
 class PlanningScene:
-    """The scene in MuJoCo without time steps; queries change its state, and :meth:`sync` restores a given state."""
+    """The scene in MuJoCo for collision queries, which change its state; :meth:`sync` restores a given state."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._world = MujocoWorld(scene)
         self._model, self._data = self._world.model, self._world.data
         model = self._model
+        self._natives = {r.name: native for r in scene.robots if (native := mujoco_model(r)) is not None}
         owners = {model.body(t.name).id: o.name for o in scene.objects for t in trees(o)}
-        owners |= {model.body(r.name).id: r.name for r in scene.robots if mujoco_model(r) is not None}
-        roots = model.body_rootid[model.geom_bodyid]
-        self._owner = np.array([owners.get(int(root), "") for root in roots])
-        self._robots = {r.name for r in scene.robots}
-        self._free = {
-            o.name: int(model.joint(free_joint_name(trees(o)[0])).qposadr[0]) for o in scene.objects if not o.fixed
-        }
+        owners |= {model.body(name).id: name for name in self._natives}
+        self._owner = np.array([owners.get(int(root), "") for root in model.body_rootid[model.geom_bodyid]])
+        free = {o.name: free_joint_name(trees(o)[0]) for o in scene.objects if not o.fixed}
+        self._free = {name: int(model.joint(joint).qposadr[0]) for name, joint in free.items()}
         model.geom_margin[:] = FAR / 2
         model.pair_margin[:] = FAR
-        self._hands = {r.name: self._hand(r.name) for r in scene.robots if mujoco_model(r) is not None}
+        self._hands = {name: self._hand(name) for name in self._natives}
         self._hand_geoms = {name: {int(g) for g in hand[1]} for name, hand in self._hands.items()}
         self._world.reset()
         self._collide()
@@ -247,12 +234,11 @@ class PlanningScene:
 
     def pose(self, robot: str, q: Array, share: float) -> None:
         """Set a robot's arm to a configuration and close its gripper by the fraction ``share``."""
-        native = mujoco_model(self.scene.robot(robot))
-        assert native is not None
+        native = self._natives[robot]
         names = list(native.joints.values()) or list(self._world.robot(robot).joints)
         positions = dict(zip(names, q, strict=True))
         if native.gripper is not None:
-            positions |= finger_positions(native.gripper, share)
+            positions |= native.gripper.positions(share)
         for name, position in positions.items():
             self._data.qpos[self._model.joint(f"{robot}.{name}").qposadr[0]] = position
 
@@ -268,9 +254,10 @@ class PlanningScene:
         mujoco.mj_collision(self._model, self._data)
 
     def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
-        """Return True if a hand without its arm, or the object it holds, is closer than ``gap`` [m] to anything else.
+        """Return True if a hand, or the object that it holds, is closer than ``gap`` [m] to anything else.
 
-        This is much cheaper than planning the motion of the arm. The fingers keep their previous position.
+        The rest of the arm is ignored, so this test is much cheaper than planning a motion. The fingers keep their
+        current position.
 
         Args:
             robot: The robot to which the hand belongs.
@@ -308,9 +295,7 @@ class PlanningScene:
 
     def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
         """Return the bodies and geoms of a hand, and the pose of the hand frame relative to the first body."""
-        native = mujoco_model(self.scene.robot(robot))
-        assert native is not None
-        model, frame = self._model, native.frame("hand")
+        model, frame = self._model, self._natives[robot].frame("hand")
         top = model.body(f"{robot}.{frame.link}").id
         bodies = [top]
         for body in range(top + 1, model.nbody):  # MuJoCo orders bodies depth first: parents precede children
@@ -332,11 +317,10 @@ class PlanningScene:
             first, second = self._owner[a], self._owner[b]
             if first == second:
                 known = (min(a, b), max(a, b)) in self._own
-                if first in self._robots and first in mine and not known and contact.dist[k] < 0:
+                if first in self._natives and first in mine and not known and contact.dist[k] < 0:
                     return f"{first} itself"
-                continue
-            if first in mine and second not in passed:
+            elif first in mine and second not in passed:
                 return str(second)
-            if second in mine and first not in passed:
+            elif second in mine and first not in passed:
                 return str(first)
         return None

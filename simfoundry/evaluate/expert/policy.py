@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 
 import numpy as np
 
 from simfoundry.evaluate.expert.candidates import PlaceAt, places
-from simfoundry.evaluate.expert.skills import lead, pick, put
+from simfoundry.evaluate.expert.handles import lead
+from simfoundry.evaluate.expert.skills import pick, put
 from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
 from simfoundry.evaluate.policies.base import ActionSpace, Observation, Policy
 from simfoundry.evaluate.task import SubtaskGoal, Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
 
 
@@ -30,8 +31,8 @@ class Skill(StrEnum):
     CLOSE = "close"
 
 
-# The skill that makes each predicate true. Predicates that are not listed become true as a side effect of others
-# (Touching, Released, Upright) or depend on where objects happen to be.
+# The skill that makes each predicate true. Other predicates become true as a side effect (Touching, Released, Upright),
+# or depend on where objects happen to be.
 SKILLS = {
     "Grasped": Skill.PICK,
     "Lifted": Skill.PICK,
@@ -57,20 +58,20 @@ class ExpertStep:
 
 
 def steps(goal: Condition, subtasks: Mapping[str, SubtaskGoal]) -> tuple[ExpertStep, ...]:
-    """Return the steps in order: those for each sub-task, followed by those for the rest of the goal."""
+    """Return the expert's steps for each sub-task in order, followed by the steps for the rest of the goal."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
 
 
 def goal_steps(goal: Condition) -> tuple[ExpertStep, ...]:
-    """Return the steps for the goal itself."""
-    found = tuple(_of(goal))
-    return tuple(step for step in found if not _leads_to(step, list(found)))
+    """Return the expert's steps for the goal itself."""
+    found = list(_of(goal))
+    return tuple(step for step in found if not _leads_to(step, found))
 
 
 def _leads_to(step: ExpertStep, later: list[ExpertStep]) -> bool:
-    """Return True if a later step picks up the object anyway."""
+    """Return True if a later step picks up the same object anyway."""
     return step.skill is Skill.PICK and any(s.skill in PUTS and s.args[0] == step.args[0] for s in later)
 
 
@@ -78,17 +79,13 @@ def _of(condition: Condition) -> Iterator[ExpertStep]:
     kind, below = parts(condition)
     if kind == "text":
         call: Call = parse_call(str(condition))
-        skill = SKILLS.get(call.predicate)
-        if skill is not None:
-            yield ExpertStep(skill, call.args, str(call))
-    elif kind == "all":
-        for item in below:
-            yield from _of(item)
-    elif kind == "any" and below:
-        yield from _of(below[0])
+        if call.predicate in SKILLS:
+            yield ExpertStep(SKILLS[call.predicate], call.args, str(call))
+    for item in {"all": below, "any": below[:1]}.get(kind, ()):
+        yield from _of(item)
 
 
-# Number of actions per response; at 15 Hz this is a fifth of a second, so a lost grasp is noticed quickly.
+# Number of actions per response, which take a fifth of a second at 15 Hz, so that a lost grasp is noticed quickly.
 CHUNK = 3
 
 # Maximum number of attempts per step.
@@ -154,8 +151,7 @@ class ExpertPolicy(Policy):
         self.log.append(f"{step.until}: gave up")
 
     def _do(self, step: ExpertStep) -> Script:
-        worker = self._worker
-        robot = self._task.robots[0]
+        worker, robot = self._worker, self._task.robots[0]
         match step.skill:
             case Skill.PICK:
                 yield from pick(worker, robot, step.args[0], None)
@@ -173,9 +169,8 @@ class ExpertPolicy(Policy):
 
     def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
         """Return the placements at which the step would be completed."""
-        state, thing = self._worker.now.state, step.args[0]
-        apart = replace(state, robots=MappingProxyType({}), speeds=MappingProxyType({}))
-        states = [replace(apart, poses={**state.poses, thing: place.X_WO}) for place in found]
+        now, thing = self._worker.now.state, step.args[0]
+        states = [SceneState({**now.poses, thing: place.X_WO}, now.joints, now.motions) for place in found]
         if not states:
             return []
         holds, _ = self._judge.batch(step.until, StateBatch.of(self._task.scene, states))

@@ -17,7 +17,7 @@ from simfoundry.scene.model import Scene
 # Maximum joint speed [rad/s] and hand speed [m/s]: half of the limits of a Panda.
 JOINT, HAND = 1.1, 0.35
 
-# Fraction of both speeds used on paths with corners; at full speed, servos with a lag of 0.1 s cut corners by 3 cm.
+# Fraction of both speeds for paths with corners; at full speed, servos with a lag of 0.1 s cut corners by 3 cm.
 AROUND = 0.4
 
 # Maximum hand speed near objects [m/s].
@@ -51,12 +51,9 @@ def paced(
     total = length / top + ramp if ramp == RAMP else 2 * ramp
     count = max(1, int(np.ceil(total * hz)))
     time = np.linspace(0.0, total, count + 1)[1:]
-    gone = np.where(
-        time < ramp,
-        time**2 / (2 * RAMP),
-        np.where(time > total - ramp, length - (total - time) ** 2 / (2 * RAMP), top * (time - ramp / 2)),
-    )
-    return [np.array([np.interp(t, at, points[:, j]) for j in range(points.shape[1])]) for t in gone]
+    start, end = time**2 / (2 * RAMP), length - (total - time) ** 2 / (2 * RAMP)
+    gone = np.select([time < ramp, time > total - ramp], [start, end], top * (time - ramp / 2))
+    return list(np.column_stack([np.interp(gone, at, joint) for joint in points.T]))
 
 
 def _dense(path: Path) -> Array:
@@ -71,8 +68,8 @@ def _dense(path: Path) -> Array:
 # A skill in progress; each ``yield`` ends a control step with the current commands.
 Script = Generator[None, None, None]
 
-# Displacement of a held object within the hand between two observations above which it counts as lost [m]; slow creep
-# is allowed.
+# Displacement [m] of a held object within the hand between two observations above which the object counts as lost; slow
+# creep is allowed.
 LOST = 0.03
 
 # Position tolerance within which a joint has reached its target [rad].
@@ -81,8 +78,8 @@ ARRIVED = 0.003
 # Maximum number of control steps to wait for an arm to reach its target.
 PATIENCE = 12
 
-# Fraction of a resting arm's position error that is added to its targets in each update, and the limit on the total
-# [rad]. This compensates for servo sag.
+# Fraction of a resting arm's position error that is added to its targets in each update, and the limit [rad] on the
+# total. This compensates for servo sag.
 CORRECTION, MOST = 0.6, 0.05
 
 
@@ -105,8 +102,7 @@ class ExpertWorker:
         self.rng = np.random.default_rng(seed)
         self.planners: dict[str, ArmPlanner] = {}
         for name, arm in self.arms.items():
-            fingers = jaws(arm.robot)
-            if fingers is None:
+            if (fingers := jaws(arm.robot)) is None:
                 raise RobotModelError(
                     f"robot `{name}` does not have a gripper whose fingers close along the y axis of its hand"
                 )
@@ -123,16 +119,14 @@ class ExpertWorker:
         for name in self.arms:
             measured = observation.robots[name].joints
             self.q.setdefault(name, np.array(measured))
-            before = self._before.get(name)
-            if before is not None and np.array_equal(before, self.q[name]):
+            if name in self._before and np.array_equal(self._before[name], self.q[name]):
                 bias = self._bias[name] + CORRECTION * (self.q[name] - measured)
                 self._bias[name] = np.clip(bias, -MOST, MOST)
             self._before[name] = self.q[name]
 
     def command(self) -> Array:
         """Return the action for the current control step."""
-        parts = [np.append(self.q[name] + self._bias[name], self.share[name]) for name in self.arms]
-        return np.concatenate(parts)
+        return np.concatenate([np.append(self.q[name] + self._bias[name], self.share[name]) for name in self.arms])
 
     def sync(self) -> None:
         """Set the planning scene to the current state."""
@@ -140,7 +134,7 @@ class ExpertWorker:
         self.cell.sync(self.now.state, self.q, grippers)
 
     def go(self, robot: str, path: Path) -> Script:
-        """Follow a path through free space and settle; paths with corners are followed more slowly."""
+        """Follow a path through free space, more slowly if it has corners, and settle."""
         share = 1.0 if len(path) <= 2 else AROUND
         yield from self.follow(robot, path, share * HAND, share * JOINT)
         yield from self.settle(robot)

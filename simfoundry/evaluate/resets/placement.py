@@ -16,7 +16,7 @@ from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.task import Reset, ResetRegion
 from simfoundry.worlds.base import World
-from simfoundry.worlds.rest import is_ball, simulate
+from simfoundry.worlds.rest import is_ball, restless
 from simfoundry.worlds.settle import SettleOptions, settle
 
 # The indices of a grid cell along x and y, counted from 0.
@@ -35,7 +35,7 @@ def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
 
 
 def draws(name: str, seed: int, start: int) -> np.random.Generator:
-    """Return the random generator for the positions of an object in one initial state, used by successive attempts."""
+    """Return the random generator that all attempts at one initial state use for the positions of an object."""
     return _generator(seed, name, start, 1)
 
 
@@ -52,11 +52,9 @@ def sample(
 
 def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the ranges of x and y that a cell covers [m]."""
-    spans = []
-    for (low, high), count, k in zip((region.x, region.y), grid, cell, strict=True):
-        width = (high - low) / count
-        spans.append((low + k * width, low + (k + 1) * width))
-    return spans[0], spans[1]
+    (low_x, high_x), (low_y, high_y) = region.x, region.y
+    (i, j), wide, deep = cell, (high_x - low_x) / grid[0], (high_y - low_y) / grid[1]
+    return (low_x + i * wide, low_x + (i + 1) * wide), (low_y + j * deep, low_y + (j + 1) * deep)
 
 
 def _generator(seed: int, name: str, *more: int) -> np.random.Generator:
@@ -64,8 +62,8 @@ def _generator(seed: int, name: str, *more: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode()), *more])
 
 
-# Settling limits for initial states: half the displacement allowed for scenes, a tilt of 5 deg, an overlap of 1 mm, and
-# an unchanged support.
+# Settling limits for initial states: half the displacement allowed for scenes, and the default limits on the tilt and
+# the overlap.
 SETTLING = SettleOptions(max_drift_m=0.01)
 
 # Maximum overlap [m] between an object and its support before settling; settling removes it within a few steps.
@@ -78,10 +76,6 @@ AGREES = 1e-4
 # settle to the same initial state.
 DIGITS = 5
 
-# The criterion for an initial state to be at rest: the duration [s], and the maximum translation [m] and rotation [deg]
-# within it. Balls may rotate.
-STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
-
 
 @dataclass(frozen=True)
 class Refusal:
@@ -92,7 +86,7 @@ class Refusal:
         kind: The kind of failure, for statistics.
         why: A description of the failure that includes numbers.
         other: The object that it collided with if that object is also placed at random, otherwise an empty string.
-            Exchanging cells can only help in the first case, because each cell must be used in some initial state.
+            Only in the first case can an exchange of cells help, because every cell must be used by an initial state.
     """
 
     object: str
@@ -155,18 +149,16 @@ def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal
     """Settle a state and return the rounded state at rest, or the reason for the failure."""
     result = settle(world, SETTLING, state=state)
     for report in result.objects:
-        problems = [
-            p for p in report.problems if not p.startswith("tilted") or not is_ball(task.scene.object(report.name))
-        ]
-        if problems:
-            return Refusal(report.name, f"it {problems[0]}", f"`{report.name}` {problems[0]}")
+        name, ball = report.name, is_ball(task.scene.object(report.name))
+        for problem in report.problems:
+            if not (ball and problem.startswith("tilted")):
+                return Refusal(name, f"it {problem}", f"`{name}` {problem}")
     return rounded(result.state)
 
 
 def rounded(state: SceneState) -> SceneState:
     """Round a state to :data:`DIGITS` decimals."""
-    poses = {name: _rounded(pose) for name, pose in state.poses.items()}
-    motions = {name: _rounded(pose) for name, pose in state.motions.items()}
+    poses, motions = ({name: _rounded(pose) for name, pose in m.items()} for m in (state.poses, state.motions))
     return SceneState.of(poses, {name: round(v, DIGITS) + 0.0 for name, v in state.joints.items()}, motions)
 
 
@@ -186,12 +178,11 @@ def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> R
     return None
 
 
-def restless(task: Task, world: World, state: SceneState) -> Refusal | None:
-    """Return a refusal if an object moves too far in a state that should be at rest, otherwise None."""
-    motions = simulate(world, STILL_S, state)
-    for motion in sorted(motions, key=lambda m: -m.moved):
-        turned = 0.0 if is_ball(task.scene.object(motion.name)) else motion.turned_deg
-        if not (motion.moved <= STILL_M and turned <= STILL_DEG):
-            far = f"{motion.moved * 1000:.1f} mm and {turned:.1f} deg in {STILL_S:g} s"
-            return Refusal(motion.name, "it does not stay at rest", f"`{motion.name}` moves {far}")
+def not_at_rest(world: World, state: SceneState) -> Refusal | None:
+    """Return a refusal if an object moves in a settled and rounded state, otherwise None."""
+    world.reset(state)
+    before = world.state()
+    world.step(round(SETTLING.rest_s / world.timestep))
+    for name in sorted(restless(world.scene, before, world.state())):
+        return Refusal(name, "it does not stay at rest", f"`{name}` does not stay at rest for {SETTLING.rest_s:g} s")
     return None

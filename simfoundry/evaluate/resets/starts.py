@@ -33,8 +33,8 @@ from simfoundry.evaluate.resets.placement import (
     deal,
     draws,
     left_cell,
+    not_at_rest,
     placed,
-    restless,
     sample,
     settled,
 )
@@ -278,7 +278,7 @@ class _Search:
         result = settled(self.task, world, state)
         if isinstance(result, Refusal):
             return result
-        refusal = left_cell(self.task, cells, result) or restless(self.task, world, result)
+        refusal = left_cell(self.task, cells, result) or not_at_rest(world, result)
         if refusal is not None:
             return refusal
         verdict = judge(self.task.goal, result)

@@ -26,13 +26,7 @@ from simfoundry.evaluate.policies.base import (
     checked_actions,
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.rollouts.control import (
-    Controller,
-    check_cameras,
-    physics_steps,
-    pictures,
-    readings,
-)
+from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch

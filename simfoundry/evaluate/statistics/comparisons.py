@@ -1,12 +1,12 @@
-"""Paired comparisons from the same initial states, between two policies in one engine or one policy in two engines.
+"""Paired comparisons from the same initial states: two policies in one engine, or one policy in two engines.
 
 Comparing two engines reveals results that depend on the engine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -83,31 +83,15 @@ def compare_policies(records: Iterable[Record]) -> list[PolicyComparison]:
             mine, other = by_policy[part, engine, first], by_policy[part, engine, second]
             pairs = [(mine[start], other[start]) for start in mine if start in other]
             if pairs:
-                found.append(_policies_compared(first, second, engine, part, pairs))
+                wins = [(bool(a["success"]), bool(b["success"])) for a, b in pairs]
+                counts = len(wins), wins.count((True, True)), wins.count((True, False)), wins.count((False, True))
+                shares = [_progress(a) - _progress(b) for a, b in pairs if a["subtasks"] and b["subtasks"]]
+                progress = (sum(shares) / len(shares), sign_flip(shares)) if shares else (None, None)
+                found.append(
+                    PolicyComparison(first, second, engine, part, *counts, mcnemar(*counts[2:]), 1.0, *progress)
+                )
     corrected = holm([c.p for c in found])
-    return [PolicyComparison(**{**vars(c), "p_holm": p}) for c, p in zip(found, corrected, strict=True)]
-
-
-def _policies_compared(
-    first: str, second: str, engine: str, part: str, pairs: Sequence[tuple[Record, Record]]
-) -> PolicyComparison:
-    wins = [(bool(a["success"]), bool(b["success"])) for a, b in pairs]
-    only, other = sum(a and not b for a, b in wins), sum(b and not a for a, b in wins)
-    shares = [_progress(a) - _progress(b) for a, b in pairs if a["subtasks"] and b["subtasks"]]
-    return PolicyComparison(
-        first=first,
-        second=second,
-        engine=engine,
-        part=part,
-        pairs=len(pairs),
-        both=sum(a and b for a, b in wins),
-        first_only=only,
-        second_only=other,
-        p=mcnemar(only, other),
-        p_holm=1.0,
-        progress=sum(shares) / len(shares) if shares else None,
-        p_progress=sign_flip(shares) if shares else None,
-    )
+    return [replace(c, p_holm=p) for c, p in zip(found, corrected, strict=True)]
 
 
 def _progress(record: Record) -> float:
@@ -121,7 +105,7 @@ def _progress(record: Record) -> float:
 # (docs/evaluation.md).
 APART = 2 / 25
 
-# Maximum difference in the number of successes that is attributed to chance, regardless of the number of initial
+# Difference in the number of successes up to which it is attributed to chance, regardless of the number of initial
 # states.
 CHANCE = 1
 
@@ -169,7 +153,7 @@ class EngineComparison:
             f"{self.title} with {self.policy}: {self.first} and {self.second} disagree: {self.first_done} and "
             f"{self.second_done} of the same {self.pairs} initial states lead to success (p = {self.p:.3g}, exact "
             "McNemar test), so the rate depends more on the engine than on the policy; compare rollouts "
-            f"{_listed(self.differing)}"
+            f"{', '.join(map(str, self.differing))}"
         )
 
     @property
@@ -193,21 +177,12 @@ def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
     found = []
     for key, engines in groups.items():
         for first, second in combinations(engines, 2):
-            common = [start for start in engines[first] if start in engines[second]]
-            if common:
-                wins = [(bool(engines[first][s]["success"]), bool(engines[second][s]["success"])) for s in common]
-                found.append(_engines_compared(key, (first, second), [index for index, _ in common], wins))
+            mine, theirs = engines[first], engines[second]
+            wins = [(s[0], bool(mine[s]["success"]), bool(theirs[s]["success"])) for s in mine if s in theirs]
+            if wins:
+                only = tuple(index for index, a, b in wins if a and not b)
+                other = tuple(index for index, a, b in wins if b and not a)
+                done = (sum(a for _, a, _ in wins), sum(b for _, _, b in wins))
+                p = mcnemar(len(only), len(other))
+                found.append(EngineComparison(*key, first, second, len(wins), *done, only, other, p))
     return found
-
-
-def _engines_compared(
-    key: tuple[str, str, str, str], engines: tuple[str, str], starts: Sequence[int], wins: Sequence[tuple[bool, bool]]
-) -> EngineComparison:
-    only = tuple(k for k, (a, b) in zip(starts, wins, strict=True) if a and not b)
-    other = tuple(k for k, (a, b) in zip(starts, wins, strict=True) if b and not a)
-    done = (sum(a for a, _ in wins), sum(b for _, b in wins))
-    return EngineComparison(*key, *engines, len(wins), *done, only, other, mcnemar(len(only), len(other)))
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers))

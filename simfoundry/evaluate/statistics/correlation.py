@@ -81,10 +81,9 @@ def _csv_rows(file: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     reader = csv.DictReader((line for _, line in lines), skipinitialspace=True)
     header = {name.strip() for name in reader.fieldnames or ()}
     if not {"task", "policy"} <= header or not ("rate" in header or {"successes", "rollouts"} <= header):
-        found = ", ".join(sorted(header)) or "nothing"
+        wanted = "task, policy and rate, or task, policy, successes and rollouts"
         raise ScoresError(
-            f"{file}:1: the header must contain task, policy and rate, or task, policy, successes and rollouts; "
-            f"it contains {found}"
+            f"{file}:1: the header must contain {wanted}; it contains {', '.join(sorted(header)) or 'nothing'}"
         )
     for (number, _), row in zip(lines[1:], reader, strict=False):
         yield f"{file}:{number}", {key.strip(): value for key, value in row.items() if isinstance(key, str)}
@@ -117,13 +116,11 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
             raise ScoresError(f"{place}: either a rate, or successes and rollouts are required")
         rate = successes / rollouts
     if not 0 <= rate <= 1:
-        raise ScoresError(
-            f"{place}: {rate:g} is not a success rate; use a number between 0 and 1, or a percentage such as 34%"
-        )
+        hint = "use a number between 0 and 1, or a percentage such as 34%"
+        raise ScoresError(f"{place}: {rate:g} is not a success rate; {hint}")
     counts = {key: int(_number(place, row, key) or 0) for key in ("invalid", "missing")}
-    return Score(
-        task, policy, rate, None if rollouts is None else int(rollouts), str(row.get("engine") or ""), **counts
-    )
+    of, engine = None if rollouts is None else int(rollouts), str(row.get("engine") or "")
+    return Score(task, policy, rate, of, engine, **counts)
 
 
 def by_engine(scores: list[Score]) -> dict[str, list[Score]]:
@@ -183,7 +180,10 @@ class RateAgreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """Options for computing the intervals; ``rollouts`` is assumed for rates that do not specify it."""
+    """Options for computing the intervals.
+
+    ``count`` is the number of draws, and ``rollouts`` is the number of rollouts for rates that do not specify one.
+    """
 
     count: int = 2000
     rollouts: int = 25
@@ -197,9 +197,9 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
     Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that rates of 0 and 25 out
     of 25 are not treated as certain. It also samples the policies with a Bayesian bootstrap (Rubin, 1981), with weights
     from a flat Dirichlet distribution. Resampling three to five policies with replacement would mostly leave only two
-    distinct policies, and therefore r at 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99 % of the 95 %
-    intervals contain the r of the population of policies (``tests/corpora/intervals.py``); with a bootstrap over the
-    rollouts alone, only 57 to 94 % did.
+    distinct policies, for which r is always 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99 % of the 95 %
+    intervals contain the r of the population of policies (``tests/corpora/intervals.py``). With a bootstrap over the
+    rollouts alone, 57 to 94 % of them do.
 
     Raises:
         ScoresError: If no pair of task and policy is in both tables.
@@ -207,9 +207,8 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
     there = {(s.task, s.policy): s for s in sim}
     tasks: dict[str, list[tuple[Score, Score]]] = {}
     for score in real:
-        twin = there.get((score.task, score.policy))
-        if twin is not None:
-            tasks.setdefault(score.task, []).append((score, twin))
+        if (score.task, score.policy) in there:
+            tasks.setdefault(score.task, []).append((score, there[score.task, score.policy]))
     if not tasks:
         raise ScoresError(
             "the two tables have no pair of task and policy in common: "
@@ -229,11 +228,9 @@ def reservations(scores: Sequence[Score]) -> list[str]:
     """Return a warning sentence for each rate with missing rollouts or invalid responses."""
     said = []
     for s in scores:
-        of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
-        if s.missing:
-            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing; the rate does not include them")
-        if s.invalid:
-            said.append(f"{s.policy} on {s.task}: {s.invalid} rollouts failed because of an invalid response")
+        name, of = f"{s.policy} on {s.task}", "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
+        said += [f"{name}: {s.missing}{of} rollouts are missing; the rate does not include them"] * bool(s.missing)
+        said += [f"{name}: {s.invalid} rollouts failed because of an invalid response"] * bool(s.invalid)
     return said
 
 
@@ -244,18 +241,11 @@ def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]
 
 
 def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> RateAgreement:
-    real, sim = (np.array([pair[k].rate for pair in pairs]) for k in (0, 1))
-    r, violation = _drawn(pairs, draws, rng)
-    return RateAgreement(
-        task=task,
-        policies=tuple(pair[0].policy for pair in pairs),
-        real=tuple(map(float, real)),
-        sim=tuple(map(float, sim)),
-        pearson=pearson(real, sim),
-        mmrv=mmrv(real, sim),
-        pearson_interval=_interval(r, draws.confidence),
-        mmrv_interval=_interval(violation, draws.confidence) if len(pairs) > 1 else None,
-    )
+    policies = tuple(score.policy for score, _ in pairs)
+    real, sim = (tuple(pair[k].rate for pair in pairs) for k in (0, 1))
+    r, violation = (_interval(drawn, draws.confidence) for drawn in _drawn(pairs, draws, rng))
+    violation = violation if len(pairs) > 1 else None
+    return RateAgreement(task, policies, real, sim, pearson(real, sim), mmrv(real, sim), r, violation)
 
 
 def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> tuple[Array, Array]:

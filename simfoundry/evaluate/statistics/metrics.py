@@ -32,9 +32,9 @@ def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> floa
 def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
     """Return the mean maximum rank violation of two arrays of scores, shape (n,), in the unit of the real scores.
 
-    For each policy, the rank violation is the largest real difference to any policy that simulation ranks in the
+    For each policy, the rank violation is the largest real difference from any policy that the simulation ranks in the
     opposite order. The result is the mean over the policies. Comparisons are strict, as in the paper, so if two
-    policies are tied in one array but not in the other, the rank of one of them is violated.
+    policies are tied in only one of the arrays, the rank of one of them is violated.
     """
     x, y = _pair(real, sim)
     if len(x) == 0:
@@ -75,6 +75,7 @@ def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float
 
 
 def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
+    """Return Wilson's score interval for a rate and a number of rollouts, which does not have to be an integer."""
     share = z * z / rollouts
     middle = (rate + share / 2) / (1 + share)
     half = z * math.sqrt(rate * (1 - rate) / rollouts + share / (4 * rollouts)) / (1 + share)

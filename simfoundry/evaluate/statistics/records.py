@@ -60,7 +60,10 @@ class RecordSlot:
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
-        """Write a rollout with its context ``about``; the file that marks it as finished is written last."""
+        """Write a rollout with its context ``about``.
+
+        The file that marks the rollout as finished is written last.
+        """
         record = record_of(result, about)
         if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
@@ -85,12 +88,7 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "simfoundry": VERSION,
         **about,
-        "index": result.index,
-        "seed": result.seed,
-        "success": result.success,
-        "end": str(result.end),
-        "reason": result.reason,
-        "steps": result.steps,
+        **{key: getattr(result, key) for key in ("index", "seed", "success", "end", "reason", "steps")},
         "subtasks": dict(result.subtasks),
         "chunks": result.chunks,
         "trajectory": result.digest,
@@ -104,7 +102,7 @@ def is_result(record: Mapping[str, Any]) -> bool:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read a file written by :meth:`RecordSlot.write`; raises :class:`OutputError` if it is not such a file."""
+    """Read a record; raises :class:`OutputError` if the file was not written by :class:`RecordSlot`."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ValueError("too large")

@@ -24,10 +24,10 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """Return the recipe, seed, index and axes of a cousin, or None if no recipe generated the task.
+    """Return the recipe, seed, index and axes of a cousin, or None if the task was not generated from a recipe.
 
-    ``axes`` are those along which the cousin differs from its twin. They are derived from the fields in its documents
-    that are not in the twin's documents.
+    ``axes`` are the axes along which the cousin differs from its twin. They are derived from the fields in its
+    documents that the twin's documents do not contain.
     """
     origin = task.setup.task_spec.origin
     if origin is None or origin.cousin is None:
@@ -36,16 +36,9 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
     # The document's own entries, without those of its bases.
     own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}
     known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
-    axes = set()
-    for name, fields in own.items():
-        if name not in known:
-            axes.add("distractors")
-        elif set(fields) - {"pose", "place", "joints"}:
-            axes.add("object")
-        else:
-            axes.add("scene")
-    if not task.setup.task.bases:  # the task is new and does not extend the twin's task
-        axes.add("task")
+    axes = {"distractors" for name in own if name not in known}
+    axes |= {"object" if set(own[n]) - {"pose", "place", "joints"} else "scene" for n in own if n in known}
+    axes |= set() if task.setup.task.bases else {"task"}  # a new task does not extend the twin's task
     cousin = origin.cousin
     return {"recipe": cousin.recipe, "seed": cousin.seed, "index": cousin.index, "axes": sorted(axes)}
 
@@ -54,8 +47,8 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
 class RatePool:
     """The results of a policy over multiple tasks in one engine.
 
-    ``counts`` contains the number of successes and rollouts for each task; ``subtasks`` contains the rate of each step
-    by name. ``rate`` weights all rollouts equally, and the stratified rate weights all tasks equally.
+    ``counts`` contains the numbers of successes and rollouts for each task, and ``subtasks`` contains the rate of each
+    step by name. ``rate`` weights all rollouts equally, whereas the stratified rate weights all tasks equally.
     """
 
     policy: str
@@ -100,34 +93,35 @@ class RatePool:
             "successes": self.rate.done,
             "rollouts": self.rate.of,
             "invalid": self.invalid,
-            "subtasks": {name: {"done": rate.done, "of": rate.of} for name, rate in self.subtasks.items()},
+            "subtasks": {name: dict(vars(rate)) for name, rate in self.subtasks.items()},
             "rate": round(self.rate.share, 6),
-            "interval": [round(v, 6) for v in self.rate.interval],
+            "interval": _rounded(self.rate.interval),
             "stratified_rate": round(rate, 6),
-            "stratified_interval": [round(low, 6), round(high, 6)],
+            "stratified_interval": _rounded((low, high)),
         }
+
+
+def _rounded(interval: tuple[float, float]) -> list[float]:
+    return [round(v, 6) for v in interval]
 
 
 def pools(records: Iterable[Record]) -> list[RatePool]:
     """Pool the results of every policy over all tasks, and over each stratum if there is more than one.
 
-    A stratum consists of a recipe and a set of axes. Pools need at least two tasks, because a single task already has
-    its own row. Single steps and remainders of tasks are pooled separately from whole tasks (``part``), because they
-    measure different abilities.
+    A stratum consists of a recipe and a set of axes. A pool contains at least two tasks, because a single task already
+    has its own row. Single steps and remainders of tasks (``part``) are pooled separately from whole tasks, because
+    they measure different abilities.
     """
     groups: dict[tuple[str, str, str, str], dict[str, list[Record]]] = {}
     results = [r for r in records if is_result(r)]
-    strata: dict[str, set[str]] = {}
+    strata = Counter(part for part, _ in {(r["part"], stratum_of(r)) for r in results})
     for record in results:
-        strata.setdefault(record["part"], set()).add(stratum_of(record))
-    for record in results:
-        names = ["all", stratum_of(record)] if len(strata[record["part"]]) > 1 else ["all"]
-        for name in names:
+        for name in ["all", stratum_of(record)] if strata[record["part"]] > 1 else ["all"]:
             tasks = groups.setdefault((record["part"], name, record["engine"], record["policy"]), {})
             tasks.setdefault(f"{record['task']}/{record['step']}", []).append(record)
-    order = {name: k for k, name in enumerate(dict.fromkeys(("all", *(key[1] for key in groups))))}
+    order = list(dict.fromkeys(("all", *(key[1] for key in groups))))
     found = []
-    for part, name, engine, policy in sorted(groups, key=lambda key: (key[0] != "whole", key[0], order[key[1]])):
+    for part, name, engine, policy in sorted(groups, key=lambda key: (key[0] != "whole", key[0], order.index(key[1]))):
         tasks = groups[part, name, engine, policy]
         every = [r for each in tasks.values() for r in each]
         counts = tuple((sum(r["success"] for r in each), len(each)) for each in tasks.values())
@@ -152,8 +146,8 @@ def stratum_of(record: Record) -> str:
 
 VERSION = "results/2"
 
-# The maximum number of tasks whose steps are listed in tables; listing four rows for each of a hundred cousins would be
-# too much.
+# The maximum number of tasks for which tables also list the steps; with a hundred cousins of four steps each, the
+# tables would be too long.
 MANY = 12
 
 
@@ -185,9 +179,8 @@ class ScoreRow:
     @property
     def title(self) -> str:
         """The title of the task."""
-        return {"whole": self.task, "alone": f"{self.task}: {self.step}", "onward": f"{self.task} from {self.step}"}[
-            self.part
-        ]
+        steps = {"whole": "", "alone": f": {self.step}", "onward": f" from {self.step}"}
+        return f"{self.task}{steps[self.part]}"
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -196,9 +189,9 @@ class ScoreRow:
 
     @property
     def exceptions(self) -> str:
-        """The number of invalid responses and missing rollouts as text; empty if both are zero."""
-        invalid = f"{self.invalid} with an invalid response" if self.invalid else ""
-        return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
+        """The numbers of invalid responses and missing rollouts as text, which is empty if both are zero."""
+        counts = {"with an invalid response": self.invalid, "missing": self.missing}
+        return ", ".join(f"{count} {words}" for words, count in counts.items() if count)
 
     @property
     def summary(self) -> str:
@@ -209,7 +202,7 @@ class ScoreRow:
     def to_json(self) -> dict[str, Any]:
         """Return the row as an entry of ``scores``, which `simfoundry correlate` reads.
 
-        A single step is listed there as a task of its own.
+        A single step is listed as a separate task.
         """
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
@@ -221,12 +214,9 @@ class ScoreRow:
             "invalid": self.invalid,
             "missing": self.missing,
             "rate": round(self.success.share, 6) if self.success.of else None,
-            "interval": [round(v, 6) for v in self.success.interval],
+            "interval": _rounded(self.success.interval),
             "mean_steps": None if self.mean_steps is None else round(self.mean_steps, 2),
-            "subtasks": {
-                name: {"done": rate.done, "of": rate.of, "interval": [round(v, 6) for v in rate.interval]}
-                for name, rate in self.subtasks.items()
-            },
+            "subtasks": {n: {**vars(rate), "interval": _rounded(rate.interval)} for n, rate in self.subtasks.items()},
             "ends": dict(self.ends),
         }
 
@@ -259,22 +249,14 @@ def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
 def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
     task, part, step, engine, policy = key
     found = [r for r in every if is_result(r)]
-    asked = max(r["asked_rollouts"] for r in every)
+    missing = max(0, max(r["asked_rollouts"] for r in every) - len(found))
     steps = [r["steps"] for r in found if r["success"]]
-    names = list(dict.fromkeys(name for record in found for name in record["subtasks"]))
-    return ScoreRow(
-        task=task,
-        part=part,
-        step=step,
-        engine=engine,
-        policy=policy,
-        success=Rate(sum(r["success"] for r in found), len(found)),
-        subtasks={n: _rate_of([r["subtasks"].get(n) for r in found]) for n in names},
-        ends=dict(sorted(Counter(r["end"] for r in found).items())),
-        mean_steps=sum(steps) / len(steps) if steps else None,
-        invalid=sum(r["end"] == RolloutEnd.INVALID for r in found),
-        missing=max(0, asked - len(found)),
-    )
+    names = dict.fromkeys(name for record in found for name in record["subtasks"])
+    subtasks = {n: _rate_of([r["subtasks"].get(n) for r in found]) for n in names}
+    ends = Counter(sorted(r["end"] for r in found))
+    mean, invalid = sum(steps) / len(steps) if steps else None, ends[RolloutEnd.INVALID]
+    success = Rate(len(steps), len(found))
+    return ScoreRow(task, part, step, engine, policy, success, subtasks, ends, mean, invalid, missing)
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

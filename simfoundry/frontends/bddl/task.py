@@ -18,8 +18,9 @@ from simfoundry.frontends.bddl.problem import (
     read_problem,
 )
 from simfoundry.frontends.documents import relative_path, rounded
-from simfoundry.frontends.draft import ImportOptions, ModelDraft, plain_name
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.models.scene import SceneSpec

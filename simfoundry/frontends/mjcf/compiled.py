@@ -55,12 +55,10 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
     source = MjcfSource(mujoco, model, None, draft, is_own=True)
     for body, name in roots.items():
         try:
-            words = json.loads(own.texts[f"{name}{ROBOT}"])
-        except ValueError:
-            words = None
-        if not isinstance(words, dict):
+            words = dict(json.loads(own.texts[f"{name}{ROBOT}"]))
+        except (TypeError, ValueError):
             message = f"robot `{name}` has invalid data for a compiled file: its custom text is not a JSON object"
-            raise ImportRefusedError(path, message)
+            raise ImportRefusedError(path, message) from None
         draft.robots.append(robot_draft(path, name, words, Pose.of(model.body_pos[body], model.body_quat[body])))
     for k in range(model.ncam):
         robot = roots.get(int(model.body_rootid[model.cam_bodyid[k]]))

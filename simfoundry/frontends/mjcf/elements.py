@@ -48,8 +48,7 @@ def _add_mimics(source: MjcfSource) -> None:
         (body, follower), (other, leader) = joints[one], joints[two]
         constant, ratio, *higher = model.eq_data[k][:5].tolist()
         if body is not other or any(higher) or not bool(model.eq_active0[k]):
-            why = "only linear couplings between two joints in the same object can be expressed"
-            source.draft.dropped(what, why)
+            source.draft.dropped(what, "only linear couplings between two joints in the same object can be expressed")
             continue
         zero_one, zero_two = (float(model.jnt(joint).qpos0[0]) for joint in (one, two))
         follower.mimic = Mimic(leader.name, ratio, zero_one + constant - ratio * zero_two)
@@ -62,10 +61,8 @@ def _add_drives(source: MjcfSource) -> None:
         what, joint = f"actuator {source.label('actuator', k)}", int(model.actuator_trnid[k, 0])
         kinds = (model.actuator_trntype[k], model.actuator_gaintype[k], model.actuator_biastype[k])
         is_servo = kinds == (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)
-        gain, (bias, stiffness, damping) = (
-            float(model.actuator_gainprm[k][0]),
-            (-model.actuator_biasprm[k][:3]).tolist(),
-        )
+        gain = float(model.actuator_gainprm[k][0])
+        bias, stiffness, damping = (-model.actuator_biasprm[k][:3]).tolist()
         is_servo = is_servo and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
         if not is_servo or gain != (stiffness or damping) or joint not in joints or joints[joint][1].type == "ball":
             draft.dropped(what, "only position and velocity servos on joints can be expressed")
@@ -129,8 +126,9 @@ def _add_masks(source: MjcfSource) -> None:
         else:
             _exclude(source, one, two, "contact masks")
     if divided:
-        why = "contact can be excluded only between entire links"
-        draft.dropped("contact masks", why, f"{divided} pairs of bodies")
+        draft.dropped(
+            "contact masks", "contact can be excluded only between entire links", f"{divided} pairs of bodies"
+        )
 
 
 def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
@@ -197,13 +195,11 @@ def _add_lights(source: MjcfSource) -> None:
             continue
         if not model.light_active[k]:
             continue
-        is_distant = model.light_type[k] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-        if not is_distant and model.light_cutoff[k] < 90:
-            draft.changed(f"spotlight `{name}`", "it becomes a point light, which shines in all directions")
-        intensity, color = split_color(light.diffuse.tolist())
-        kind = "distant" if is_distant else "point"
+        kind = "distant" if model.light_type[k] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL else "point"
+        if kind == "point" and model.light_cutoff[k] < 90:
+            draft.changed(f"spotlight `{name}`", "it became a point light, which shines in all directions")
         direction, xyz = tuple(light.dir.tolist()), tuple(light.pos.tolist())
-        draft.lights.append(LightDraft(name, kind, intensity, color, direction, xyz))
+        draft.lights.append(LightDraft(name, kind, *split_color(light.diffuse.tolist()), direction, xyz))
 
 
 def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:

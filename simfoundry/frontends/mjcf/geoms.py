@@ -9,19 +9,11 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import (
-    BodyDraft,
-    JointDraft,
-    MeshDraft,
-    ModelDraft,
-    PartDraft,
-    PrimitiveShape,
-    Rgba,
-    plain_name,
-)
+from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.meshes import mesh_of_parts
+from simfoundry.frontends.names import plain_name
+from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
 from simfoundry.geometry.frames import Pose
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 
 @dataclass(eq=False)
@@ -69,18 +61,17 @@ class MjcfGeoms:
         model, types = self.model, self.mujoco.mjtGeom
         name = self.source.name("geom", geom)
         kind = types(model.geom_type[geom])
+        kind_name = kind.name.removeprefix("mjGEOM_").lower()
         X_BG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         geometry: PrimitiveShape | MeshDraft
         a, b, c = (float(v) for v in model.geom_size[geom])
         match kind:
             case types.mjGEOM_BOX:
-                geometry = BoxShape(box=(2 * a, 2 * b, 2 * c))
+                geometry = primitive("box", 2 * a, 2 * b, 2 * c)
             case types.mjGEOM_SPHERE:
-                geometry = SphereShape(sphere=a)
-            case types.mjGEOM_CYLINDER:
-                geometry = CylinderShape(cylinder=Round(radius=a, height=2 * b))
-            case types.mjGEOM_CAPSULE:
-                geometry = CapsuleShape(capsule=Round(radius=a, height=2 * b))
+                geometry = primitive("sphere", a)
+            case types.mjGEOM_CYLINDER | types.mjGEOM_CAPSULE:
+                geometry = primitive(kind_name, a, 2 * b)
             case types.mjGEOM_ELLIPSOID:
                 geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
             case types.mjGEOM_PLANE:
@@ -89,21 +80,17 @@ class MjcfGeoms:
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
                 geometry, X_BG = self.mesh(geom, X_BG)
             case _:
-                kind_name = kind.name.removeprefix("mjGEOM_").lower()
-                self.draft.dropped(
-                    f"geom `{name or geom}`", f"the scene language does not support the geom type {kind_name}"
-                )
+                why = f"the scene language does not support the geom type {kind_name}"
+                self.draft.dropped(f"geom `{name or geom}`", why)
                 return None
         use = self.use(geom)
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
         """Return how a geom is used: `visual` if it never collides, `collision` if viewers hide it, or `both`."""
-        model = self.model
-        touches = bool(model.geom_contype[geom]) or bool(model.geom_conaffinity[geom])
-        if not touches:
+        if not self.model.geom_contype[geom] and not self.model.geom_conaffinity[geom]:
             return "visual"
-        hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0
+        hidden = int(self.model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0
         return "collision" if hidden else "both"
 
     def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
@@ -129,12 +116,8 @@ class MjcfGeoms:
 
     def rgba(self, geom: int) -> Rgba:
         """Return the color of a geom, which may come from its material."""
-        model, material = self.model, int(self.model.geom_matid[geom])
-        rgba = model.geom_rgba[geom].tolist()
-        if tuple(rgba) == UNSET and material >= 0:
-            rgba = model.mat_rgba[material].tolist()
-        r, g, b, a = (min(max(v, 0.0), 1.0) for v in rgba)
-        return r, g, b, a
+        rgba, material = tuple(self.model.geom_rgba[geom].tolist()), int(self.model.geom_matid[geom])
+        return clamped_rgba(self.model.mat_rgba[material] if rgba == UNSET and material >= 0 else rgba)
 
     def texture(self, material: int) -> int:
         """Return the id of a material's color texture, or -1 if it has no texture that can be applied to a mesh."""

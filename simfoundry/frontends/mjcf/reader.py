@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
+from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import Element, FileSearch, NotFoundError, missing_file, read_xml
 from simfoundry.frontends.mass_repair import feather_link, inertia_of_moments, repair_masses
@@ -18,6 +18,7 @@ from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
+from simfoundry.frontends.names import free_name
 from simfoundry.geometry.frames import Pose
 
 # Maximum number of included files, which stops infinite chains; public models include at most a tenth of that.
@@ -28,10 +29,9 @@ _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
     "geom_size", "geom_user", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos",
     "mesh_quat", "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring",
-    "key_qpos", "key_ctrl",
-    "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange",
-    "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
-    "light_diffuse", "light_cutoff",
+    "key_qpos", "key_ctrl", "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm",
+    "actuator_forcerange", "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize",
+    "light_pos", "light_dir", "light_diffuse", "light_cutoff",
 )  # fmt: skip
 
 # Element kinds by field prefix, for prefixes that differ from the name of the kind.
@@ -44,7 +44,7 @@ NO_LENGTH = 1e-9
 NOISE = 1e-12
 
 
-def read_mjcf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
+def read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
     """Read the scene in an MJCF file.
 
     Raises :class:`ImportRefusedError`, with MuJoCo's error message if MuJoCo rejects the file.
@@ -162,8 +162,7 @@ class _MjcfReader:
 
     def read(self) -> ModelDraft:
         model = self.model
-        x, y, z = (float(v) for v in model.opt.gravity)
-        self.draft.gravity = (x, y, z)
+        self.draft.gravity = tuple(model.opt.gravity.tolist())
         self.world()
         for body in range(1, model.nbody):
             if model.body_parentid[body] == 0:
@@ -214,7 +213,7 @@ class _MjcfReader:
             draft.links[name] = self.new_link(body, name, Pose.of())
             self.source.owners[body] = (draft, name, Pose.of())
             if int(model.body_mocapid[body]) >= 0:
-                self.draft.changed(f"mocap body `{name}`", "mocap bodies are not supported, so it is fixed")
+                self.draft.changed(f"mocap body `{name}`", "mocap bodies are not supported, so the body is fixed")
             return
         base = self.base_name(body)
         X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
@@ -254,7 +253,7 @@ class _MjcfReader:
             anchor, parent, X_PB = model.jnt_pos[joint], link, Pose.of()
             if not is_last:
                 draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
-                why = "a link has only one parent joint here, so a link with negligible mass was inserted"
+                why = "a link can have only one parent joint, so a link with negligible mass was inserted"
                 self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         X_BL = Pose.of(model.jnt_pos[joints[-1]])
         draft.links[name] = self.new_link(body, name, X_BL)
@@ -267,9 +266,7 @@ class _MjcfReader:
         axis = np.array(source.axis, dtype=np.float64)
         out = JointDraft(name, "revolute", parent, child, X_PL, axis, damping=float(source.damping.flat[0]))
         out.friction, out.armature = float(source.frictionloss[0]), float(source.armature[0])
-        low, high = source.range.tolist()
-        is_limited = bool(source.limited)
-        qpos = self.data.joint(joint).qpos
+        is_limited, qpos = bool(source.limited), self.data.joint(joint).qpos
         if kind == kinds.mjJNT_BALL:
             out.type = "ball"
             out.motion = Pose.of(q=source.qpos0).inverse() @ Pose.of(q=qpos)
@@ -277,7 +274,7 @@ class _MjcfReader:
                 self.draft.inexpressible(f"limit of ball joint `{name}`")
             return out
         out.position = float(qpos[0])
-        out.limits = (low, high) if is_limited else None
+        out.limits = tuple(source.range.tolist()) if is_limited else None
         reference = float(source.qpos0[0])
         axis /= np.linalg.norm(axis)
         if kind == kinds.mjJNT_SLIDE:

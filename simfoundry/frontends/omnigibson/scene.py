@@ -12,16 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import (
-    DEFAULTS,
-    BodyDraft,
-    ImportOptions,
-    LinkDraft,
-    MeshDraft,
-    ModelDraft,
-    PartDraft,
-    RobotDraft,
-)
+from simfoundry.frontends.draft import BodyDraft, ImportOptions, LinkDraft, MeshDraft, ModelDraft, PartDraft, RobotDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_json
 from simfoundry.frontends.mass_repair import repair_masses
@@ -39,7 +30,7 @@ ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM":
 LEVELS = 5
 
 
-def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
+def read_omnigibson(path: Path, options: ImportOptions) -> ModelDraft:
     """Read the scene in a JSON file from the release; raise :class:`ImportRefusedError` if it is invalid."""
     return _SceneReader(path, options).read()
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.documents import relative_path, rounded
-from simfoundry.frontends.draft import ImportOptions, ModelDraft, NameTable, plain_name
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.predicate import texts
 from simfoundry.spec.models.scene import SceneSpec

@@ -8,15 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import (
-    BodyDraft,
-    ImportOptions,
-    JointDraft,
-    LinkDraft,
-    ModelDraft,
-    PartDraft,
-    robot_draft,
-)
+from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, ModelDraft, PartDraft, robot_draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_json
 from simfoundry.frontends.urdf.reader import read_urdf
@@ -81,7 +73,7 @@ def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], op
         joint.position = float(entry["joints"].get(joint.name, 0.0))
         joint.closed = entry.get("closed", {}).get(joint.name)
     for link in body.links.values():
-        link.parts = _with_capsules(link)
+        link.parts = _with_capsules(link.parts)
     return body
 
 
@@ -96,9 +88,9 @@ def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, An
     owner.joints += [joint, *body.joints]
 
 
-def _with_capsules(link: LinkDraft) -> list[PartDraft]:
+def _with_capsules(parts: list[PartDraft]) -> list[PartDraft]:
     """Return the parts of a link, replacing each cylinder and two spheres that represent a capsule with a capsule."""
-    by_name = {(part.name, part.use): part for part in link.parts}
+    by_name = {(part.name, part.use): part for part in parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():
         ends = [by_name.get((name.removesuffix(TUBE) + end, use)) for end in (TOP, BOTTOM)]
@@ -108,7 +100,7 @@ def _with_capsules(link: LinkDraft) -> list[PartDraft]:
         if all(end is not None and _is_end(end, tube, size, up) for end, up in zip(ends, (1, -1), strict=True)):
             tube.name, tube.geometry = name.removesuffix(TUBE), CapsuleShape(capsule=size)
             gone |= {id(end) for end in ends}
-    return [part for part in link.parts if id(part) not in gone]
+    return [part for part in parts if id(part) not in gone]
 
 
 def _is_end(end: PartDraft, tube: PartDraft, size: Round, up: int) -> bool:

@@ -8,30 +8,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from simfoundry.assets.errors import LARGEST, MeshError
-from simfoundry.frontends.draft import (
-    DEFAULTS,
-    BodyDraft,
-    ImportOptions,
-    JointDraft,
-    LinkDraft,
-    MeshDraft,
-    ModelDraft,
-    PartDraft,
-    PrimitiveShape,
-    Rgba,
-)
+from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.files import Element, FileSearch, read_xml
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.meshes import Scale, group_drafts, mesh_draft, mesh_width
-from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Mimic
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 # Minimum length of an axis; shorter axes have no meaningful direction.
 LEAST_AXIS = 1e-9
@@ -45,6 +36,12 @@ CONTACT = {
     "rolling_friction": "rolling_friction",
 }  # fmt: skip
 
+# Attributes with the size of each primitive, and the number of values in each attribute.
+_SIZES = {
+    "box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+}  # fmt: skip
+
 # Supported child elements by parent element; all others are counted and reported.
 _READ = {
     "robot": ("link", "joint", "material"),
@@ -54,12 +51,15 @@ _READ = {
 }
 
 
-def read_urdf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
+def read_urdf(path: Path, options: ImportOptions) -> ModelDraft:
     """Read a URDF file into a draft with a single body.
 
     Raises :class:`ImportRefusedError` with a line number if the file is invalid.
     """
     return _UrdfReader(path, options).read()
+
+
+Named = TypeVar("Named", LinkDraft, JointDraft)
 
 
 class _UrdfReader:
@@ -70,29 +70,27 @@ class _UrdfReader:
         self.root = read_xml(path, "robot")
         self.draft = ModelDraft(self.root.get("name") or path.stem, "URDF", density=options.density)
         self.left_out: Counter[str] = Counter()
-        self.meshes: dict[tuple[Path, Scale], MeshDraft] = {}
-        self.groups: dict[tuple[Path, Scale], list[tuple[str, MeshDraft]]] = {}
-        self.widths: dict[int, float] = {}
-        """Longest side [m] of each mesh, by object id."""
+        self.mesh_draft = cache(lambda path, scale: mesh_draft(path, scale, self.search))
+        self.group_drafts, self.mesh_width = cache(group_drafts), cache(mesh_width)
         self.materials: dict[str, Element] = {}
         for material in self.root.walk():
             name = material.get("name")
             if material.tag == "material" and name and material.children:
                 self.materials.setdefault(name, material)
 
+    def named(self, tag: str, read: Callable[[Element], Named]) -> dict[str, Named]:
+        """Read all elements with the given tag and return them by name."""
+        found: dict[str, Named] = {}
+        for element in self.root.all(tag):
+            draft = read(element)
+            if draft.name in found:
+                raise element.refused(f"there is more than one {tag} named `{draft.name}`")
+            found[draft.name] = draft
+        return found
+
     def read(self) -> ModelDraft:
-        links: dict[str, LinkDraft] = {}
-        for element in self.root.all("link"):
-            link = self.link(element)
-            if link.name in links:
-                raise element.refused(f"there is more than one link named `{link.name}`")
-            links[link.name] = link
-        joints: dict[str, JointDraft] = {}
-        for element in self.root.all("joint"):
-            joint = self.joint(element, links)
-            if joint.name in joints:
-                raise element.refused(f"there is more than one joint named `{joint.name}`")
-            joints[joint.name] = joint
+        links = self.named("link", self.link)
+        joints = self.named("joint", lambda element: self.joint(element, links))
         body = BodyDraft(self.draft.name, self.root_link(links, joints.values()), links, list(joints.values()))
         self.draft.bodies.append(body)
         self.mimics(joints)
@@ -116,11 +114,9 @@ class _UrdfReader:
         if len(roots) > 1:
             message = f"the robot has {len(roots)} root links: `{'`, `'.join(roots[:4])}`"
             raise self.root.refused(message, "connect them with fixed joints")
-        reached, waiting = set(), [roots[0]]
-        while waiting:
-            link = waiting.pop()
-            reached.add(link)
-            waiting += [joint.child for joint in joints if joint.parent == link]
+        reached = roots[:1]
+        for link in reached:  # grows while it is read
+            reached += [joint.child for joint in joints if joint.parent == link]
         lost = next((name for name in links if name not in reached), None)
         if lost is not None:
             raise self.root.refused(f"the joints form a cycle: link `{lost}` is its own ancestor")
@@ -128,18 +124,15 @@ class _UrdfReader:
 
     def link(self, element: Element) -> LinkDraft:
         link = LinkDraft(element.need("name"))
-        inertial = element.first("inertial")
-        if inertial is not None:
+        if (inertial := element.first("inertial")) is not None:
             self.inertial(link, inertial)
-        contact = element.first("contact")
-        if contact is not None:
+        if (contact := element.first("contact")) is not None:
             given = ((key, contact.first(tag)) for tag, key in CONTACT.items())
             link.contact = {key: max(0.0, element.number("value")) for key, element in given if element is not None}
             if "restitution" in link.contact:
                 link.contact["restitution"] = min(1.0, link.contact["restitution"])
-        visuals = [p for e in element.all("visual") for p in self.parts(e, "visual", link.name)]
-        colliders = [p for e in element.all("collision") for p in self.parts(e, "collision", link.name)]
-        link.parts = _united(visuals, colliders)
+        uses = ("visual", "collision")
+        link.parts = _united(*([p for e in element.all(use) for p in self.parts(e, use, link.name)] for use in uses))
         return link
 
     def inertial(self, link: LinkDraft, inertial: Element) -> None:
@@ -158,7 +151,7 @@ class _UrdfReader:
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def parts(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
-        """Yield the parts of a `<visual>` or `<collision>` element: one, or one per group of an OBJ mesh."""
+        """Yield the parts of a `<visual>` or `<collision>` element: one, or one per group for an OBJ mesh."""
         geometry = element.first("geometry")
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
@@ -168,80 +161,55 @@ class _UrdfReader:
         if groups:
             yield from (PartDraft(element.get("name") or name, mesh, use, X_LG) for name, mesh in groups)
             return
-        found = self.geometry(shape, use, link)
-        if found is None:
+        drafted, X_GS = self.geometry(shape, use, link)
+        if drafted is None:
             return
-        drafted, X_GS = found
-        if use == "visual" and isinstance(drafted, MeshDraft) and self.width(drafted) > LARGEST:
+        if use == "visual" and isinstance(drafted, MeshDraft) and self.mesh_width(drafted) > LARGEST:
             self.draft.dropped(f"visual mesh of `{link}`", f"it is larger than {LARGEST:g} m")
             return
         color = self.color(element.first("material")) if use == "visual" else None
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
-    def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
-        """Return a shape and its pose relative to its element, or record the shape and return None if unsupported."""
-        match shape.tag:
-            case "box":
-                x, y, z = shape.numbers("size", 3)
-                if min(x, y, z) > 0:
-                    return BoxShape(box=(x, y, z)), Pose.of()
-            case "sphere":
-                radius = shape.number("radius")
-                if radius > 0:
-                    return SphereShape(sphere=radius), Pose.of()
-            case "cylinder" | "capsule":
-                radius, length = shape.number("radius"), shape.number("length")
-                if radius > 0 and length > 0:
-                    size = Round(radius=radius, height=length)
-                    is_cylinder = shape.tag == "cylinder"
-                    return (CylinderShape(cylinder=size) if is_cylinder else CapsuleShape(capsule=size)), Pose.of()
-            case "mesh":
-                return self.mesh(shape), Pose.of()
-            case "plane":
-                normal = np.array(shape.numbers("normal", 3, (0.0, 0.0, 1.0)))
-                box, X_PB = self.draft.plane(f"plane of `{link}`")
-                return box, _upright(normal) @ X_PB
-            case _:
-                self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "the scene language does not support this shape")
-                return None
-        if any(float(w) < 0 for text in shape.attributes.values() for w in text.split()):
+    def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft | None, Pose]:
+        """Return a shape and its pose relative to its element, or record it and return None if it is unsupported."""
+        if shape.tag == "mesh":
+            return self.mesh(shape), IDENTITY
+        if shape.tag == "plane":
+            normal = np.array(shape.numbers("normal", 3, (0.0, 0.0, 1.0)))
+            box, X_PB = self.draft.plane(f"plane of `{link}`")
+            return box, _upright(normal) @ X_PB
+        what = f"{use} `{shape.tag}` of `{link}`"
+        if shape.tag not in _SIZES:
+            self.draft.dropped(what, "the scene language does not support this shape")
+            return None, IDENTITY
+        sizes = [size for name, count in _SIZES[shape.tag].items() for size in shape.numbers(name, count)]
+        if min(sizes) < 0:
             raise shape.refused(f"a `<{shape.tag}>` of link `{link}` has a negative size")
-        self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "its size is zero")
-        return None
+        if min(sizes) == 0:
+            self.draft.dropped(what, "its size is zero")
+            return None, IDENTITY
+        return primitive(shape.tag, *sizes), IDENTITY
 
     def mesh_groups(self, shape: Element, link: str) -> list[tuple[str, MeshDraft]]:
-        """Return the name and mesh of each OBJ group, each of which collides as its own hull; empty without groups."""
-        key = self.file_and_scale(shape)
-        if key not in self.groups:
-            try:
-                self.groups[key] = group_drafts(*key)
-            except MeshError as error:
-                raise shape.refused(str(error), error.hint) from None
-        groups = self.groups[key]
+        """Return the name and mesh of each OBJ group, or an empty list if the mesh has no groups."""
+        path, scale = self.file_and_scale(shape)
+        groups = self.group_drafts(path, scale)
         if groups:
             why = "each OBJ group collides as its own convex hull, as in PyBullet; MuJoCo uses a single hull"
-            self.draft.changed(f"collision mesh of `{link}`", why, f"{len(groups)} groups of {key[0].name}")
+            self.draft.changed(f"collision mesh of `{link}`", why, f"{len(groups)} groups of {path.name}")
         return groups
 
     def mesh(self, shape: Element) -> MeshDraft:
-        key = self.file_and_scale(shape)
-        if key not in self.meshes:
-            try:
-                self.meshes[key] = mesh_draft(*key, self.search)
-            except MeshError as error:
-                raise shape.refused(str(error), error.hint) from None
-        return self.meshes[key]
+        try:
+            return self.mesh_draft(*self.file_and_scale(shape))
+        except MeshError as error:
+            raise shape.refused(str(error), error.hint) from None
 
     def file_and_scale(self, shape: Element) -> tuple[Path, Scale]:
         text = shape.get("scale")
         count = 1 if text is not None and len(text.split()) == 1 else 3
         x, y, z = (shape.numbers("scale", count, (1.0, 1.0, 1.0)[:count]) * 3)[:3]
         return self.search.need(shape.need("filename"), self.path, shape.line), (x, y, z)
-
-    def width(self, mesh: MeshDraft) -> float:
-        if id(mesh) not in self.widths:
-            self.widths[id(mesh)] = mesh_width(mesh)
-        return self.widths[id(mesh)]
 
     def color(self, material: Element | None) -> Rgba | None:
         if material is None:
@@ -250,10 +218,7 @@ class _UrdfReader:
         if defined.first("texture") is not None:
             self.left_out["texture that the URDF assigns to a shape or mesh"] += 1
         color = defined.first("color")
-        if color is None:
-            return None
-        r, g, b, a = (min(max(v, 0.0), 1.0) for v in color.numbers("rgba", 4))
-        return r, g, b, a
+        return None if color is None else clamped_rgba(color.numbers("rgba", 4))
 
     def joint(self, element: Element, links: dict[str, LinkDraft]) -> JointDraft:
         name, kind, ends = element.need("name"), element.need("type"), []
@@ -297,13 +262,13 @@ class _UrdfReader:
                 joint.limits = bounds
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] != 0.0:
                 _lock(joint, bounds[0])
-                self.draft.changed(what, f"both limits are {bounds[0]:g}, so it is fixed at that position")
+                self.draft.changed(what, f"both limits are {bounds[0]:g}, so the joint is fixed at that position")
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] and is_stated:
                 joint.type = "fixed"
-                self.draft.changed(what, "both limits are 0, so it is fixed")
+                self.draft.changed(what, "both limits are 0, so the joint is fixed")
             case "revolute":
                 joint.type = "continuous"
-                self.draft.changed(what, "it has no limits, so it becomes a continuous joint")
+                self.draft.changed(what, "it has no limits, so it became a continuous joint")
             case "prismatic":
                 joint.limits = self.draft.unlimited_slide(what)
             case "spherical":
@@ -312,9 +277,8 @@ class _UrdfReader:
                 joint.type = "free"
             case "planar":
                 joint.type = "fixed"
-                self.draft.dropped(
-                    f"motion of {what}", "planar joints are not supported, so the joint became a fixed joint"
-                )
+                why = "planar joints are not supported, so this joint was converted to a fixed joint"
+                self.draft.dropped(f"motion of {what}", why)
             case _:
                 raise element.refused(f"{what} has the type `{joint.type}`, which is not a URDF joint type")
 
@@ -370,14 +334,13 @@ def _lock(joint: JointDraft, position: float) -> None:
 
 def _united(visuals: list[PartDraft], colliders: list[PartDraft]) -> list[PartDraft]:
     """Combine visuals and colliders; a visual and a collider with the same geometry and pose become one part."""
-    left, out = list(colliders), []
+    left = list(colliders)
     for part in visuals:
         proxy = next((p for p in left if _same_geometry(p, part)), None)
         if proxy is not None:
             left.remove(proxy)
             part.use = "both"
-        out.append(part)
-    return out + left
+    return visuals + left
 
 
 def _same_geometry(a: PartDraft, b: PartDraft) -> bool:

@@ -9,10 +9,11 @@ import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, srgb_of_linear, texture_png
-from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft, PrimitiveShape, Rgba, plain_name
+from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.meshes import mesh_of_parts
-from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.frontends.names import plain_name
+from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_matrix
 
 # Relative tolerance for equal scales, which stages store in single precision.
 EVEN_SCALE = 1e-6
@@ -87,20 +88,18 @@ class UsdGprims:
         """Return a scaled gprim as a primitive, and its pose in the gprim's frame, or None if this is impossible."""
         match kind:
             case "Cube":
-                x, y, z = (prim.GetAttribute("size").Get() * scales).tolist()
-                return BoxShape(box=(x, y, z)), Pose.of()
+                return primitive("box", *(prim.GetAttribute("size").Get() * scales).tolist()), IDENTITY
             case "Sphere" if _is_even(scales):
-                return SphereShape(sphere=prim.GetAttribute("radius").Get() * float(scales[0])), Pose.of()
+                return primitive("sphere", prim.GetAttribute("radius").Get() * float(scales[0])), IDENTITY
             case "Cylinder" | "Capsule":
                 axis = prim.GetAttribute("axis").Get()
                 along = "XYZ".index(axis)
                 across = np.delete(scales, along)
                 if not _is_even(across if kind == "Cylinder" else scales):
                     return None
-                radius = prim.GetAttribute("radius").Get() * float(across[0])
-                size = Round(radius=radius, height=prim.GetAttribute("height").Get() * float(scales[along]))
-                shape = CylinderShape(cylinder=size) if kind == "Cylinder" else CapsuleShape(capsule=size)
-                return shape, _pose(AXES[axis])
+                sizes = zip(("radius", "height"), (across[0], scales[along]), strict=True)
+                size = (prim.GetAttribute(name).Get() * float(scale) for name, scale in sizes)
+                return primitive(kind.lower(), *size), _pose(AXES[axis])
             case "Plane":
                 box, X_AB = self.draft.plane(f"plane `{prim.GetPath()}`")
                 return box, _pose(AXES[prim.GetAttribute("axis").Get()]) @ X_AB
@@ -114,8 +113,7 @@ class UsdGprims:
         faces = mesh.faces if np.linalg.det(bake[:3, :3]) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
         rgba, texture = self.look(prim)
         textured = texture is not None and mesh.uv is not None
-        part = MeshPart(vertices, faces, mesh.uv if textured else None, texture if textured else None,
-                        None if textured else rgba)  # fmt: skip
+        part = MeshPart(vertices, faces, mesh.uv, texture) if textured else MeshPart(vertices, faces, rgba=rgba)
         return mesh_of_parts([part], plain_name(prim.GetName(), "mesh")), pose
 
     def mesh(self, prim: Any) -> MeshPart | None:
@@ -245,8 +243,7 @@ def _fans(counts: Any) -> Any:
 
 def _rgba(linear: Sequence[float], alpha: float) -> Rgba:
     """Convert a linear USD color to sRGB and add an alpha value."""
-    r, g, b = (srgb_of_linear(min(max(float(v), 0.0), 1.0)) for v in linear)
-    return r, g, b, min(max(alpha, 0.0), 1.0)
+    return clamped_rgba((*(srgb_of_linear(min(max(float(v), 0.0), 1.0)) for v in linear), alpha))
 
 
 def _png(path: str) -> bytes | None:

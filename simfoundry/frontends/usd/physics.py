@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import UNLIMITED_SLIDE_M, JointDraft, LinkDraft, ModelDraft
+from simfoundry.frontends.draft import JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density, inertia_of_moments
 from simfoundry.frontends.usd.geoms import UsdGprims
@@ -122,7 +122,7 @@ class _JointReader:
             case "PhysicsJoint":
                 self.six_axes()
             case _:
-                self.draft.dropped(f"motion of {self.label}", f"{kind} is not supported, so it is fixed")
+                self.draft.dropped(f"motion of {self.label}", f"{kind} is not supported, so the joint is fixed")
 
     def limit(self, turns: bool, low: float | None, high: float | None) -> None:
         """Set the type and limits of a joint with a single axis."""
@@ -131,15 +131,14 @@ class _JointReader:
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
-            self.draft.changed(self.label, "its limits leave no range of motion, so it is fixed at zero")
+            self.draft.changed(self.label, "its limits leave no range of motion, so the joint is fixed at zero")
         elif turns:
             joint.type = "continuous"
             if (low is None) != (high is None):
                 self.draft.dropped(f"single limit of {self.label}", "a joint must have two limits or none")
         else:
-            far = UNLIMITED_SLIDE_M
-            joint.type, joint.limits = "prismatic", (-far if low is None else low, far if high is None else high)
-            self.draft.changed(self.label, f"it has no limits, so they are set to ±{far:g} m")
+            least, most = self.draft.unlimited_slide(self.label)
+            joint.type, joint.limits = "prismatic", (least if low is None else low, most if high is None else high)
 
     def dynamics(self, token: str, turns: bool) -> None:
         """Set damping, friction, armature and drive; angular quantities in the stage are per degree."""
@@ -156,9 +155,8 @@ class _JointReader:
         if stiffness <= 0 and damping <= 0:
             return
         if drive.GetTypeAttr().Get() == "acceleration":
-            self.draft.dropped(
-                f"drive of {self.label}", "it is an acceleration drive, and only force drives are supported"
-            )
+            why = "it is an acceleration drive, but only force drives are supported"
+            self.draft.dropped(f"drive of {self.label}", why)
             return
         factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
         limit, target = drive.GetMaxForceAttr().Get(), drive.GetTargetPositionAttr()
@@ -177,10 +175,9 @@ class _JointReader:
         """
         free: dict[str, tuple[float | None, float | None]] = {}
         for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
-            low, high = None, None
-            if self.prim.HasAPI(self.pxr.UsdPhysics.LimitAPI, token):
-                limit = self.pxr.UsdPhysics.LimitAPI(self.prim, token)
-                low, high = limit.GetLowAttr().Get(), limit.GetHighAttr().Get()
+            limit = self.pxr.UsdPhysics.LimitAPI(self.prim, token)
+            is_limited = self.prim.HasAPI(self.pxr.UsdPhysics.LimitAPI, token)
+            low, high = (limit.GetLowAttr().Get(), limit.GetHighAttr().Get()) if is_limited else (None, None)
             if low is None or high is None or low < high:
                 free[token] = (low, high)
         if len(free) == 6:
@@ -189,11 +186,11 @@ class _JointReader:
             self.joint.type = "ball"
         elif len(free) == 1:
             ((token, bounds),) = free.items()
-            self.joint.axis, turns = AXES[token[-1]], token.startswith("rot")
-            self.limit(turns, *bounds)
-            self.dynamics(token, turns)
+            self.joint.axis = AXES[token[-1]]
+            self.limit(token.startswith("rot"), *bounds)
+            self.dynamics(token, token.startswith("rot"))
         elif free:
-            why = "only joints with one axis, ball joints and free joints are supported, so it is fixed"
+            why = "only joints with one axis, ball joints and free joints are supported, so the joint is fixed"
             self.draft.dropped(f"motion of {self.label}", why, ", ".join(free))
 
 

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
+from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import FileSearch
 from simfoundry.frontends.mass_repair import repair_masses
+from simfoundry.frontends.names import free_name
 from simfoundry.frontends.usd.compiled.stage import error_text
 from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
 from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_joint
@@ -36,11 +37,9 @@ AT_ZERO = 1e-5
 
 def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
     """Read the scene in a USD file; raise :class:`ImportRefusedError` if it cannot be imported."""
-    from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
+    from pxr import Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
-    pxr = SimpleNamespace(
-        Gf=Gf, Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade
-    )  # fmt: skip
+    pxr = SimpleNamespace(Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade)
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # captures warnings that OpenUSD would print
     try:
         stage = Usd.Stage.Open(str(path))
@@ -88,7 +87,8 @@ class _UsdReader:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
         self.gravity(prims)
         for prim in prims:
-            if prim.HasAPI(self.pxr.UsdPhysics.RigidBodyAPI) and self.enabled(prim):
+            api = self.pxr.UsdPhysics.RigidBodyAPI
+            if prim.HasAPI(api) and api(prim).GetRigidBodyEnabledAttr().Get() is not False:
                 path = str(prim.GetPath())
                 self.bodies[path] = UsdBody(prim, *self.frame(prim), LinkDraft(path))
         statics: dict[str, list[Any]] = {}
@@ -102,8 +102,7 @@ class _UsdReader:
             elif not self.known(prim):
                 self.left[prim.GetTypeName()] += 1
         self.static_objects(statics)
-        joints = list(self.joints(prims))
-        self.trees(joints)
+        self.trees(list(self.joints(prims)))
         for body in self.bodies.values():
             add_mass(self.pxr, self.draft, body, self.colliders(body), self.geoms)
         add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
@@ -112,9 +111,8 @@ class _UsdReader:
             self.draft.inexpressible(f"prims of type {kind}", f"{count}")
         missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
         if not self.draft.bodies:
-            raise ImportRefusedError(
-                self.path, f"the stage has no geometry{': ' + missing[0][:200] if missing else ''}"
-            )
+            reason = f": {missing[0][:200]}" if missing else ""
+            raise ImportRefusedError(self.path, f"the stage has no geometry{reason}")
         for error in missing:
             self.draft.dropped("referenced layer", "OpenUSD could not compose it", error[:200])
         repair_masses(self.draft, str(self.path))
@@ -131,11 +129,7 @@ class _UsdReader:
         vector = np.array(direction if direction is not None else (0, 0, 0), dtype=np.float64)
         length = float(np.linalg.norm(vector))
         down = self.W[:3, :3] @ (vector / length) / self.to_m if length > 0 else np.array([0.0, 0.0, -1.0])
-        x, y, z = (float(v) for v in np.round(down * float(size) * self.to_m, 6) + 0.0)
-        self.draft.gravity = (x, y, z)
-
-    def enabled(self, prim: Any) -> bool:
-        return self.pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False
+        self.draft.gravity = tuple((np.round(down * float(size) * self.to_m, 6) + 0.0).tolist())
 
     def known(self, prim: Any) -> bool:
         """Return True if a prim has no content of its own or is read together with another prim."""
@@ -163,11 +157,9 @@ class _UsdReader:
 
     def owner(self, prim: Any) -> UsdBody | None:
         """Return the nearest rigid body at or above a prim, or None if there is none."""
-        while prim and not prim.IsPseudoRoot():
-            if str(prim.GetPath()) in self.bodies:
-                return self.bodies[str(prim.GetPath())]
+        while prim and str(prim.GetPath()) not in self.bodies:
             prim = prim.GetParent()
-        return None
+        return self.bodies[str(prim.GetPath())] if prim else None
 
     def add_part(self, body: UsdBody, prim: Any) -> None:
         if self.geoms.use(prim) == "none":
@@ -189,10 +181,8 @@ class _UsdReader:
         This is the nearest parent Xform, or the gprim itself if it is directly below the default prim.
         """
         parent = prim.GetParent()
-        default = self.stage.GetDefaultPrim()
-        if parent.IsPseudoRoot() or parent == default or parent.GetTypeName() == "Scope":
-            return str(prim.GetPath())
-        return str(parent.GetPath())
+        is_top = parent.IsPseudoRoot() or parent == self.stage.GetDefaultPrim() or parent.GetTypeName() == "Scope"
+        return str((prim if is_top else parent).GetPath())
 
     def static_objects(self, statics: dict[str, list[Any]]) -> None:
         """Add fixed objects for all gprims that do not belong to a rigid body."""
@@ -206,13 +196,10 @@ class _UsdReader:
                 self.draft.bodies.append(BodyDraft(name, "base", {"base": body.link}, fixed=True, X_WO=body.X_WB))
 
     def joints(self, prims: list[Any]) -> Iterator[UsdJoint]:
+        schema = self.pxr.UsdPhysics.Joint
         for prim in prims:
-            if not prim.IsA(self.pxr.UsdPhysics.Joint):
-                continue
-            joint = self.pxr.UsdPhysics.Joint(prim)
-            if joint.GetJointEnabledAttr().Get() is False:
-                continue
-            yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
+            if prim.IsA(schema) and schema(prim).GetJointEnabledAttr().Get() is not False:
+                yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
         """Return the body (or the world) at one end of a joint, the target's pose in that body, and its scale."""
@@ -235,8 +222,9 @@ class _UsdReader:
             for end in {joint.parent, joint.child}:
                 at.setdefault(end, []).append(joint)
         used: set[int] = set()
+        root_api = self.pxr.UsdPhysics.ArticulationRootAPI
         grounded = [j.child if j.parent == WORLD else j.parent for j in at.get(WORLD, ())]
-        roots = [p for p in grounded if p] + [p for p in left if self.is_root(p)] + list(left)
+        roots = [p for p in grounded if p] + [p for p in left if self.bodies[p].prim.HasAPI(root_api)] + list(left)
         for root in roots:
             if root in left:
                 self.tree(root, left, at, used)
@@ -244,14 +232,10 @@ class _UsdReader:
             if id(joint) not in used:
                 self.draft.dropped(f"joint `{joint.path}`", "it closes a kinematic loop, and only trees are supported")
 
-    def is_root(self, path: str) -> bool:
-        return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
-
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """Add an object that consists of a root body and all of its descendants."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
-        frames = {root: Pose.of()}
         self.draft.bodies.append(draft)
         ground = next((j for j in at.get(root, ()) if WORLD in (j.parent, j.child)), None)
         kinematic = self.pxr.UsdPhysics.RigidBodyAPI(body.prim).GetKinematicEnabledAttr().Get() is True
@@ -261,15 +245,12 @@ class _UsdReader:
             if ground.draft.type == "fixed":
                 draft.fixed = True
             else:
-                base = "base"
-                X_WJ = ground.frame(WORLD)
-                draft.root, draft.fixed, draft.X_WO = base, True, X_WJ
-                draft.links = {base: LinkDraft(base, mass=0.0)}
-                self.fasten(draft, ground, base, root, Pose.of(), frames)
-                draft.links[root] = body.link
+                draft.root, draft.fixed, draft.X_WO = "base", True, ground.frame(WORLD)
+                draft.links = {"base": LinkDraft("base", mass=0.0), root: body.link}
+                self.fasten(draft, ground, "base", root, Pose.of())
         elif kinematic:
             draft.fixed = True
-            self.draft.changed(f"kinematic body `{root}`", "kinematic bodies are not supported, so it is fixed")
+            self.draft.changed(f"kinematic body `{root}`", "kinematic bodies are not supported, so the body is fixed")
         del left[root]
         todo = [root]
         while todo:
@@ -279,18 +260,16 @@ class _UsdReader:
                 if id(joint) in used or other not in left or other == WORLD:
                     continue
                 used.add(id(joint))
-                self.fasten(draft, joint, here, other, frames[here].inverse() @ joint.frame(here), frames)
+                self.fasten(draft, joint, here, other, self.bodies[here].X_BL.inverse() @ joint.frame(here))
                 draft.links[other] = left.pop(other).link
                 todo.append(other)
         self.rename(draft)
 
-    def fasten(
-        self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose, frames: dict[str, Pose]
-    ) -> None:
+    def fasten(self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose) -> None:
         """Attach a child to its parent, and move the frame of the child link to the joint."""
         X_CJ, drafted = joint.frame(child), joint.draft
         X_CL = Pose.of(X_CJ.p) if drafted.type != "fixed" else Pose.of()
-        frames[child] = self.bodies[child].X_BL = X_CL
+        self.bodies[child].X_BL = X_CL
         # If body0 is the child, the axis is reversed so that the joint coordinate is preserved.
         drafted.axis = X_CJ.rotation @ drafted.axis * (-1.0 if joint.child == parent else 1.0)
         drafted.parent, drafted.child = parent, child
@@ -298,13 +277,14 @@ class _UsdReader:
         for part in self.bodies[child].link.parts:
             part.X_LG = X_CL.inverse() @ part.X_LG
         if drafted.type in ("revolute", "continuous", "prismatic"):
-            drafted.position = self.position(draft, drafted, parent, child, frames)
+            drafted.position = self.position(draft, drafted)
         draft.joints.append(drafted)
 
-    def position(self, draft: BodyDraft, joint: JointDraft, parent: str, child: str, frames: dict[str, Pose]) -> float:
+    def position(self, draft: BodyDraft, joint: JointDraft) -> float:
         """Return the current position of a joint, which is the motion of its child along the axis relative to zero."""
-        X_WP = draft.X_WO if parent not in self.bodies else self.bodies[parent].X_WB @ frames[parent]
-        moved = joint.X_PC.inverse() @ X_WP.inverse() @ self.bodies[child].X_WB @ frames[child]
+        parent, child = self.bodies.get(joint.parent), self.bodies[joint.child]
+        X_WP = draft.X_WO if parent is None else parent.X_WB @ parent.X_BL
+        moved = joint.X_PC.inverse() @ X_WP.inverse() @ child.X_WB @ child.X_BL
         axis = joint.axis / np.linalg.norm(joint.axis)
         if joint.type == "prismatic":
             value = float(moved.p @ axis)

@@ -7,17 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from simfoundry.geometry.distance import (
-    Exact,
-    LinkPair,
-    ball_bound,
-    box_bounds,
-    box_support,
-    candidates,
-    decide_distances,
-    decide_support,
-    steepest_together,
-)
+from simfoundry.geometry import distance
+from simfoundry.geometry.distance import Exact, LinkPair, ball_bound, candidates
 from simfoundry.geometry.form import FEW
 from simfoundry.geometry.frames import Array, Index
 from simfoundry.predicates.judging.bodies import Bodies, Entity
@@ -70,7 +61,10 @@ class Distances:
             out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
             if len(close):
                 pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-                found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
+                if limit is None:
+                    found = self._exact.distance(pair, candidates(pair, out[close]), out[close])
+                else:
+                    found = self._decided(pair, limit)
                 out[close] = np.minimum(out[close], found)
         return np.asarray(out)
 
@@ -96,9 +90,9 @@ class Distances:
             if not len(close):
                 continue
             pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-            apart, up, open_ = box_support(pair, limit, steepest)
+            apart, up, open_ = distance.box_support(pair, limit, steepest)
             if self._bounds_first:
-                open_ = decide_support(pair, limit, steepest, apart, up, open_)
+                open_ = distance.decide_support(pair, limit, steepest, apart, up, open_)
             if not many:
                 open_ = np.arange(len(close))
             if len(open_):
@@ -119,23 +113,17 @@ class Distances:
             for k in left.tolist():
                 together = ways[helps & (states == k)]
                 if len(together) > 1:
-                    cosine[k] = max(cosine[k], steepest_together(together))
+                    cosine[k] = max(cosine[k], distance.steepest_together(together))
         return gap, cosine
-
-    def _measured(self, pair: LinkPair, most: Array) -> Array:
-        """Return the distances [m] between two links where they are below ``most`` [m]."""
-        return self._exact.distance(pair, candidates(pair, most), most)
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
         """Return bounds on the distances between two links that are on the correct side of a threshold."""
-        found, open_ = box_bounds(pair, threshold)
+        found, open_ = distance.box_bounds(pair, threshold)
         if self._bounds_first:
-            open_ = decide_distances(pair, threshold, found, open_)
+            open_ = distance.decide_distances(pair, threshold, found, open_)
         if len(open_):
-            some = pair.at(open_)
-            most = np.full(len(open_), np.nextafter(threshold, np.inf))
-            near = candidates(some, most)
-            found[open_] = self._exact.distance(some, near, most, threshold)
+            some, most = pair.at(open_), np.full(len(open_), np.nextafter(threshold, np.inf))
+            found[open_] = self._exact.distance(some, candidates(some, most), most, threshold)
         return found
 
 
@@ -148,6 +136,6 @@ def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls],
     off = first.center[:, :, None] - second.center[:, None]
     apart = np.sqrt(np.einsum("nijk,nijk->nij", off, off)) - first.radius[:, None] - second.radius
     if a.owner == b.owner:
-        same = [[i == j for j, _ in second.links] for i, _ in first.links]
-        apart[:, np.array(same, dtype=bool).reshape(apart.shape[1:])] = np.inf
+        same = np.equal.outer([i for i, _ in first.links], [j for j, _ in second.links])
+        apart[:, same] = np.inf
     return (first, second), apart

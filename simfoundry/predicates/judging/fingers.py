@@ -42,7 +42,7 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     native = mujoco_model(bodies.scene.robot(name))
     if body.robot is None or native is None or native.gripper is None:
         return None
-    opened, closed = (_links(bodies, body, _positions(body, native.gripper, k)) for k in (0, 1))
+    opened, closed = (_links(bodies, body, native.gripper.positions(share)) for share in (0.0, 1.0))
     base = _carrier(body, native.gripper)
     X_BW = opened[base].inverse()
     moved = {}
@@ -59,25 +59,17 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     first = tuple(k for k, way in moved.items() if way @ longest > 0)
     second = tuple(k for k in moved if k not in first)
     ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
-    axis = (ways[0] - ways[1]) / np.linalg.norm(
-        ways[0] - ways[1]
-    )  # motion that both sides share, such as extending, is not part of closing
+    closing = ways[0] - ways[1]  # motion that both sides share, such as extending, is not part of closing
+    # A single jaw closes against the palm.
     sides = Entity(name, name, first, False), Entity(name, name, second or (base,), False)
-    return Fingers(sides, base, axis)  # a single jaw closes against the palm
+    return Fingers(sides, base, closing / np.linalg.norm(closing))
 
 
-def _positions(body: CollisionBody, gripper: Gripper, end: int) -> dict[str, Array]:
-    """Return the positions of the gripper's joints when it is open (``end`` is 0) or closed (1)."""
+def _links(bodies: Bodies, body: CollisionBody, positions: dict[str, float]) -> list[Poses]:
+    """Return the poses of a robot's links at the given positions of its gripper's joints [rad or m]."""
     assert body.robot is not None
-    at = {joint: pair[end] for joint, pair in gripper.joints.items()}
-    for joint, follow in gripper.follow.items():
-        if follow.joint in at:
-            at.setdefault(joint, follow.multiplier * at[follow.joint] + follow.offset)
-    return {f"{body.name}.{body.robot.joints[joint]}": np.array([v]) for joint, v in at.items()}
-
-
-def _links(bodies: Bodies, body: CollisionBody, positions: dict[str, Array]) -> list[Poses]:
-    view = View(bodies, StateBatch(1, {}, robots=positions))
+    at = {f"{body.name}.{body.robot.joints[joint]}": np.array([v]) for joint, v in positions.items()}
+    view = View(bodies, StateBatch(1, {}, robots=at))
     return [view.link(body.name, k) for k in range(len(body.item.links))]
 
 

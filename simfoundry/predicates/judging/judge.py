@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import Array, Index
 from simfoundry.predicates.judging.bodies import Bodies, Entity, PredicateError
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.fingers import Fingers, fingers, grip_margin
@@ -159,11 +159,15 @@ class Judge:
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
         """Return the values and margins of a condition in n states, shape (n,) each."""
         values, margins = np.zeros(batch.n, bool), np.zeros(batch.n)
+        for index, view in self._views(batch):
+            values[index], margins[index], _ = self._judged(condition, view)
+        return values, margins
+
+    def _views(self, batch: StateBatch) -> Iterator[tuple[Index, View]]:
+        """Yield views of :data:`CHUNK` states each, with the indices of the states."""
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
-            some = batch if len(index) == batch.n else batch.at(index)
-            values[index], margins[index], _ = self._judged(condition, View(self._context.bodies, some))
-        return values, margins
+            yield index, View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))
 
     def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
         """Return the values of several named conditions in n states, shape (n,) each.
@@ -172,9 +176,7 @@ class Judge:
         part of a condition is only evaluated if the parts before it are inconclusive in at least one state.
         """
         found = {name: np.zeros(batch.n, bool) for name in conditions}
-        for start in range(0, batch.n, CHUNK):
-            index = np.arange(start, min(start + CHUNK, batch.n))
-            view = View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))
+        for index, view in self._views(batch):
             known: dict[str, NDArray[np.bool_]] = {}
             for name, condition in conditions.items():
                 found[name][index] = self._value(condition, view, known)
@@ -220,33 +222,24 @@ class Judge:
             rule(terms, *arguments)
             return _Judged(terms.margin > 0, terms.margin, terms.explanation)
         if not below:
-            raise PredicateError(
-                f"`{tag}` without conditions is invalid: it would always be {'true' if tag == 'all' else 'false'}"
-            )
+            always = "true" if tag == "all" else "false"
+            raise PredicateError(f"`{tag}` without conditions is invalid: it would always be {always}")
         judged = [self._judged(one, view) for one in below]
         if tag == "not":
             return _Judged(~judged[0].value, -judged[0].margin, judged[0].why)
+
+        def why(k: int) -> str:
+            """Explain the conditions that decide the value in the k-th state, or all of them if none decides it."""
+            deciding = [j for j in judged if bool(j.value[k]) is (tag == "any")]
+            return "; ".join(text for j in deciding or judged if (text := j.why(k)))
+
         values, margins = np.stack([j.value for j in judged]), np.stack([j.margin for j in judged])
         if tag == "all":
-            return _Judged(np.asarray(values.all(axis=0)), margins.min(axis=0), _Reasons(judged, False))
-        return _Judged(np.asarray(values.any(axis=0)), margins.max(axis=0), _Reasons(judged, True))
+            return _Judged(np.asarray(values.all(axis=0)), margins.min(axis=0), why)
+        return _Judged(np.asarray(values.any(axis=0)), margins.max(axis=0), why)
 
 
 class _Judged(NamedTuple):
     value: NDArray[np.bool_]
     margin: Array
-    why: Any
-
-
-class _Reasons(NamedTuple):
-    """The combined explanation of several conditions.
-
-    Only the conditions with the value ``decide`` are included, or all of them if no condition has that value.
-    """
-
-    judged: list[_Judged]
-    decide: bool
-
-    def __call__(self, k: int) -> str:
-        deciding = [j for j in self.judged if bool(j.value[k]) is self.decide]
-        return "; ".join(text for j in deciding or self.judged if (text := j.why(k)))
+    why: Callable[[int], str]

@@ -14,14 +14,7 @@ from simfoundry.geometry.frames import Array, Index, Poses, rotate
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
 from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.judge import Context
-from simfoundry.predicates.judging.thresholds import (
-    CLOSE,
-    ENCLOSED,
-    FACING_DOWN_DEG,
-    FRICTION_SHARE,
-    SUPPORT_DEG,
-    TOUCH,
-)
+from simfoundry.predicates.judging.thresholds import CLOSE, ENCLOSED, FRICTION_SHARE, OPENING_DEG, SUPPORT_DEG, TOUCH
 from simfoundry.predicates.judging.view import View, over
 from simfoundry.scene.lengths import length
 
@@ -170,7 +163,7 @@ def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
     """
     X_WB = view.link(owner, k)
     up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
-    return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))
+    return np.asarray(hole.deep * (up - np.cos(np.radians(OPENING_DEG))))
 
 
 def least_cosine(context: Context, a: Entity, b: Entity) -> float:

@@ -28,7 +28,7 @@ ENCLOSED = 0.5
 
 # Maximum angle [deg] between the vertical and the opening direction of a containing cavity; beyond it, the contents
 # slide out.
-FACING_DOWN_DEG = 110.0
+OPENING_DEG = 110.0
 
 # Distance [m] by which a finger is moved toward the other one to test if it presses on the object; the gap must
 # decrease by at least half of this distance.

@@ -7,6 +7,7 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.types import RIVALS, Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
@@ -46,7 +47,7 @@ def digest(text: str) -> str:
 
 
 def full(spec: Model) -> dict[str, Any]:
-    """Return the plain data of a part of a document, including defaults, in canonical order."""
+    """Return the plain data of a document or a part of one, including defaults, in canonical order."""
     given = {name for name in spec.model_fields_set if getattr(spec, name) is not None}
     out: dict[str, Any] = {}
     for name in field_order(type(spec)):
@@ -54,19 +55,8 @@ def full(spec: Model) -> dict[str, Any]:
         rivals = RIVALS.get(name, set())
         if value is None or (name not in given and (rivals & given or (isinstance(value, dict | tuple) and not value))):
             continue
-        out[name] = _plain(value)
+        out[name] = copied(value, lambda item: full(item) if isinstance(item, Model) else item)
     return out
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case Model():
-            return full(value)
-        case dict():
-            return {key: _plain(item) for key, item in value.items()}
-        case tuple():
-            return tuple(_plain(item) for item in value)
-    return value
 
 
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice, takewhile
 from typing import TYPE_CHECKING
 
@@ -28,10 +28,8 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         c.density(link, path, None if None in shapes else solid)
         for part_name, part in link.parts.items():
             part_path = (*path, "parts", part_name)
-            if part.mesh is not None:
-                c.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
-            if part.material is not None:
-                c.name(part.material, c.names("materials"), (*part_path, "material"), "material")
+            c.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
+            c.material(part, part_path)
     if WORLD in c.names("links"):
         c.reserved(("links", WORLD), "link")
     links = spec.links.values()
@@ -41,12 +39,9 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     _mimics(c, spec)
     for name, joint in spec.joints.items():
         if joint.drive is not None and joint.drive.target is not None:
-            check_target(c, name, joint, joint.drive.target, ("joints", name, "drive", "target"))
-    seen: set[frozenset[str]] = set()
-    for k, pair in enumerate(spec.no_contact):
-        for i, end in enumerate(pair):
-            c.name(end, c.names("links"), ("no_contact", k, i), "link")
-        check_pair(c, pair, k, seen)
+            place = ("joints", name, "drive", "target")
+            _within(c, f"the target of `{name}`", joint, joint.drive.target, place)
+    check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 
 
 # Maximum depth of the link tree, because XML readers and simulators traverse chains recursively.
@@ -60,33 +55,25 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
     links = c.names("links")
     root = next(iter(links))
     for name, joint in spec.joints.items():
-        path = ("joints", name)
-        c.name(joint.parent, links, (*path, "parent"), "link")
-        c.name(joint.child, links, (*path, "child"), "link")
+        path = ("joints", name, "child")
+        c.name(joint.parent, links, ("joints", name, "parent"), "link")
+        c.name(joint.child, links, path, "link")
         if joint.child in parents:
-            c.add("SF206", (*path, "child"), f"`{joint.child}` is the child of two joints")
+            c.add("SF206", path, f"`{joint.child}` is the child of two joints")
         if joint.child == root:
-            c.add(
-                "SF206",
-                (*path, "child"),
-                f"`{root}` is the first link, so it is the root and cannot be the child of a joint",
-            )
+            message = f"`{root}` is the first link, so it is the root and cannot be the child of a joint"
+            c.add("SF206", path, message)
         parents[joint.child] = joint.parent
         carriers[joint.child] = name
     for link in spec.links if c.whole else ():
+        place = ("joints", carriers.get(link, ""), "parent")
         if link != root and link not in parents:
             c.add("SF206", ("links", link), f"`{link}` is not the child of any joint", "add a joint with it as `child`")
         elif link in set(_ancestors(link, parents)):
-            place = ("joints", carriers[link], "parent")
             c.add("SF206", place, f"`{link}` is its own ancestor through a cycle of joints")
         elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:
             message = f"`{link}` is at the end of a chain of more than {MAX_CHAIN} links"
-            c.add(
-                "SF206",
-                ("joints", carriers[link], "parent"),
-                message,
-                "merge links that do not move relative to each other",
-            )
+            c.add("SF206", place, message, "merge links that do not move relative to each other")
             return
 
 
@@ -105,12 +92,8 @@ def _mimics(c: Checker, spec: AssetSpec) -> None:
         elif name in _ancestors(name, leaders):
             between = takewhile(name.__ne__, _ancestors(name, leaders))
             cycle = " → ".join(f"`{joint}`" for joint in (name, *between, name))
-            c.add(
-                "SF211",
-                path,
-                f"`{name}` follows itself through other joints: {cycle}",
-                "remove `mimic` from one of them",
-            )
+            message = f"`{name}` follows itself through other joints: {cycle}"
+            c.add("SF211", path, message, "remove `mimic` from one of them")
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
@@ -131,21 +114,21 @@ def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], pat
         place = (*path, name)
         if name in given and not _fits(c, name, joint, given[name], place):
             continue
-        _within(c, name, joint, position(asset, name, given), place, "" if name in given else _remedy(joint))
+        _within(c, f"`{name}`", joint, position(asset, name, given), place, "" if name in given else _remedy(joint))
 
 
-def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: Path_) -> None:
-    """Check that the target of a drive [m or rad] is within the limits of its joint."""
-    _within(c, f"the target of `{name}`", joint, target, path, "", quoted=False)
-
-
-def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
-    """Check that pair ``k`` of `no_contact` contains two different objects and is unique, and add it to ``seen``."""
-    if pair[0] == pair[1]:
-        c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two different objects")
-    elif frozenset(pair) in seen:
-        c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is listed twice", "remove one of them")
-    seen.add(frozenset(pair))
+def check_pairs(c: Checker, pairs: Sequence[tuple[str, str]], check_name: Callable[[str, Path_], object]) -> None:
+    """Check that each pair in `no_contact` is unique and contains two different objects."""
+    seen: set[frozenset[str]] = set()
+    for k, (a, b) in enumerate(pairs):
+        path: Path_ = ("no_contact", k)
+        check_name(a, (*path, 0))
+        check_name(b, (*path, 1))
+        if a == b:
+            c.add("SF212", path, f"`{a}` is paired with itself", "name two different objects")
+        elif {a, b} in seen:
+            c.add("SF212", path, f"the pair `{a}` and `{b}` is listed twice", "remove one of them")
+        seen.add(frozenset((a, b)))
 
 
 def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path_) -> bool:
@@ -169,16 +152,13 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
     return False
 
 
-def _within(
-    c: Checker, name: str, joint: JointSpec, value: float, place: Path_, hint: str, quoted: bool = True
-) -> None:
+def _within(c: Checker, what: str, joint: JointSpec, value: float, place: Path_, hint: str = "") -> None:
     """Check that a position [m or rad] is within the limits of a joint."""
     limits, unit = joint.limits, "m"
     if joint.limits_deg is not None:
         limits, unit, value = joint.limits_deg, "deg", math.degrees(value)
     if limits is not None and not limits[0] - 1e-9 <= value <= limits[1] + 1e-9:
-        shown = f"`{name}`" if quoted else name
-        message = f"{shown} at {value:g} {unit} is outside its limits, {limits[0]:g} to {limits[1]:g} {unit}"
+        message = f"{what} at {value:g} {unit} is outside its limits, {limits[0]:g} to {limits[1]:g} {unit}"
         c.add("SF205", place, message, hint)
 
 

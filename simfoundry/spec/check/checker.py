@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
@@ -25,6 +25,9 @@ from simfoundry.spec.models.base import (
     quantity_value,
 )
 from simfoundry.spec.yaml.text import Document
+
+if TYPE_CHECKING:
+    from simfoundry.spec.models.asset import PartSpec
 
 Path_ = tuple[str | int, ...]
 # Function that reads and checks a document of one of the given kinds; it returns None for other kinds.
@@ -57,8 +60,7 @@ class Checker:
 
     def names(self, section: str) -> dict[str, Any]:
         """Return the names defined in a section of the text, including the names of invalid members."""
-        members = self.document.data.get(section) if isinstance(self.document.data, dict) else None
-        return members if isinstance(members, dict) else {}
+        return self.document.section(section)
 
     def name(self, name: str, choices: Collection[str], path: Path_, what: str) -> bool:
         """Check that ``name`` is one of the choices."""
@@ -76,8 +78,10 @@ class Checker:
         message = f"a {what} cannot be called `{WORLD}`: MuJoCo and URDF readers use this name for the static world"
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, for example to `{WORLD}_{what}`")
 
-    def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
-        """Check that ``reference`` is a file with one of the suffixes in the project or in a package."""
+    def file(self, reference: str | None, path: Path_, suffixes: tuple[str, ...]) -> bool:
+        """Check that ``reference``, if given, is a file with one of the suffixes in the project or in a package."""
+        if reference is None:
+            return True
         try:
             reachable(reference, self.loaded.path, self.loaded.root, suffixes)
         except FileError as wrong:
@@ -93,16 +97,14 @@ class Checker:
         if target not in self.loaded.uses:
             used = self._use(self.loaded.shown(reference), kinds)
             if used is None:  # a document of another kind, possibly this document itself
-                listed = " or ".join(f"`simfoundry: {kind}`" for kind in kinds)
-                self.add(
-                    "SF006", path, f"`{reference}` is a different kind of document", f"it must start with {listed}"
-                )
+                hint = f"it must start with {' or '.join(f'`simfoundry: {kind}`' for kind in kinds)}"
+                self.add("SF006", path, f"`{reference}` is a different kind of document", hint)
                 return None
             self.loaded.uses[target] = used
         return self.loaded.uses[target]
 
-    def material(self, body: BodySpec, path: Path_) -> None:
-        """Check that the material of a body is defined."""
+    def material(self, body: BodySpec | PartSpec, path: Path_) -> None:
+        """Check that the material of a body or part is defined."""
         if body.material is not None:
             self.name(body.material, self.names("materials"), (*path, "material"), "material")
 

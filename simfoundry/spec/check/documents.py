@@ -56,10 +56,8 @@ def check_capture(c: Checker, spec: CaptureSpec) -> None:
         path = ("frames", name)
         c.file(shot.color, (*path, "color"), PICTURE_SUFFIXES)
         c.file(shot.depth.image, (*path, "depth", "image"), PICTURE_SUFFIXES)
-        if shot.masks is not None:
-            c.file(shot.masks.image, (*path, "masks", "image"), PICTURE_SUFFIXES)
-    if spec.truth is not None:
-        c.file(spec.truth, ("truth",), (".yaml",))
+        c.file(shot.masks.image if shot.masks is not None else None, (*path, "masks", "image"), PICTURE_SUFFIXES)
+    c.file(spec.truth, ("truth",), (".yaml",))
 
 
 def check_policy(c: Checker, spec: PolicySpec) -> None:

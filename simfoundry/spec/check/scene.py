@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.check.asset import check_joints, check_pair
+from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, volume
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
@@ -46,25 +47,16 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     names = SceneNames(c.loaded, spec)
     _names(c, names, spec)
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
-    for name, place in places.items():
-        names.check_place(c, name, place, ("objects", name, "place"))
-    if places:
-        names.check_order(c, places, {name: ("objects", name, "place") for name in places})
+    names.check_places(c, places, {name: ("objects", name, "place") for name in places})
     for name, camera in spec.cameras.items():
         if camera.mount is not None:
             _mount(c, names, camera.mount, ("cameras", name, "mount"))
     if spec.viewpoint is not None:
         c.name(spec.viewpoint, [*c.names("cameras"), *names.robots], ("viewpoint",), "camera or robot")
     if spec.background is not None:
-        for key, suffixes in (("mesh", MESH_SUFFIXES), ("splat", (".ply",))):
-            file: str | None = getattr(spec.background, key)
-            if file is not None:
-                c.file(file, ("background", key), suffixes)
-    seen: set[frozenset[str]] = set()
-    for k, pair in enumerate(spec.no_contact):
-        for i, part in enumerate(pair):
-            names.check_part(c, part, ("no_contact", k, i))
-        check_pair(c, pair, k, seen)
+        c.file(spec.background.mesh, ("background", "mesh"), MESH_SUFFIXES)
+        c.file(spec.background.splat, ("background", "splat"), (".ply",))
+    check_pairs(c, spec.no_contact, partial(names.check_part, c))
     _relations(c, names, spec)
 
 
@@ -84,8 +76,7 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
 
 def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path_) -> None:
     c.material(item, path)
-    if item.visual is not None:
-        c.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
+    c.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
     if item.asset is not None:
         _asset(c, item, item.asset, path)
     elif item.joints:
@@ -127,12 +118,9 @@ def _asset(c: Checker, item: ObjectSpec, reference: str, path: Path_) -> None:
             message = f"`{field}` has no effect here: each link in `{reference}` defines its own"
             c.add("SF107", (*path, field), message, "set it in that document")
     used = c.use(reference, place, ("asset/1",), (ASSET_SUFFIX,))
-    if used is None:
-        return
-    from simfoundry.spec.models.asset import AssetSpec
-
-    if isinstance(used.spec, AssetSpec):
-        check_joints(c, used.spec, item.joints, (*path, "joints"))
+    asset = asset_in(used)
+    if asset is not None:
+        check_joints(c, asset, item.joints, (*path, "joints"))
 
 
 def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
@@ -176,8 +164,8 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
             names.check_part(c, mount, path)
         return
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
-    known = robot.known() if robot is not None else None
-    if link and known is not None:
+    known = robot.known() if robot is not None and link else None
+    if known is not None:
         c.name(link, known.links, path, f"link of `{carrier}`")
 
 
@@ -189,6 +177,15 @@ def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
             names.check_call(c, text, ("relations", k))
 
 
+def asset_in(used: Loaded | None) -> AssetSpec | None:
+    """Return the asset in a document that a scene uses, or None if the document is invalid or of another kind."""
+    if used is None:
+        return None
+    from simfoundry.spec.models.asset import AssetSpec
+
+    return used.spec if isinstance(used.spec, AssetSpec) else None
+
+
 EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
@@ -196,32 +193,27 @@ class SceneNames:
     """Names in a scene: all ``objects`` and ``robots`` in its text, including invalid ones, and their parts."""
 
     def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
+        assert scene.document is not None
         self.scene, self.spec = scene, spec
-        data: Any = scene.document.data if scene.document is not None else {}
-        self.objects, self.robots = (_mapping(data, section) for section in ("objects", "robots"))
+        self.objects, self.robots = (scene.document.section(name) for name in ("objects", "robots"))
+        self._items = spec.objects if spec is not None else {}
 
     def asset(self, name: str) -> AssetSpec | None:
         """Return the asset document of the object ``name``, or None if it does not exist or is invalid."""
-        item = self.spec.objects.get(name) if self.spec is not None else None
-        used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
-        if used is None:
-            return None
-        from simfoundry.spec.models.asset import AssetSpec
-
-        return used.spec if isinstance(used.spec, AssetSpec) else None
+        return asset_in(self._used(name))
 
     def is_fixed(self, name: str) -> bool:
         """Return True if the object ``name`` is fixed to the world."""
-        item = self.spec.objects.get(name) if self.spec is not None else None
-        return item is not None and item.fixed
+        return name in self._items and self._items[name].fixed
 
     def is_known(self, name: str) -> bool:
         """Return True if the parts of the object ``name`` are known."""
-        item = self.spec.objects.get(name) if self.spec is not None else None
-        if item is None:
-            return False
-        used = self.scene.used(item.asset) if item.asset is not None else None
-        return used is None or used.spec is not None
+        used = self._used(name)
+        return name in self._items and (used is None or used.spec is not None)
+
+    def _used(self, name: str) -> Loaded | None:
+        reference = self._items[name].asset if name in self._items else None
+        return self.scene.used(reference) if reference is not None else None
 
     # -- findings -----------------------------------------------------------------------------------------------
 
@@ -234,10 +226,8 @@ class SceneNames:
             return
         things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
         if len(things) == 2 and self._overlap(*things):
-            both = (
-                f"`{things[0]}` is used for both" if things[0] == things[1] else "one of these is a part of the other"
-            )
-            message = f"`{call.predicate}` relates two different objects, but {both}"
+            same = f"`{things[0]}` is used for both" if len({*things}) == 1 else "one of these is a part of the other"
+            message = f"`{call.predicate}` relates two different objects, but {same}"
             c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
         for argument, kind in zip(call.args, call.kinds, strict=True):
             match kind:
@@ -283,25 +273,20 @@ class SceneNames:
         if joint and asset is not None and asset.joints:
             c.name(joint, asset.joints, path, f"joint of `{name}`")
         elif not moving and self.is_known(name):
-            c.add(
-                "SF201",
-                path,
-                f"`{name}` does not have any joints" + (f", so there is no joint `{joint}`" if joint else ""),
-            )
+            so = f", so there is no joint `{joint}`" if joint else ""
+            c.add("SF201", path, f"`{name}` does not have any joints{so}")
 
-    def check_place(self, c: Checker, name: str, place: Place, path: Path_) -> None:
-        """Check the names in the place of the object ``name``."""
-        for key in PLACE_REFERENCES:
-            other: str | None = getattr(place, key)
-            if other is not None and key in ("on", "inside"):
-                self.check_part(c, other, (*path, key))
-            elif other is not None:
-                c.name(other, self.objects, (*path, key), "object")
-
-    def check_order(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
-        """Check that no place depends on itself through other places."""
-        named = {name: {getattr(place, key) or "" for key in PLACE_REFERENCES} for name, place in places.items()}
-        needs = {name: {other.partition(".")[0] for other in others} & places.keys() for name, others in named.items()}
+    def check_places(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
+        """Check the names in the places of objects, and that no place depends on itself through other places."""
+        needs: dict[str, set[str]] = {}
+        for name, place in places.items():
+            named = {key: other for key in PLACE_REFERENCES if (other := getattr(place, key)) is not None}
+            for key, other in named.items():
+                if key in ("on", "inside"):
+                    self.check_part(c, other, (*paths[name], key))
+                else:
+                    c.name(other, self.objects, (*paths[name], key), "object")
+            needs[name] = {other.partition(".")[0] for other in named.values()} & places.keys()
         needs = _unsolved(needs)
         for name in needs:
             cycle = _cycle(name, needs)
@@ -335,8 +320,3 @@ def _cycle(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
                 seen.add(following)
                 todo.append((*way, following))
     return ()
-
-
-def _mapping(data: Any, section: str) -> dict[str, Any]:
-    members = data.get(section) if isinstance(data, dict) else None
-    return members if isinstance(members, dict) else {}

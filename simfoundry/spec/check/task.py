@@ -32,9 +32,7 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
     for k, robot in enumerate(spec.robots or ()):
         c.name(robot, names.robots, ("robots", k), "robot")
     for name in spec.reset.objects:
-        path = ("reset", "objects", name)
-        if c.name(name, names.objects, path, "object"):
-            _moves(c, names, name, path)
+        _moves(c, names, name, ("reset", "objects", name))
 
 
 def scene_names(scene: Loaded | None) -> SceneNames | None:
@@ -70,13 +68,9 @@ def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[A
 def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> None:
     if names is None:
         return
-    for name, place in start.place.items():
-        if c.name(name, names.objects, (*path, "place", name), "object"):
-            _moves(c, names, name, (*path, "place", name))
-            names.check_place(c, name, place, (*path, "place", name))
-    for name in start.pose:
-        if c.name(name, names.objects, (*path, "pose", name), "object"):
-            _moves(c, names, name, (*path, "pose", name))
+    for key in ("place", "pose"):
+        for name in getattr(start, key):
+            _moves(c, names, name, (*path, key, name))
     for name, positions in start.joints.items():
         place_of = (*path, "joints", name)
         if not c.name(name, names.objects, place_of, "object"):
@@ -86,12 +80,13 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
             check_joints(c, asset, positions, place_of, resting=False)
         elif names.is_known(name):
             c.add("SF201", place_of, f"`{name}` does not have any joints")
-    names.check_order(c, start.place, {name: (*path, "place", name) for name in start.place})
+    places = {name: place for name, place in start.place.items() if name in names.objects}
+    names.check_places(c, places, {name: (*path, "place", name) for name in places})
 
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
-    """Check that an object with a different initial pose is not fixed to the world."""
-    if names.is_fixed(name):
+    """Check that an object with a different initial pose exists and is not fixed to the world."""
+    if c.name(name, names.objects, path, "object") and names.is_fixed(name):
         message = f"`{name}` is fixed in the scene, so its initial pose cannot be changed"
         c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")
 
@@ -99,10 +94,8 @@ def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
 def check_cousins(c: Checker, spec: CousinsSpec) -> None:
     """Check a recipe."""
     twin = c.use(spec.twin, ("twin",), ("scene/1", "task/1"), (".scene.yaml", ".task.yaml", ".yaml"))
-    if spec.object is not None and spec.object.library is not None:
-        c.file(spec.object.library, ("object", "library"), ())
-    if spec.distractors is not None and spec.distractors.library is not None:
-        c.file(spec.distractors.library, ("distractors", "library"), ())
+    for section, axis in (("object", spec.object), ("distractors", spec.distractors)):
+        c.file(axis.library if axis is not None else None, (section, "library"), ())
     _engines(c, spec.task)
     spec_of_twin = twin.spec if twin is not None else None
     names = scene_names(twin.used(spec_of_twin.scene) if twin and isinstance(spec_of_twin, TaskSpec) else twin)

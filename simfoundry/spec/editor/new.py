@@ -45,16 +45,17 @@ class New:
 
 
 def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
-    """Interpret the arguments, either ``desk.scene.yaml`` or ``scene desk``, in which case the suffix is added."""
+    """Return the kind and the path for the arguments ``desk.scene.yaml`` or ``scene desk``, which are equivalent."""
     *before, last = words
     path = Path(last)
     by_name = next((kind for kind in WORDS if path.name.endswith(f".{kind}.yaml")), None)
     by_name = "capture" if path.name == "capture.yaml" else by_name
     if len(before) > 1 or (before and before[0] not in WORDS):
-        raise NewError(f"give a kind and a path, as `scene desk.scene.yaml`; the kinds are {', '.join(WORDS)}")
+        raise NewError(f"give a kind and a path, such as `scene desk.scene.yaml`; the kinds are {', '.join(WORDS)}")
     if not before:
         if last in WORDS:
-            raise NewError(f"give the {last} a name, as `new {last} desk` for {_file(last)}")
+            example = "desk/capture.yaml" if last == "capture" else f"desk.{last}.yaml"
+            raise NewError(f"give the {last} a name; for example, `new {last} desk` creates {example}")
         if by_name is None:
             raise NewError(f"the kind of `{last}` is unclear; end it with .scene.yaml, or write `new scene {last}`")
         return by_name, path
@@ -63,10 +64,6 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
     if by_name != before[0]:
         raise NewError(f"`{path.name}` is not the name of a {before[0]}; end it with .{before[0]}.yaml")
     return by_name, path
-
-
-def _file(kind: str) -> str:
-    return "desk/capture.yaml" if kind == "capture" else f"desk.{kind}.yaml"
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
@@ -78,13 +75,11 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
     values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
     if extends is not None:
         template, more = "overlay", _overlay(kind, path, extends, project.root)
-    elif kind == "task":
-        template, more = kind, _task(path, source, project.root)
-    elif kind == "cousins":
-        template, more = kind, _cousins(path, source, project.root)
+    elif kind in ("task", "cousins"):
+        template, more = kind, (_task if kind == "task" else _cousins)(path, source, project.root)
+    elif source is not None:
+        raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
     else:
-        if source is not None:
-            raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
         template, more = kind, {}
     text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
     text = format_text(Template(text).substitute(values | more), str(path))
@@ -102,8 +97,8 @@ def _name(path: Path, name: str | None) -> str:
     """Return the given document name, or a name derived from the file (for a capture, from the folder)."""
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
-            message = "a name is lower-case letters, digits and `_`, and starts with a letter"
-            raise NewError(f"`{name}` cannot be a name: {message}")
+            rule = "a name must start with a letter and contain only lower-case letters, digits and `_`"
+            raise NewError(f"`{name}` cannot be a name: {rule}")
         return name
     stem = path.resolve().parent.name if path.name == "capture.yaml" else path.name.partition(".")[0]
     plain = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:64]
@@ -117,13 +112,13 @@ def _relative(target: Path, path: Path) -> str:
 
 
 def _named(source: Path, path: Path) -> dict[str, str]:
-    """Return the path of another document, as a YAML value and as comment text."""
+    """Return the relative path of another document as a YAML value and as the text of a comment."""
     relative = _relative(source, path)
     return {"quoted": json.dumps(relative), "source": _comment(relative)}
 
 
 def _comment(text: str) -> str:
-    """Replace characters that would terminate a comment."""
+    """Replace characters that would end a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -133,10 +128,15 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Pa
         folder = path.parent
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
         if len(beside) != 1:
-            found = "there are several" if beside else "there is none"
-            raise NewError(f"name the scene with --from; {found} in {folder.resolve().name}/")
+            found = "several documents" if beside else "no scene"
+            raise NewError(f"specify the scene with --from, because {folder.resolve().name}/ contains {found}")
         source = beside[0]
-    loaded = load(source, root)
+    return _valid(source, root)
+
+
+def _valid(path: Path, root: Path) -> Loaded:
+    """Load a document; raises :class:`SpecError` if it has errors."""
+    loaded = load(path, root)
     if loaded.errors:
         raise SpecError(loaded.errors)
     return loaded
@@ -169,32 +169,24 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     carriers = {_carrier(item) for item in free.values()}
     rolling = [name for name, item in free.items() if isinstance(item.shape, SphereShape)]
     thing, *after = sorted(free, key=lambda name: (name in carriers, name in rolling))  # stable sort
-    others = [name for name in after if name not in (_carrier(free[thing]), *rolling)]
-    goal = f"OnTop({thing}, {others[0]})" if others else f"Lifted({thing})"
-    said = f"Put the {_said(thing)} on the {_said(others[0])}." if others else f"Lift the {_said(thing)}."
-    regions = [(name, _where(item)) for name, item in free.items() if name in (thing, *others[:1])]
+    target = next((name for name in after if name not in (_carrier(free[thing]), *rolling)), "")
+    words = {"goal": f"Lifted({thing})", "step": f"lift_{thing}", "instruction": f"Lift the {thing}."}
+    if target:
+        words = {"goal": f"OnTop({thing}, {target})", "step": f"{thing}_on_{target}"}
+        words["instruction"] = f"Put the {thing} on the {target}."
+    words["instruction"] = words["instruction"].replace("_", " ")
+    regions = [(name, _where(item)) for name, item in free.items() if name in (thing, target)]
     lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
     ranges = "ranges of x and y in the world [m], and of the turn about z"
     reset = ["  objects:", f"    # {ranges}", *lines]
     if not lines:
         reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]
-    return {
-        **_named(loaded.path, path),
-        "thing": thing,
-        "goal": goal,
-        "step": f"{thing}_on_{others[0]}" if others else f"lift_{thing}",
-        "instruction": said,
-        "reset": "\n".join(reset),
-    }
+    return {**_named(loaded.path, path), "thing": thing, **words, "reset": "\n".join(reset)}
 
 
 def _carrier(item: ObjectSpec) -> str:
     """Return the support of an object if its place names one."""
     return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
-
-
-def _said(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _where(item: ObjectSpec) -> tuple[float, float] | None:
@@ -219,20 +211,13 @@ def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
     """Fill in an overlay that rotates the first free object."""
-    loaded = load(base, root)
-    if loaded.errors:
-        raise SpecError(loaded.errors)
+    loaded = _valid(base, root)
     if getattr(loaded.spec, "simfoundry", None) != f"{kind}/1":
         raise NewError(f"a {kind} can only extend another {kind}, and {base} is not one")
-    lines: list[str] = []
-    if isinstance(loaded.spec, SceneSpec):
-        free = {name: item for name, item in loaded.spec.objects.items() if not item.fixed}
-        for name, item in list(free.items())[:1]:
-            key = "pose" if item.place is None else "place"
-            lines = [
-                "",
-                "objects:",
-                f"  {name}:",
-                f"    {key}: {{yaw_deg: 45}}  # rotated; all other keys are inherited",
-            ]
-    return {**_named(base, path), "objects": "\n".join(lines)}
+    objects = loaded.spec.objects if isinstance(loaded.spec, SceneSpec) else {}
+    for name, item in objects.items():
+        if not item.fixed:
+            change = f"{'pose' if item.place is None else 'place'}: {{yaw_deg: 45}}"
+            text = f"\nobjects:\n  {name}:\n    {change}  # rotated; all other keys are inherited"
+            return {**_named(base, path), "objects": text}
+    return {**_named(base, path), "objects": ""}

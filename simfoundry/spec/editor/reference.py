@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any
 
+from simfoundry.spec.editor.schema import Schema, literal, title
 from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
-from simfoundry.spec.yaml.write import number
-
-Schema = dict[str, Any]
 
 INTRODUCTION = """\
 # Reference
@@ -27,7 +24,7 @@ friction are defined in [conventions.md](conventions.md).
 
 
 def example(kind: str) -> str:
-    """Return the example of a kind of document, such as ``scene/1``."""
+    """Return the example for a document kind, such as ``scene/1``."""
     return (files(__package__) / "examples" / f"{kind.partition('/')[0]}.yaml").read_text(encoding="utf-8")
 
 
@@ -52,8 +49,8 @@ def _sections(parts: dict[str, Schema]) -> Iterator[str]:
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)
-    for title, alike in sorted(by_title.items()):
-        yield f"### {title}\n"
+    for heading, alike in sorted(by_title.items()):
+        yield f"### {heading}\n"
         yield f"{alike[0]['description'] if len(alike) == 1 else 'One of these keys.'}\n"
         merged = {n: {"description": p["description"], **f} for p in alike for n, f in p["properties"].items()}
         yield from _table(alike[0] if len(alike) == 1 else {"properties": merged})
@@ -65,17 +62,14 @@ def _table(model: Schema) -> Iterator[str]:
     required = model.get("required", ())
     for key, field in model["properties"].items():
         default = "**required**" if key in required else _default(field.get("default"))
-        meaning = field.get("description", "")
-        yield f"| `{key}` | {_type(field)} | {_cell(meaning)} | {default} |"
+        meaning = field.get("description", "").replace("|", "\\|")
+        yield f"| `{key}` | {_type(field)} | {meaning} | {default} |"
     yield ""
 
 
 def _title(name: str) -> str:
-    """Return the title of a model: ``Camera`` for ``CameraSpec``, ``Depth image`` for ``DepthImage``."""
-    if name.endswith("Shape"):
-        return "Shape"
-    words = re.findall(r"[A-Z][a-z]+", name.removesuffix("Spec"))
-    return " ".join(words).capitalize()
+    """Return the heading of a model's table: ``Camera`` for ``CameraSpec``, and ``Shape`` for all shapes."""
+    return "Shape" if name.endswith("Shape") else title(name).capitalize()
 
 
 def _type(field: Schema) -> str:
@@ -84,14 +78,15 @@ def _type(field: Schema) -> str:
         case {"anyOf": options} | {"oneOf": options}:
             return " or ".join(dict.fromkeys(_type(o) for o in options if o.get("type") != "null"))
         case {"$ref": target}:
-            title = _title(target.rpartition("/")[2])
-            return f"[{title.lower()}](#{title.lower().replace(' ', '-')})"
+            name = _title(target.rpartition("/")[2]).lower()
+            return f"[{name}](#{name.replace(' ', '-')})"
         case {"const": value}:
             return f"`{value}`"
         case {"enum": values}:
             return ", ".join(f"`{v}`" for v in values)
         case {"prefixItems": items}:
-            return _fixed_list([_type(i) for i in items])
+            kinds = [_type(i) for i in items]
+            return f"[{kinds[0]}] × {len(kinds)}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
         case {"items": item}:
             return f"list of {_type(item)}{_length(field)}"
         case {"patternProperties": patterns}:
@@ -112,10 +107,6 @@ def _type(field: Schema) -> str:
     raise ValueError(f"no words for {field}")
 
 
-def _fixed_list(kinds: list[str]) -> str:
-    return f"[{kinds[0]}] × {len(kinds)}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
-
-
 def _length(field: Schema) -> str:
     low, high = field.get("minItems"), field.get("maxItems")
     bounds = [f"at least {low}"] * (low is not None) + [f"at most {high}"] * (high is not None)
@@ -123,7 +114,7 @@ def _length(field: Schema) -> str:
 
 
 def _range(field: Schema) -> str:
-    """Describe the bounds of a number as `` > 0`` or `` 0 to 1``; the result is empty if it is unbounded."""
+    """Return the bounds of a number, such as `` > 0`` or `` 0 to 1``, or an empty string if it is unbounded."""
     match field:
         case {"minimum": low, "maximum": high}:
             return f" {low} to {high}"
@@ -141,20 +132,5 @@ def _default(value: Any) -> str:
         case dict() | list() if not value:
             return "empty"
         case dict():
-            return ", ".join(f"`{k}: {_literal(v)}`" for k, v in value.items() if v is not None)
-    return f"`{_literal(value)}`"
-
-
-def _literal(value: Any) -> str:
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case float() | int():
-            return number(value)
-        case list() | tuple():
-            return f"[{', '.join(_literal(v) for v in value)}]"
-    return str(value)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+            return ", ".join(f"`{k}: {literal(v)}`" for k, v in value.items() if v is not None)
+    return f"`{literal(value)}`"

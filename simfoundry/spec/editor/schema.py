@@ -33,7 +33,8 @@ UNIONS = {
     "RobotModel": {"RobotFiles"},
 }
 
-# Pattern for a key that is the end of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma.
+# Pattern for a key that is the end of a predicate, because in braces, YAML splits ``goal: OnTop(cup, desk)`` at the
+# comma.
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 
 
@@ -50,12 +51,12 @@ LISTED = "Listed"
 # Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them.
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
 
-# Keywords whose value is a mapping by name; a name may coincide with a keyword.
+# Keywords whose value is a mapping from names, which may be equal to keywords.
 _BY_NAME = ("$defs", "patternProperties", "properties")
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """Return the name and content of every file in ``schemas/``; ``standard`` omits keywords for editors."""
+    """Return the name and content of every file in ``schemas/``; ``standard`` omits the keywords for editors."""
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
@@ -65,26 +66,20 @@ def without_editor_words(part: Any) -> Any:
         return [without_editor_words(item) for item in part]
     if not isinstance(part, dict):
         return part
-    return {
-        key: {name: without_editor_words(inner) for name, inner in value.items()}
-        if key in _BY_NAME
-        else without_editor_words(value)
-        for key, value in part.items()
-        if key not in FOR_EDITORS
-    }
+    named = {key: {name: without_editor_words(v) for name, v in part[key].items()} for key in _BY_NAME if key in part}
+    return {key: named.get(key) or without_editor_words(v) for key, v in part.items() if key not in FOR_EDITORS}
 
 
 def schema(kind: str) -> Schema:
     """Return the JSON Schema of a kind of document, such as ``scene/1``.
 
-    A document that extends another is validated against a relaxed copy without required keys, in which null removes a
-    value.
+    A document that extends another document is validated against a relaxed copy of the schema, which has no required
+    keys and in which null removes a value.
     """
     parts = _Parts(model_of(kind).model_json_schema()).all()
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
-    overlay[f"{OVERLAY}Document"]["properties"] |= {
-        key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")
-    }
+    never_null = {key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")}
+    overlay[f"{OVERLAY}Document"]["properties"] |= never_null
     extends = {"title": "extends", "type": "string"}
     return {
         "$schema": DIALECT,
@@ -107,14 +102,11 @@ class _Parts:
 
     def all(self) -> dict[str, Schema]:
         """Return every part by name; the document itself is named ``Document``."""
-        models = {**self.raw["$defs"], "Document": {k: v for k, v in self.raw.items() if k != "$defs"}}
+        title = self.raw["title"]
         apart = set().union(*UNIONS.values())
-        owners = {"Document": self.raw["title"]}
-        parts = {n: self.model(owners.get(n, n), body) for n, body in models.items() if n not in apart}
-        parts["Document"] |= {
-            "title": self.raw["title"].removesuffix("Spec").lower(),
-            "description": self.raw["description"],
-        }
+        parts = {name: self.model(name, body) for name, body in self.raw["$defs"].items() if name not in apart}
+        words = {"title": title.removesuffix("Spec").lower(), "description": self.raw["description"]}
+        parts["Document"] = self.model(title, self.raw) | words
         return dict(sorted((parts | self.joined).items()))
 
     def model(self, owner: str, body: Schema) -> Schema:
@@ -135,19 +127,18 @@ class _Parts:
         """Return the schema of a key, including its descriptions and an initial value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
-        if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
-            text = f"{text.rstrip('.')}; default: {_plain(default)}."
+        plain = default if isinstance(default, int | float | str | list) and default != [] else None
+        if plain is not None and "efault" not in text:
+            text = f"{text.rstrip('.')}; default: {literal(plain)}."
         words = _words(key, text)
         if "enum" in core or "const" in core:
             return words | core
-        first = snippets.first_value(owner, key)
-        if isinstance(default, int | float | str | list) and default != []:
-            first = _holes(default)
+        first = snippets.lookup("first", f"{owner}.{key}", key) if plain is None else _holes(plain)
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
         """Return the description of a key, or the description of its value if the key has none."""
-        said = body.get("description") or snippets.description(owner, key)
+        said = body.get("description") or snippets.lookup("descriptions", f"{owner}.{key}")
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
@@ -167,13 +158,8 @@ class _Parts:
             return {"$ref": body["$ref"]}
         if "patternProperties" in body:
             ((pattern, value),) = body["patternProperties"].items()
-            title, text = PATTERNS[pattern].placeholder, PATTERNS[pattern].rule
-            keys = {
-                "title": title,
-                "description": sentence(text),
-                **_pattern(pattern),
-                **body.get("propertyNames", {}),
-            }
+            words = {"title": PATTERNS[pattern].placeholder, "description": sentence(PATTERNS[pattern].rule)}
+            keys = words | _pattern(pattern) | body.get("propertyNames", {})
             bounds = {key: body[key] for key in ("minProperties",) if key in body}
             return {"type": "object", "propertyNames": keys, "additionalProperties": self.member(value), **bounds}
         if isinstance(body.get("additionalProperties"), dict):
@@ -187,7 +173,7 @@ class _Parts:
         if plain.get("type") == "boolean":
             plain = {"enum": [False, True]}
         if "enum" in plain:
-            return plain | {"enumDescriptions": snippets.meanings(list(map(_plain, plain["enum"])))}
+            return plain | {"enumDescriptions": snippets.meanings(list(map(literal, plain["enum"])))}
         return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
 
     def item(self, body: Schema) -> Schema:
@@ -210,8 +196,8 @@ class _Parts:
         described = self.raw["$defs"].get(model, {}).get("description", "")
         if not described:
             return core
-        words = _words(_title(model), described)
-        first = snippets.first_member(model)
+        words = _words(title(model), described)
+        first = snippets.lookup("members", model)
         return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
@@ -283,24 +269,25 @@ def _words(title: str, text: str) -> Schema:
     return {"title": title, "description": text, **markdown}
 
 
-def _title(model: str) -> str:
+def title(model: str) -> str:
     """Return the title of a model: ``camera`` for ``CameraSpec``, ``depth image`` for ``DepthImage``."""
     return " ".join(re.findall(r"[A-Z][a-z]+", model.removesuffix("Spec"))).lower()
 
 
-def _plain(value: Any) -> str:
+def literal(value: Any) -> str:
+    """Format a plain value as YAML on one line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f"[{', '.join(_plain(item) for item in value)}]"
+        return f"[{', '.join(map(literal, value))}]"
     return number(value) if isinstance(value, int | float) else str(value)
 
 
 def _holes(value: Any) -> str:
     """Return a value as a snippet with a placeholder for each number and each word."""
     if isinstance(value, list):
-        return f"[{', '.join(f'${{{k}:{_plain(item)}}}' for k, item in enumerate(value, 1))}]"
-    return f"${{1:{_plain(value)}}}"
+        return f"[{', '.join(f'${{{k}:{literal(item)}}}' for k, item in enumerate(value, 1))}]"
+    return f"${{1:{literal(value)}}}"
 
 
 def _snippet(body: Body, text: str) -> Schema:
@@ -351,7 +338,7 @@ def loose(part: Any) -> Any:
 def _nullable(item: Schema) -> Schema:
     """Allow null for a value; descriptions for editors stay on the outer schema."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
-    words = {key: item[key] for key in kept if key in item}
-    core = {key: value for key, value in item.items() if key not in kept}
+    core = dict(item)
+    words = {key: core.pop(key) for key in kept if key in item}
     options = core.get("allOf") or core.get("anyOf") or [core]
     return {**words, "anyOf": [*options, NULL]}

@@ -1,4 +1,4 @@
-"""Additional editor content that the models do not define: initial values of keys and descriptions of choices."""
+"""Editor content that the models do not define: initial values of keys, and descriptions of choices."""
 
 from __future__ import annotations
 
@@ -20,33 +20,25 @@ def _texts() -> dict[str, Any]:
     return data
 
 
-def first_value(model: str, key: str) -> Body | None:
-    """Return the initial value that an editor offers for a key of a model."""
-    first: dict[str, Body] = _texts()["first"]
-    return first.get(f"{model}.{key}", first.get(key))
+def lookup(section: str, *keys: str) -> Any:
+    """Return the entry for the first of ``keys`` that a section of ``snippets.yaml`` contains, or None.
 
-
-def first_member(model: str) -> Body | None:
-    """Return the initial value that an editor offers for a member of a named mapping."""
-    members: dict[str, Body] = _texts()["members"]
-    return members.get(model)
-
-
-def description(model: str, key: str) -> str | None:
-    """Return the description of a key whose model does not define a description."""
-    found: dict[str, str] = _texts()["descriptions"]
-    return found.get(f"{model}.{key}")
+    The section ``first`` contains the initial values that an editor offers for keys, ``members`` contains those for
+    members of named mappings, and ``descriptions`` describes keys whose model has no description.
+    """
+    found = _texts()[section]
+    return next((found[key] for key in keys if key in found), None)
 
 
 def meanings(words: list[str]) -> list[str]:
-    """Return the meaning of each option of a choice."""
+    """Return the meaning of each option in a choice."""
     if set(words) <= set(PREDICATES.built_in):
         return [sentence(PREDICATES.load(name).meaning) for name in words]
     return next(list(choice.values()) for choice in _texts()["choices"] if list(choice) == words)
 
 
 def sentence(words: str) -> str:
-    """Format text as a sentence."""
+    """Format a text as a sentence, with a capital letter and a period."""
     return f"{words[0].upper()}{words[1:]}."
 
 

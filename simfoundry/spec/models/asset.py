@@ -1,9 +1,9 @@
 """The ``asset/1`` document: an object with links, parts, and joints, for use in scenes."""
 
 import math
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from simfoundry.spec.models.base import (
     BodySpec,
@@ -21,6 +21,7 @@ from simfoundry.spec.models.base import (
     Positive,
     Shape,
     Vec3,
+    consistent,
     exclusive,
     fault,
 )
@@ -41,12 +42,11 @@ class PartSpec(Model):
         "has mass but is not rendered.",
     )
 
-    @model_validator(mode="after")
-    def _one_geometry(self) -> Self:
+    @consistent
+    def _one_geometry(self) -> None:
         exclusive(self, "shape", "mesh", needed=True)
         if self.mesh is None and self.scale != 1.0:
             raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
-        return self
 
 
 class Inertial(Model):
@@ -59,8 +59,8 @@ class Inertial(Model):
         "inertia of the parts about their own center of mass.",
     )
 
-    @model_validator(mode="after")
-    def _of_a_body(self) -> Self:
+    @consistent
+    def _of_a_body(self) -> None:
         if self.inertia is not None and not _is_of_a_body(self.inertia):
             raise fault(
                 "sf104",
@@ -68,7 +68,6 @@ class Inertial(Model):
                 "and none may exceed the sum of the other two",
                 "inertia",
             )
-        return self
 
 
 # Relative tolerance of the triangle inequality for principal moments; needed because files contain six digits.
@@ -98,14 +97,13 @@ class LinkSpec(BodySpec):
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
 
-    @model_validator(mode="after")
-    def _mass(self) -> Self:
+    @consistent
+    def _mass(self) -> None:
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
             raise fault("sf107", "`inertial` requires `mass`", "inertial")
         if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
             raise fault("sf107", "a link without collision parts needs `mass` and `inertial.inertia`")
-        return self
 
     @property
     def weighed(self) -> bool:
@@ -132,16 +130,13 @@ class DriveSpec(Model):
 
     stiffness: NonNegative = Field(0.0, description="Force per unit of deviation from the target [N/m, or N m/rad].")
     damping: NonNegative = Field(0.0, description="Opposing force per unit of velocity [N s/m, or N m s/rad].")
-    target: Number | None = Field(
-        None, description="Target position [m, or rad]; default: the initial position of the joint."
-    )
+    target: Number | None = Field(None, description="Target [m, or rad]; default: the joint's initial position.")
     force_limit: Positive | None = Field(None, description="Maximum force [N, or N m].")
 
-    @model_validator(mode="after")
-    def _acts(self) -> Self:
+    @consistent
+    def _acts(self) -> None:
         if self.stiffness == 0 and self.damping == 0:
             raise fault("sf107", "a drive needs `stiffness` or `damping`")
-        return self
 
 
 class JointSpec(Model):
@@ -155,11 +150,9 @@ class JointSpec(Model):
         description="Pose of the child's frame in the parent's frame at joint position zero.",
     )
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
-    limits: tuple[Number, Number] | None = Field(
-        None, description="Minimum and maximum position of a prismatic joint [m]."
-    )
+    limits: tuple[Number, Number] | None = Field(None, description="Lower and upper limit of a prismatic joint [m].")
     limits_deg: tuple[Number, Number] | None = Field(
-        None, description="Minimum and maximum position of a revolute joint [deg]."
+        None, description="Lower and upper limit of a revolute joint [deg]."
     )
     closed: Literal["lower", "upper"] | None = Field(
         None,
@@ -168,14 +161,12 @@ class JointSpec(Model):
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
-    armature: NonNegative = Field(
-        0.0, description="Inertia added to the joint, such as the rotor inertia of a motor [kg, or kg m^2]."
-    )
+    armature: NonNegative = Field(0.0, description="Added inertia, such as the inertia of a rotor [kg, or kg m^2].")
     mimic: MimicSpec | None = Field(None, description="Coupling to another joint that this joint follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    @consistent
+    def _consistent(self) -> None:
         if self.type == "prismatic" and self.limits is None:
             raise fault("sf107", "a prismatic joint needs `limits`, in meters")
         if self.type == "revolute" and self.limits_deg is None:
@@ -197,7 +188,6 @@ class JointSpec(Model):
                 raise fault(
                     "sf107", f"`{name}` applies only to joints with one axis, but this joint is {self.type}", name
                 )
-        return self
 
 
 class AssetSpec(DocumentSpec):
@@ -206,9 +196,7 @@ class AssetSpec(DocumentSpec):
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
     category: Name | None = Field(None, description="Category, such as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials for the asset's links, by name.")
-    links: dict[Name, LinkSpec] = Field(
-        min_length=1, description="Rigid bodies of the asset by name; the first one is the root."
-    )
+    links: dict[Name, LinkSpec] = Field(min_length=1, description="Rigid bodies by name; the first one is the root.")
     joints: dict[Name, JointSpec] = Field({}, description="Joints between the links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
         (),

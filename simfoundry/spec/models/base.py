@@ -3,8 +3,9 @@
 # This module and the other model modules do not postpone annotations: pydantic would compile each string at start-up.
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, LiteralString, NamedTuple, Self
+from typing import Annotated, Any, Literal, LiteralString, NamedTuple
 
 from pydantic import (
     AfterValidator,
@@ -63,11 +64,13 @@ Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 FARTHEST = 1e6
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
-Vec2 = tuple[Number, Number]
+Range = tuple[Number, Number]
 Vec3 = tuple[Number, Number, Number]
 Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
+Pixels = Annotated[int, Field(ge=1, le=8192)]
+ImageSize = tuple[Pixels, Pixels]
 
 # Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers.
 WORLD = "world"
@@ -93,6 +96,20 @@ class FormerKey:
     key: str
 
 
+def consistent(check: Callable[[Any], None]) -> Any:
+    """Declare a method that raises :func:`fault` if the fields of its model contradict each other."""
+
+    def checked(model: Any) -> Any:
+        check(model)
+        return model
+
+    return model_validator(mode="after")(checked)
+
+
+# Name of the person, program or method that created something.
+Agent = Annotated[str, FormerKey("by"), StringConstraints(max_length=64)]
+
+
 class Model(BaseModel):
     """Base class for all parts of a document: immutable and strictly typed, with no unknown keys.
 
@@ -116,6 +133,7 @@ def _ordered(ends: tuple[float, ...]) -> tuple[float, ...]:
 
 # Validator for a (minimum, maximum) pair.
 Ordered = AfterValidator(_ordered)
+Interval = Annotated[Range, Ordered]
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
@@ -149,10 +167,9 @@ class PoseSpec(Model):
     )
     quat_wxyz: Quaternion | None = Field(None, description="Quaternion, w first.")
 
-    @model_validator(mode="after")
-    def _one_rotation(self) -> Self:
+    @consistent
+    def _one_rotation(self) -> None:
         exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
-        return self
 
 
 class CameraPose(Model):
@@ -160,34 +177,26 @@ class CameraPose(Model):
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
-    quat_wxyz: Quaternion | None = Field(
-        None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
-    )
+    quat_wxyz: Quaternion | None = Field(None, description="Camera rotation (x right, y down, z forward), w first.")
 
-    @model_validator(mode="after")
-    def _one_rotation(self) -> Self:
+    @consistent
+    def _one_rotation(self) -> None:
         exclusive(self, "look_at", "quat_wxyz", needed=True)
         if self.look_at is not None and math.dist(self.look_at, self.xyz) < 1e-6:
             raise fault("sf104", "a camera cannot look at its own position", "look_at")
-        return self
 
 
 class Estimate(Model):
     """A number that was estimated rather than measured."""
 
     value: Positive = Field(description="The value to use [kg, or kg/m^3].")
-    range: tuple[Positive, Positive] | None = Field(
-        None, description="The lowest and highest plausible value [kg, or kg/m^3]."
-    )
-    source: Annotated[str, FormerKey("by")] = Field(
-        "unknown", max_length=64, description="Person or method that estimated it, such as `category_table`."
-    )
+    range: tuple[Positive, Positive] | None = Field(None, description="Plausible minimum and maximum [kg, or kg/m^3].")
+    source: Agent = Field("unknown", description="Person or method that estimated it, such as `category_table`.")
 
-    @model_validator(mode="after")
-    def _inside(self) -> Self:
+    @consistent
+    def _inside(self) -> None:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
             raise fault("sf104", "`value` lies outside `range`", "value")
-        return self
 
 
 Quantity = Annotated[
@@ -205,9 +214,7 @@ class Round(Model):
     """Radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
-    height: Length = Field(
-        description="Height [m]; for a capsule, the height of the cylindrical part without the caps."
-    )
+    height: Length = Field(description="Height [m]; for a capsule, the height of the cylinder without the caps.")
 
 
 class Prism(Model):
@@ -290,9 +297,7 @@ class CousinOf(Model):
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
     index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, starting at 1.")
-    generator: Annotated[str, FormerKey("by")] = Field(
-        "simfoundry", max_length=64, description="The program that generated it."
-    )
+    generator: Agent = Field("simfoundry", description="The program that generated it.")
 
 
 class Origin(Model):
@@ -311,9 +316,7 @@ class Material(Model):
     """Physical properties and color of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
-    friction: NonNegative = Field(
-        0.5, description="Coulomb friction coefficient; contacts use the geometric mean of the two surfaces."
-    )
+    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; contacts use the geometric mean.")
     torsional_friction: NonNegative = Field(
         0.0,
         description="Resistance to spinning at a contact: torque divided by normal force [m]; contacts use the "
@@ -324,9 +327,7 @@ class Material(Model):
         description="Resistance to rolling at a contact: torque divided by normal force [m]; contacts use the "
         "larger value of the two surfaces.",
     )
-    restitution: Fraction = Field(
-        0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
-    )
+    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; contacts use the geometric mean.")
     color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
 
 

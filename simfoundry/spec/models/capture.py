@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, PoseSpec, Positive, fault
+from simfoundry.spec.models.base import (
+    DocumentSpec,
+    FileName,
+    Model,
+    Name,
+    Number,
+    PoseSpec,
+    Positive,
+    consistent,
+    fault,
+)
 
 
 class Intrinsics(Model):
@@ -29,22 +39,17 @@ class DepthImage(Model):
         None, description="Pose of the depth camera in the color camera's frame (x right, y down, z forward)."
     )
 
-    @model_validator(mode="after")
-    def _both(self) -> Self:
+    @consistent
+    def _both(self) -> None:
         if (self.camera is None) != (self.pose is None):
             raise fault("sf107", "`camera` and `pose` of a depth camera must be set together")
-        return self
 
 
 class Masks(Model):
     """Instance masks: an image whose pixel values identify the objects."""
 
-    image: FileName = Field(
-        description="Mask image, relative to this document; must be the same size as the color image."
-    )
-    background: tuple[int, ...] = Field(
-        (0,), max_length=256, description="Pixel values that do not belong to any object."
-    )
+    image: FileName = Field(description="Mask image, relative to this document; same size as the color image.")
+    background: tuple[int, ...] = Field((0,), max_length=256, description="Pixel values that belong to no object.")
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Pixel value of each object, by name.")
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints
 
 from simfoundry.spec.models.base import (
     DocumentSpec,
     FileName,
     FormerKey,
+    Interval,
     Model,
     Name,
     NonNegative,
-    Number,
     Ordered,
     Positive,
+    consistent,
     fault,
 )
 
@@ -23,6 +24,7 @@ Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "N
 Source = Literal["procedural", "library", "model"]
 Change = Literal["geometry", "topology", "appearance"]
 Count = Annotated[int, Field(ge=0, le=1000)]
+Gap = Annotated[tuple[NonNegative, NonNegative], Ordered]
 Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
 ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
@@ -33,31 +35,24 @@ class ValueRange(Model):
     min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Minimum.")
     max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Maximum.")
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    @consistent
+    def _ordered(self) -> None:
         if self.min is not None and self.max is not None and self.min > self.max:
             raise fault("sf104", "`min` is greater than `max`", "min")
-        return self
 
 
 class SceneAxis(Model):
     """Layout variations: objects are placed at new positions around an anchor object, which does not move."""
 
-    anchor: Name | None = Field(
-        None, description="The object that stays in place; default: the object in the task's goal."
-    )
+    anchor: Name | None = Field(None, description="The object that stays in place; default: the object in the goal.")
     objects: dict[Name, tuple[Side, ...]] = Field(
         min_length=1, description="Objects to place at new positions, each with the allowed relations to the anchor."
     )
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
         1, description="Number of relations to the anchor that each object must satisfy simultaneously."
     )
-    gap: Annotated[tuple[NonNegative, NonNegative], Ordered] = Field(
-        (0.02, 0.2), description="Minimum and maximum gap between an object and the anchor [m]."
-    )
-    yaw_deg: Annotated[tuple[Number, Number], Ordered] = Field(
-        (-180.0, 180.0), description="Minimum and maximum rotation about z [deg]."
-    )
+    gap: Gap = Field((0.02, 0.2), description="Minimum and maximum gap to the anchor [m].")
+    yaw_deg: Interval = Field((-180.0, 180.0), description="Minimum and maximum rotation about z [deg].")
 
 
 class ObjectVariants(Model):
@@ -73,9 +68,7 @@ class ObjectVariants(Model):
         min_length=1,
         description="Aspects that may differ: the shape, the parts, or the color and material.",
     )
-    components: tuple[Name, ...] = Field(
-        (), description="Functional components that may differ; default: all components."
-    )
+    components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all.")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
 
 
@@ -90,9 +83,7 @@ class ObjectModels(Model):
     images: ModelName | None = Field(
         None, description="Image-editing model, by its name on the server; default: the model set in the environment."
     )
-    meshes: Literal["hunyuan3d"] = Field(
-        "hunyuan3d", description="Interface of the server that turns an image into a mesh."
-    )
+    meshes: Literal["hunyuan3d"] = Field("hunyuan3d", description="Interface of the image-to-mesh server.")
     texture: bool = Field(True, description="Generate textures for the meshes; not every server supports this.")
 
 
@@ -101,36 +92,27 @@ class ObjectAxis(Model):
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects to vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    models: ObjectModels = Field(
-        ObjectModels.model_construct(), description="Models that generate variants if a source is `model`."
-    )
+    models: ObjectModels = Field(ObjectModels.model_construct(), description="Models for the source `model`.")
 
 
 class DistractorAxis(Model):
     """Distractors: library objects that the task does not involve, placed without collisions."""
 
-    count: Annotated[tuple[Count, Count], Ordered] = Field(
-        (1, 4), description="Minimum and maximum number of distractors in a scene."
-    )
+    count: Annotated[tuple[Count, Count], Ordered] = Field((1, 4), description="Minimum and maximum number per scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
-        True, description="Also choose from the assets that come with SimFoundry."
-    )
-    categories: tuple[Name, ...] = Field(
-        (), description="Categories to choose from; default: all categories that do not occur in the twin."
-    )
+    builtin_library: Annotated[bool, FormerKey("shipped")] = Field(True, description="Also use SimFoundry's assets.")
+    categories: tuple[Name, ...] = Field((), description="Categories to use; default: all that are not in the twin.")
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
-        (), description="Categories to exclude."
+        (), description="Excluded categories."
     )
     mass: ValueRange = Field(ValueRange.model_construct(), description="Mass [kg].")
     volume: ValueRange = Field(ValueRange.model_construct(), description="Volume [m^3].")
     density: ValueRange = Field(ValueRange.model_construct(), description="Density [kg/m^3].")
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    @consistent
+    def _ordered(self) -> None:
         if self.library is None and not self.builtin_library:
             raise fault("sf107", "`builtin_library: false` requires a `library`", "builtin_library")
-        return self
 
 
 class TaskAxis(Model):
@@ -144,7 +126,7 @@ class TaskAxis(Model):
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
     engines: tuple[Name, ...] = Field(
-        ("mujoco",), min_length=1, description="Simulators in which the goal state of a task must be stable."
+        ("mujoco",), min_length=1, description="Simulators in which goals must be stable."
     )
 
 
@@ -160,8 +142,7 @@ class CousinsSpec(DocumentSpec):
     distractors: DistractorAxis | None = Field(None, description="Add distractors.")
     task: TaskAxis | None = Field(None, description="Vary the task.")
 
-    @model_validator(mode="after")
-    def _varies(self) -> Self:
+    @consistent
+    def _varies(self) -> None:
         if self.scene is None and self.object is None and self.distractors is None and self.task is None:
             raise fault("sf107", "one of `scene`, `object`, `distractors`, `task` is needed")
-        return self

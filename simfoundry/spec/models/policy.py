@@ -5,14 +5,26 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import Registry
-from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive, fault
+from simfoundry.spec.models.base import (
+    NAME,
+    VARIABLE,
+    WIRE_KEY,
+    DocumentSpec,
+    ImageSize,
+    Model,
+    Name,
+    Number,
+    Positive,
+    consistent,
+    fault,
+)
 
 # Key in a message to the policy, such as ``observation/wrist_image_left``.
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
@@ -28,7 +40,6 @@ def _variable(text: str) -> str:
 # Name of an environment variable; only capitals are allowed, so that a key pasted by accident is rejected.
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
 
-Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
 Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
@@ -116,10 +127,8 @@ class CameraView(Model):
     """An image that the policy receives from a camera in the scene, resized without distortion and padded in black."""
 
     camera: Name = Field(description="A camera in the scene.")
-    size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy expects [px].")
-    render: tuple[Pixels, Pixels] | None = Field(
-        None, description="Width and height of the rendered image before resizing [px]; default: `size`."
-    )
+    size: ImageSize = Field(description="Width and height that the policy expects [px].")
+    render: ImageSize | None = Field(None, description="Width and height before resizing [px]; default: `size`.")
 
 
 class GripperConvention(Model):
@@ -133,13 +142,12 @@ class GripperConvention(Model):
         "positions are used.",
     )
 
-    @model_validator(mode="after")
-    def _apart(self) -> Self:
+    @consistent
+    def _apart(self) -> None:
         if self.open == self.closed:
             raise fault("sf104", "`open` and `closed` must differ", "closed")
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise fault("sf104", "`threshold` must be between 0 and 1", "threshold")
-        return self
 
 
 class PolicySpec(DocumentSpec):
@@ -160,18 +168,12 @@ class PolicySpec(DocumentSpec):
         description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
         "DROID, 3. By default, velocities are in rad/s or m/s.",
     )
-    horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
-        description="Number of steps of each action chunk to execute before the policy is queried again."
-    )
-    cameras: dict[WireKey, CameraView] = Field(
-        {}, description="Images that the policy receives, by the keys it expects."
-    )
+    horizon: Annotated[int, Field(ge=1, le=1000)] = Field(description="Number of steps to execute per action chunk.")
+    cameras: dict[WireKey, CameraView] = Field({}, description="Images that the policy receives, by its keys.")
     state: dict[WireKey, Reading] | None = Field(
         None, description="Robot state that the policy receives, by the keys it expects; default: as in DROID."
     )
-    gripper: GripperConvention = Field(
-        GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
-    )
+    gripper: GripperConvention = Field(GripperConvention(threshold=0.5), description="Numbers used for the gripper.")
     timeout: Positive = Field(60.0, le=86400, description="Timeout for a response [s].")
     warm_up: Positive = Field(
         600.0,
@@ -180,12 +182,10 @@ class PolicySpec(DocumentSpec):
         "model [s].",
     )
     retries: Whole = Field(3, description="Number of attempts to restore a lost connection before a rollout fails.")
-    api_key: Variable | None = Field(
-        None, description="Name of the environment variable that contains the server's API key, not the key itself."
-    )
+    api_key: Variable | None = Field(None, description="Name of the environment variable with the server's API key.")
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    @consistent
+    def _fits(self) -> None:
         try:
             address_uri(self.protocol, self.address)
         except ValueError as error:
@@ -194,4 +194,3 @@ class PolicySpec(DocumentSpec):
             raise fault("sf107", "`velocity_unit` has no effect on joint positions", "velocity_unit")
         if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
             raise fault("sf107", f"a {self.protocol} server defines its own robot state; remove `state`", "state")
-        return self

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic import Discriminator, Field, StringConstraints, Tag
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive, fault
+from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive, consistent, fault
 
 # Name of a joint in the robot's model.
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
@@ -38,23 +38,20 @@ class RobotFiles(Model):
     Rollouts need to know the robot's hand and gripper (if it has one), which only a robot ``file`` defines.
     """
 
-    file: FileName | None = Field(
-        None, description="A robot file, which defines the models, the hand, the arm joints and the gripper."
-    )
+    file: FileName | None = Field(None, description="A robot file: its models, hand, arm joints and gripper.")
     mjcf: FileName | None = Field(
         None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
     )
     urdf: FileName | None = Field(None, description="URDF, in the same notation.")
     usd: FileName | None = Field(None, description="USD, in the same notation.")
 
-    @model_validator(mode="after")
-    def _any(self) -> Self:
+    @consistent
+    def _any(self) -> None:
         bare = [key for key in ("mjcf", "urdf", "usd") if getattr(self, key) is not None]
         if self.file is not None and bare:
             raise fault("sf107", f"`file` already defines all models; remove either `{bare[0]}` or `file`")
         if self.file is None and not bare:
             raise fault("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed")
-        return self
 
 
 class RobotSpec(Model):
@@ -69,12 +66,8 @@ class RobotSpec(Model):
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; joints not listed are at home.")
-    reach: Positive | None = Field(
-        None, description="Horizontal reach from the base [m]; default: the known robot's reach."
-    )
-    opening: Positive | None = Field(
-        None, description="Maximum opening between the fingers [m]; default: the known robot's opening."
-    )
+    reach: Positive | None = Field(None, description="Horizontal reach from the base [m]; default: the known value.")
+    opening: Positive | None = Field(None, description="Maximum gripper opening [m]; default: the known value.")
 
     def known(self) -> KnownRobot | None:
         """Return the known robot with this name.

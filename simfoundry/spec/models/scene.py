@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
@@ -15,6 +15,7 @@ from simfoundry.spec.models.base import (
     DocumentSpec,
     FileName,
     FormerKey,
+    ImageSize,
     Material,
     Model,
     Name,
@@ -28,6 +29,7 @@ from simfoundry.spec.models.base import (
     Positive,
     Shape,
     Vec3,
+    consistent,
     exclusive,
     fault,
 )
@@ -51,12 +53,10 @@ class Place(Model):
     """
 
     on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
-    inside: PartName | None = Field(
-        None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
-    )
+    inside: PartName | None = Field(None, description="Container: a hollow object, or its link (`cabinet.drawer`).")
     xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
     local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
-        None, description="Position of its frame in the frame of its support [m]."
+        None, description="Position in the support's frame [m]."
     )
     left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
     right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
@@ -68,8 +68,8 @@ class Place(Model):
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    @consistent
+    def _consistent(self) -> None:
         exclusive(self, "on", "inside", needed=True)
         exclusive(self, "yaw_deg", "rpy_deg")
         exclusive(self, *SIDES)
@@ -78,7 +78,6 @@ class Place(Model):
         exclusive(self, "xy", "local_xy", *([beside] if beside else []))
         if beside is None and self.gap != Place.model_fields["gap"].default:
             raise fault("sf107", "`gap` is for left_of, right_of, in_front_of and behind", "gap")
-        return self
 
 
 class Degrees(Model):
@@ -128,21 +127,18 @@ class VariantSpec(GeometrySpec):
     category: Name | None = Field(None, description="Category, such as `mug`.")
     labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
 
-    @model_validator(mode="after")
-    def _changes_something(self) -> Self:
+    @consistent
+    def _changes_something(self) -> None:
         exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         if not self.model_fields_set:
             raise fault("sf107", "a variant must override at least one property of its object")
-        return self
 
 
 class ObjectSpec(GeometrySpec):
     """An object in the scene: a primitive `shape` or an `asset` (a mesh file or an asset document)."""
 
-    visual: FileName | None = Field(
-        None, description="A mesh to render instead of the shape; it has no effect on physics."
-    )
+    visual: FileName | None = Field(None, description="A mesh to render instead of the shape; not used for physics.")
     category: Name | None = Field(None, description="Category, such as `mug`; default: the object's name.")
     labels: Labels = Field((), description="Labels for vision systems, most specific first; default: the category.")
     fixed: bool = Field(False, description="If true, the object is welded to the world.")
@@ -153,9 +149,7 @@ class ObjectSpec(GeometrySpec):
         description="Joint positions by name: in meters, in radians, or as `{deg: 30}`. A ball joint accepts a "
         "rotation such as `{rpy_deg: [10, 0, 20]}`, and a free joint accepts a pose. Default: 0.",
     )
-    variant: Name | None = Field(
-        None, description="The variant to compile, one of `variants`; default: `default`, the object without overrides."
-    )
+    variant: Name | None = Field(None, description="The variant to compile; default: `default`, without overrides.")
     variants: dict[Name, VariantSpec] = Field(
         {},
         description="Variants by name, each of which overrides properties of the object; USD stores them in one "
@@ -163,8 +157,8 @@ class ObjectSpec(GeometrySpec):
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
 
-    @model_validator(mode="after")
-    def _one_geometry(self) -> Self:
+    @consistent
+    def _one_geometry(self) -> None:
         exclusive(self, "shape", "asset", needed=True)
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
@@ -176,23 +170,16 @@ class ObjectSpec(GeometrySpec):
             )
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
-        return self
 
 
 class CameraSpec(Model):
     """A pinhole camera."""
 
-    size: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]] = Field(
-        description="Width and height of the image [px]."
-    )
+    size: ImageSize = Field(description="Width and height of the image [px].")
     fx: Positive = Field(description="Focal length in x [px].")
     fy: Positive = Field(description="Focal length in y [px].")
-    cx: Number | None = Field(
-        None, description="Principal point in x [px]; default: (width - 1) / 2, the image center."
-    )
-    cy: Number | None = Field(
-        None, description="Principal point in y [px]; default: (height - 1) / 2, the image center."
-    )
+    cx: Number | None = Field(None, description="Principal point in x [px]; default: (width - 1) / 2, the center.")
+    cy: Number | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
         None,
@@ -204,18 +191,15 @@ class LightSpec(Model):
     """A light source."""
 
     type: Literal["distant", "point", "dome"] = Field(description="Kind of light: parallel rays, a point, or a dome.")
-    intensity: NonNegative = Field(
-        1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
-    )
+    intensity: NonNegative = Field(1.0, description="Relative; 1 fully lights a white surface that faces the light.")
     color: Color = Field((1.0, 1.0, 1.0), description="sRGB color, 0 to 1.")
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
 
-    @model_validator(mode="after")
-    def _shines_somewhere(self) -> Self:
+    @consistent
+    def _shines_somewhere(self) -> None:
         if math.hypot(*self.direction) < 1e-6:
             raise fault("sf104", "`direction` must not be zero", "direction")
-        return self
 
 
 class BackgroundSpec(Model):
@@ -226,10 +210,9 @@ class BackgroundSpec(Model):
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the world.")
     scale: Positive = Field(1.0, description="Length of one unit in the file [m].")
 
-    @model_validator(mode="after")
-    def _one_file(self) -> Self:
+    @consistent
+    def _one_file(self) -> None:
         exclusive(self, "mesh", "splat", needed=True)
-        return self
 
 
 class SceneSpec(DocumentSpec):

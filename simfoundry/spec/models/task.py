@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints
 
 from simfoundry.spec.models.base import (
     DocumentSpec,
     FileName,
+    Interval,
     Model,
     Name,
-    Number,
     Ordered,
     Origin,
     Point2,
     PoseSpec,
     Positive,
+    consistent,
     fault,
 )
 from simfoundry.spec.models.predicate import Condition
@@ -25,7 +26,6 @@ from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
 
 Instruction = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Cells = Annotated[int, Field(ge=1, le=100)]
-Range = tuple[Number, Number]
 
 
 class Start(Model):
@@ -33,30 +33,23 @@ class Start(Model):
 
     place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
     pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")
-    joints: dict[Name, dict[Name, JointPosition]] = Field(
-        {}, description="Joint positions by object and joint, as in a scene."
-    )
+    joints: dict[Name, dict[Name, JointPosition]] = Field({}, description="Joint positions by object and joint.")
 
-    @model_validator(mode="after")
-    def _once(self) -> Self:
+    @consistent
+    def _once(self) -> None:
         twice = [name for name in self.place if name in self.pose]
         if twice:
             raise fault("sf107", f"`{twice[0]}` has both a place and a pose; remove one of them", "pose")
-        return self
 
 
 class Subtask(Model):
     """A step of the task, complete once its goal has been satisfied."""
 
     goal: Condition = Field(
-        description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
+        description="Condition that ends the step: predicates, combined with `all`, `any` and `not`."
     )
-    instruction: Instruction | None = Field(
-        None, description="Instruction for the policy when the step is run on its own."
-    )
-    start: Start | None = Field(
-        None, description="Initial state when the step is run on its own, applied on top of the task's `start`."
-    )
+    instruction: Instruction | None = Field(None, description="Instruction for the policy when the step is run alone.")
+    start: Start | None = Field(None, description="Initial state when run alone, on top of the task's `start`.")
 
 
 class ResetRegion(Model):
@@ -64,9 +57,7 @@ class ResetRegion(Model):
 
     x: Annotated[Point2, Ordered] = Field(description="Minimum and maximum x in the world [m].")
     y: Annotated[Point2, Ordered] = Field(description="Minimum and maximum y in the world [m].")
-    yaw_deg: Annotated[Range, Ordered] = Field(
-        (0.0, 0.0), description="Minimum and maximum rotation about z, added to the scene's pose [deg]."
-    )
+    yaw_deg: Interval = Field((0.0, 0.0), description="Minimum and maximum rotation added about z [deg].")
 
 
 class Reset(Model):
@@ -89,15 +80,13 @@ class TaskSpec(DocumentSpec):
         description="Robots that the policy controls; default: all robots in the scene.",
     )
     goal: Condition = Field(
-        description="Condition that ends the task: a predicate, or conditions combined with `all`, `any` and `not`."
+        description="Condition that ends the task: predicates, combined with `all`, `any` and `not`."
     )
     subtasks: dict[Name, Subtask] = Field({}, description="Steps by name, in order.")
     start: Start = Field(Start(), description="Differences between the initial state and the scene.")
     reset: Reset = Field(Reset(), description="Variation of the initial state between rollouts.")
     control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
-    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
-        600, description="Maximum number of control steps, after which the rollout fails."
-    )
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(600, description="Maximum number of control steps.")
     origin: Origin | None = Field(None, description="Origin of the task.")
 
 

@@ -46,12 +46,17 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
     """Yield the possible types of the member ``part`` (a key or an index) in a type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
-            info = kind.model_fields[part]
-            yield typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+            yield field_type(kind, part)
     elif typing.get_origin(kind) is dict:
         yield typing.get_args(kind)[1]
     elif typing.get_origin(kind) is tuple and isinstance(part, int):
         yield typing.get_args(kind)[0]
+
+
+def field_type(model: type[BaseModel], name: str) -> Any:
+    """Return the type of a field, annotated with its constraints."""
+    info = model.model_fields[name]
+    return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
@@ -64,7 +69,7 @@ def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterat
     """Yield the path of each former key in a document together with its current key, innermost first."""
     kinds = [kind for _, kind in flat(root)]
     if isinstance(data, dict):
-        models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        models = models_at(root, ())
         former = {old: new for model in models for old, new in former_keys(model).items() if new not in data}
         for key, value in data.items():
             for below in [type_ for kind in kinds for type_ in inside(kind, former.get(key, key))]:
@@ -85,11 +90,10 @@ def with_present_keys(root: Any, data: Any) -> Any:
 
 def _renamed(data: Any, path: tuple[str | int, ...], name: str) -> Any:
     head, *rest = path
+    if isinstance(data, dict) and not rest:
+        return {name if key == head else key: value for key, value in data.items()}
     if isinstance(data, dict):
-        items = (
-            (key, _renamed(value, tuple(rest), name) if rest and key == head else value) for key, value in data.items()
-        )
-        return {name if key == head and not rest else key: value for key, value in items}
+        return {key: _renamed(value, tuple(rest), name) if key == head else value for key, value in data.items()}
     return tuple(_renamed(item, tuple(rest), name) if k == head else item for k, item in enumerate(data))
 
 
@@ -114,9 +118,8 @@ def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
 
 def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
     """Yield patterns for the paths at which a kind of document refers to files."""
-    for name, info in model.model_fields.items():
-        whole = typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-        yield from ((name, *below) for below in _files(whole, (*seen, model)))
+    for name in model.model_fields:
+        yield from ((name, *below) for below in _files(field_type(model, name), (*seen, model)))
 
 
 def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:
@@ -129,10 +132,8 @@ def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:
     elif origin in (typing.Union, types.UnionType):
         for member in typing.get_args(kind):
             yield from _files(member, seen)
-    elif origin is dict:
-        yield from (("*", *below) for below in _files(typing.get_args(kind)[1], seen))
-    elif origin is tuple:
-        yield from (("*", *below) for below in _files(typing.get_args(kind)[0], seen))
+    elif origin in (dict, tuple):
+        yield from (("*", *below) for below in _files(typing.get_args(kind)[origin is dict], seen))
     elif isinstance(kind, type) and issubclass(kind, Model) and kind not in seen:
         yield from file_patterns(kind, seen)
 
@@ -158,8 +159,7 @@ class KeyOrder:
         self._fields: dict[str, Any] = {}
         for model in (k for k in kinds if isinstance(k, type) and issubclass(k, Model)):
             for name in field_order(model):
-                info = model.model_fields[name]
-                self._fields.setdefault(name, info.annotation)
+                self._fields.setdefault(name, model.model_fields[name].annotation)
         self._rank = {name: rank for rank, name in enumerate(self._fields)}
         self._others = [typing.get_args(k)[-1] for k in kinds if typing.get_origin(k) is dict]
         self._items = [t for k in kinds if typing.get_origin(k) is tuple for t in typing.get_args(k) if t is not ...]
@@ -172,11 +172,10 @@ class KeyOrder:
 
     def member(self, key: str) -> KeyOrder:
         """Return the key order for the value of ``key``."""
-        known = key in self._fields
-        slot = self._inside.get(key if known else "")
-        if slot is None:
-            slot = self._inside[key if known else ""] = KeyOrder(*([self._fields[key]] if known else self._others))
-        return slot
+        known = key if key in self._fields else ""
+        if known not in self._inside:
+            self._inside[known] = KeyOrder(*([self._fields[key]] if known else self._others))
+        return self._inside[known]
 
     @functools.cached_property
     def item(self) -> KeyOrder:

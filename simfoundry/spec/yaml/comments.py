@@ -6,6 +6,8 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
+from itertools import takewhile
 from typing import Any
 
 import yaml
@@ -95,7 +97,7 @@ class _Reader:
                     self._scalar(event)
                 case "AliasEvent":
                     self._gap(event.start_mark.index)
-                    self._value(self.plain.get(event.anchor, ""), event.end_mark.index)
+                    self._owned("scalar", self._next_path(self.plain.get(event.anchor, "")), event.end_mark.index)
                 case "MappingStartEvent" | "SequenceStartEvent":
                     self._open(event)
                 case "MappingEndEvent" | "SequenceEndEvent":
@@ -122,7 +124,7 @@ class _Reader:
                 self._take_top(event.value, start)
             self._key(frame, event.value, end)
         else:
-            self._value(plain, end)
+            self._owned("scalar", self._next_path(plain), end)
         if 0 <= self.next < end:
             header = _HEADER.match(self.text, start) if event.style in ("|", ">") else None
             if header is not None:
@@ -135,10 +137,6 @@ class _Reader:
             frame.part = key
         frame.value_next = True
         self._owned("key", (*frame.path, frame.part or ""), end)
-
-    def _value(self, plain: str, end: int) -> None:
-        path = self._next_path(plain)
-        self._owned("scalar", path, end)
 
     def _owned(self, kind: str, path: Path_, end: int) -> None:
         """Record a value or key that was read, and assign the pending comments to it."""
@@ -156,10 +154,8 @@ class _Reader:
         self._gap(start)
         in_list = bool(self.stack) and not self.stack[-1].mapping
         path = self._next_path("")
-        node = self.node
-        for frame in self.stack[-1:]:
-            children: Any = frame.node.children
-            node = children[path[-1]]
+        siblings: Any = self.stack[-1].node.children if self.stack else None
+        node = self.node if siblings is None else siblings[path[-1]]
         if event.flow_style:
             self._owned("open", path, event.end_mark.index)
         else:
@@ -185,12 +181,10 @@ class _Reader:
         self._gap(event.start_mark.index)
         frame = self.stack.pop()
         outer = self.stack[-1].indent if self.stack else -1
-        inside = 0
-        while inside < len(self.pending) and (frame.indent < 0 or self.pending[inside].column > outer):
-            inside += 1
+        inside = [*takewhile(lambda comment: frame.indent < 0 or comment.column > outer, self.pending)]
         if inside:
-            self._at(frame.path).end += [c.text for c in self.pending[:inside]]
-            del self.pending[:inside]
+            self._at(frame.path).end += [c.text for c in inside]
+            del self.pending[: len(inside)]
         if frame.indent < 0:
             self.owner = ("close", frame.path, event.end_mark.index)
 
@@ -225,7 +219,7 @@ class _Reader:
             self._comment(start, match[0].rstrip(" \t"))
 
     def _comment(self, start: int, text: str) -> None:
-        line = self.starts[bisect_right(self.starts, start) - 1]
+        line = start - self._column(start)
         alone = not self.text[line:start].strip(" \t\ufeff")
         _, path, end = self.owner
         if not alone and end >= line and (path or not self.node.children):
@@ -257,10 +251,7 @@ class _Reader:
         del self.pending[:parted]
 
     def _at(self, path: Path_) -> Notes:
-        notes = self.root
-        for part in path:
-            notes = notes.at(part)
-        return notes
+        return reduce(Notes.at, path, self.root)
 
     def _start(self, event: Any) -> int:
         """Return the start of the value itself, after its anchor."""

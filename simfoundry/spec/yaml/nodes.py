@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -54,6 +54,16 @@ class Node:
     weight: int = 1
     file: str = ""
 
+    @property
+    def members(self) -> Collection[Node]:
+        """Return the values of a mapping or the items of a list."""
+        return self.children.values() if isinstance(self.children, dict) else self.children or ()
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Return the line and column."""
+        return self.line, self.column
+
 
 class YamlError(Exception):
     """Raised if a YAML text could not be read."""
@@ -79,11 +89,6 @@ class _Open:
     children: dict[str, Node] | list[Node]
     key: tuple[str, int, int, str] | None = None
 
-    @property
-    def wants_key(self) -> bool:
-        """Return True if the next event is a key."""
-        return self.key is None and type(self.children) is dict
-
 
 class Composer:
     """Builds :class:`Node` trees from parser events without recursion, so that nesting cannot exhaust the stack."""
@@ -96,9 +101,6 @@ class Composer:
         self.stack = [_Open(None, Node((), 1, 1), self.roots)]  # the bottom entry is the text itself
         self.anchors: dict[str, Node] = {}
         self.duplicates: list[Diagnostic] = []
-
-    def _nothing(self, event: Any) -> None:
-        """Ignore an event."""
 
     def _scalar(self, event: Any) -> None:
         mark = event.start_mark
@@ -132,7 +134,8 @@ class Composer:
             raise _tag_error(event)
         if len(self.stack) > MAX_DEPTH:
             raise YamlError("SF005", f"the document is nested more than {MAX_DEPTH} levels deep", line, column)
-        if self.stack[-1].wants_key:
+        top = self.stack[-1]
+        if top.key is None and type(top.children) is dict:
             raise YamlError("SF004", "a key must be a plain word", line, column)
         children: dict[str, Node] | list[Node] = {} if type(event) is yaml.MappingStartEvent else []
         keys = _NO_KEYS if isinstance(children, list) else {}
@@ -259,6 +262,6 @@ EVENTS: dict[type, Callable[[Composer, Any], None]] = {
     yaml.SequenceEndEvent: Composer._end,
     yaml.AliasEvent: Composer._alias,
     yaml.DocumentStartEvent: Composer._document,
-    yaml.DocumentEndEvent: Composer._nothing,
-    yaml.StreamStartEvent: Composer._nothing,
+    yaml.DocumentEndEvent: lambda composer, event: None,
+    yaml.StreamStartEvent: lambda composer, event: None,
 }

@@ -131,7 +131,7 @@ def folded(text: str, width: int) -> tuple[str, ...] | None:
     """Return the header ``>-`` and the lines of a long string, wrapped at spaces, or None if it needs another style."""
     if not text.isprintable():
         return None
-    lines = tuple(_filled(text.split(" "), width))
+    lines = tuple(filled(text.split(" "), width))
     return _block(">-", lines, text) if len(lines) > 1 and max(map(len, lines)) <= width else None
 
 
@@ -140,12 +140,13 @@ def _block(head: str, lines: tuple[str, ...], text: str) -> tuple[str, ...] | No
     return (head, *lines) if _reads_back(written, {"a": text, "b": 1}) else None
 
 
-def _filled(words: list[str], width: int) -> Iterator[str]:
+def filled(words: list[str], width: int, indent: str = "") -> Iterator[str]:
+    """Yield lines with as many words as fit; all lines except the first are indented."""
     line = words[0]
     for word in words[1:]:
         if len(line) + 1 + len(word) > width:
             yield line
-            line = word
+            line = f"{indent}{word}"
         else:
             line += f" {word}"
     yield line

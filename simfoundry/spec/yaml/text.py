@@ -10,6 +10,7 @@ import errno
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +39,20 @@ class Document:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
     """Members that this document adds to its base, by path, with the names of the existing members."""
 
+    def section(self, name: str) -> dict[str, Any]:
+        """Return the data of a section by name; the result is empty if it is missing or not a mapping."""
+        members = self.data.get(name) if isinstance(self.data, dict) else None
+        return members if isinstance(members, dict) else {}
+
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
         """Return the line and column of the value at ``path`` (or of its key), or of the nearest existing ancestor.
 
         For a mapping, this is the position of its key, because the mapping's text starts with its first member's key.
         Parts of ``path`` that do not exist in the data, such as the tags of a union, are skipped.
         """
-        key = leaf = (self.root.line, self.root.column)
+        key = leaf = self.root.place
         for _, key, node in self._walk(path):
-            leaf = key if isinstance(node.children, dict) else (node.line, node.column)
+            leaf = key if isinstance(node.children, dict) else node.place
         return key if of_key else leaf
 
     def source(self, path: Sequence[str | int]) -> str:
@@ -76,14 +82,12 @@ class Document:
         """Yield each existing part of ``path``, with the position of its key (or item) and its value."""
         node = self.root
         for part in path:
-            if isinstance(node.children, dict) and isinstance(part, str) and part in node.children:
-                key, node = node.keys[part], node.children[part]
+            if isinstance(node.children, dict) and part in node.children:
+                key, node = node.keys[str(part)], node.children[str(part)]
+                yield part, key, node
             elif isinstance(node.children, list) and isinstance(part, int) and part < len(node.children):
                 node = node.children[part]
-                key = (node.line, node.column)
-            else:
-                continue
-            yield part, key, node
+                yield part, node.place, node
 
 
 def read(path: Path) -> Document:
@@ -97,17 +101,21 @@ def read(path: Path) -> Document:
         data = path.read_bytes()
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
-        before = data[: error.start].decode("utf-8").splitlines(keepends=True) or [""]
-        fresh = before[-1].endswith(("\n", "\r"))
-        line, column = len(before) + fresh, 1 if fresh else len(before[-1]) + 1
+        place = _position(data[: error.start].decode("utf-8"))
         message = f"the byte 0x{data[error.start]:02x} is not valid UTF-8"
-        raise YamlError("SF001", message, line, column, "save the file as UTF-8") from None
+        raise YamlError("SF001", message, *place, "save the file as UTF-8") from None
     except OSError as error:
         if error.errno == errno.ELOOP:
             hint = "make one of the links point to a file, or remove them"
             raise YamlError("SF001", "the file could not be read: its symbolic links form a cycle", hint=hint) from None
         raise YamlError("SF001", f"the file could not be read: {error.strerror or error}") from None
     return parse(text, str(path))
+
+
+def _position(before: str) -> tuple[int, int]:
+    """Return the line and column (from 1) of the character that follows the text ``before``."""
+    lines = f"{before}.".splitlines()
+    return len(lines), len(lines[-1])
 
 
 # Marker lines of a git conflict, in order; a repository may use markers longer than seven characters.
@@ -134,11 +142,9 @@ def parse(text: str, file: str = "<text>") -> Document:
         raise YamlError("SF209", "unresolved git conflict", conflict, 1, hint)
     odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
     if odd is not None:
-        before = text[: odd.start()].splitlines(keepends=True)
-        whole = not before or before[-1].endswith(("\n", "\r"))
-        line, column = len(before) + whole, 1 if whole else len(before[-1]) + 1
         message = f"the character U+{ord(odd.group()):04X} is not allowed in YAML"
-        raise YamlError("SF002", message, line, column, "remove it, or write it as an escape in double quotes")
+        hint = "remove it, or write it as an escape in double quotes"
+        raise YamlError("SF002", message, *_position(text[: odd.start()]), hint)
     composer = Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
@@ -151,24 +157,10 @@ def parse(text: str, file: str = "<text>") -> Document:
     return Document(file, text, root.value, root, tuple(composer.duplicates))
 
 
-# Parser messages with the corresponding message and hint for users.
-_SYNTAX = (
-    ("mapping values are not allowed", "a `:` is not allowed here", "check the indentation, or quote the string"),
-    ("could not find expected ':'", "a `:` is missing", "write a colon and a space after the key"),
-    (
-        "expected <document start>",
-        "unexpected text after the end of the document",
-        "use the same indentation for all top-level keys",
-    ),
-    ("expected key", "expected a key", "indent it like the other keys"),
-    ("expected '-' indicator", "expected a `-`", "indent it like the other items"),
-    ("expected ',' or ']'", "expected a `,` or `]`", "the list that starts on line {start} is not closed"),
-    ("expected ',' or '}'", "expected a `,` or `}}`", "the mapping that starts on line {start} is not closed"),
-    ("expected node content", "expected a value", "check for an unclosed bracket or an extra comma"),
-    ("unexpected end of stream", "these quotes are not closed", ""),
-    ("unknown escape character", "unknown escape sequence", "write a backslash twice in double quotes"),
-    ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
-)
+@cache
+def _known_problems() -> tuple[dict[str, str], ...]:
+    known: tuple[dict[str, str], ...] = read(Path(__file__).with_name("syntax.yaml")).data
+    return known
 
 
 def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
@@ -178,16 +170,15 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
         return YamlError("SF002", problem)
     line, column = mark.line + 1, mark.column + 1
     opening = getattr(error, "context_mark", None)
-    for said, message, hint in _SYNTAX:
-        if said in problem:
-            start = opening.line + 1 if opening is not None else line
-            if not hint and opening is not None:  # reported at the end of the text, but caused here
-                line, column = start, opening.column + 1
-            return YamlError("SF002", message.format(), line, column, hint.format(start=start))
     if "cannot start any token" in problem:
         found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
-        if found == "\t":
-            return YamlError("SF002", "tabs are not allowed here", line, column, "indent with spaces, not tabs")
-        message = f"an unquoted string cannot start with `{found}`"
-        return YamlError("SF002", message, line, column, "put it in double quotes")
+        if found != "\t":
+            message = f"an unquoted string cannot start with `{found}`"
+            return YamlError("SF002", message, line, column, "put it in double quotes")
+        problem = "tab character"
+    for row in (row for row in _known_problems() if row["phrase"] in problem):
+        start = opening.line + 1 if opening is not None else line
+        if not row["hint"] and opening is not None:  # reported at the end of the text, but caused here
+            line, column = start, opening.column + 1
+        return YamlError("SF002", row["message"], line, column, row["hint"].format(start=start))
     return YamlError("SF002", problem, line, column)

@@ -44,7 +44,8 @@ class YamlTree:
     def comments(self) -> Iterator[tuple[Path_, str]]:
         """Yield every comment with the path of its value, in the order of the text."""
         yield from (((), text) for text in (*self.above, *[self.beside] * bool(self.beside)))
-        for part, child in _children(self):
+        value: Any = self.value if isinstance(self.value, dict | tuple) else ()
+        for part, child in value.items() if isinstance(value, dict) else enumerate(value):
             yield from (((part, *path), text) for path, text in child.comments())
         yield from (((), text) for text in self.end)
 
@@ -65,16 +66,12 @@ def with_data(tree: YamlTree, data: Any) -> YamlTree:
     value changes. A list item keeps its comments if an equal item exists, or if it was changed but has the same
     neighbors.
     """
-    if isinstance(data, dict):
-        if not isinstance(tree.value, dict):
-            return YamlTree(plain_tree(data).value, tree.above, tree.beside)
-        old: dict[str, YamlTree] = tree.value
+    old = tree.value
+    if isinstance(data, dict) and isinstance(old, dict):
         return replace(tree, value={k: with_data(old[k], v) if k in old else plain_tree(v) for k, v in data.items()})
-    if isinstance(data, tuple | list):
-        if not isinstance(tree.value, tuple):
-            return YamlTree(plain_tree(data).value, tree.above, tree.beside)
-        return replace(tree, value=_items(tree.value, tuple(data)))
-    return YamlTree(data, tree.above, tree.beside)
+    if isinstance(data, tuple | list) and isinstance(old, tuple):
+        return replace(tree, value=_items(old, tuple(data)))
+    return YamlTree(plain_tree(data).value, tree.above, tree.beside)
 
 
 def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, ...]:
@@ -100,13 +97,6 @@ def read_tree(document: Document) -> YamlTree:
         raise SpecError(document.duplicates)
     text = document.text.removeprefix("\ufeff")
     return _with_notes(document.root, read_notes(text, document.root, KIND) if "#" in text else None)
-
-
-def _children(tree: YamlTree) -> Iterator[tuple[str | int, YamlTree]]:
-    if isinstance(tree.value, dict):
-        yield from tree.value.items()
-    elif isinstance(tree.value, tuple):
-        yield from enumerate(tree.value)
 
 
 def _with_notes(node: Node, notes: Notes | None) -> YamlTree:

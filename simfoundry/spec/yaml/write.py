@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
+from itertools import groupby
 from typing import Any
 
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import KeyOrder, field_order, key_order
-from simfoundry.spec.yaml.spelling import call, folded, key_text, literal, number, rounded, scalar, string
+from simfoundry.spec.yaml.spelling import call, filled, folded, key_text, literal, number, rounded, scalar, string
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
@@ -61,9 +62,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     text reads back as the data of the tree, except for the spelling of predicates.
     """
     tree = _spelled(tree, False)
-    blocks: set[int] = set()
-    _collect_blocks(tree, blocks)
-    writer = _Writer(blocks)
+    writer = _Writer(tree)
     lines = [*_comments(tree.above, 0)]
     if isinstance(tree.value, dict) and tree.value:
         lines += writer.sections(tree, key_order(model), started=bool(lines))
@@ -80,75 +79,62 @@ def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None
     Comments above the entry are omitted; trailing comments and comments inside the entry are included.
     """
     spelled = _spelled(tree, path[-1] in _PREDICATES)
-    blocks: set[int] = set()
-    _collect_blocks(spelled, blocks)
     depth = 2 * (len(path) - 1)
-    lines = _joined([*_Writer(blocks).entry(path[-1], spelled, _slot_at(path, model), depth, path[0])])
+    lines = _joined([*_Writer(spelled).entry(path[-1], spelled, _slot_at(path, model), depth, path[0])])
     return [f"{' ' * indent}{line[depth:]}" if line.strip() else "" for line in lines]
 
 
 def inline_text(data: Any, path: tuple[str, ...], model: type[Model] | None, in_braces: bool) -> str | None:
     """Return the text of a value that fits on one line after its key, or None if it needs several lines."""
     tree = _spelled(plain_tree(data), path[-1] in _PREDICATES or path[-2:-1] == ("relations",))
-    blocks: set[int] = set()
-    needs_lines = _collect_blocks(tree, blocks)
-    if ("\n" in tree.value) if isinstance(tree.value, str) else (needs_lines and not in_braces):
+    writer = _Writer(tree)
+    if ("\n" in tree.value) if isinstance(tree.value, str) else (writer.needs_lines and not in_braces):
         return None
-    slot, writer = _slot_at(path, model), _Writer(blocks)
-    return writer.flow(tree, slot, "value" if in_braces else "block")
+    return writer.flow(tree, _slot_at(path, model), "value" if in_braces else "block")
 
 
 def _slot_at(path: tuple[str, ...], model: type[Model] | None) -> KeyOrder:
-    slot = key_order(model)
-    for part in path:
-        slot = slot.member(part)
-    return slot
+    return reduce(KeyOrder.member, path, key_order(model))
 
 
 def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
     """Return the tree with predicates in canonical form."""
     value: Any = tree.value
-    if isinstance(value, str):
-        return replace(tree, value=call(value)) if predicate and call(value) != value else tree
-    if isinstance(value, dict):
-        new: Any = {key: _spelled(child, key in _PREDICATES) for key, child in value.items()}
-        same = all(new[key] is child for key, child in value.items())
+    if isinstance(value, str) and predicate:
+        value = call(value)
+    elif isinstance(value, dict):
+        value = {key: _spelled(child, key in _PREDICATES) for key, child in value.items()}
     elif isinstance(value, tuple):
-        new = tuple([_spelled(child, predicate) for child in value])
-        same = all(a is b for a, b in zip(new, value, strict=True))
-    else:
-        return tree
-    return tree if same else replace(tree, value=new)
-
-
-def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
-    """Collect values that cannot be written on one line because they contain a comment, a long text, or a predicate.
-
-    Predicates are included because editors and other YAML readers split ``OnTop(cup, desk)`` at the comma inside
-    brackets. Returns True if the tree prevents its parent from being written on one line.
-    """
-    value = tree.value
-    inside = bool(value) and bool(tree.end)
-    if isinstance(value, dict):
-        for child in value.values():
-            inside |= _collect_blocks(child, blocks)
-    elif isinstance(value, tuple):
-        for child in value:
-            inside |= _collect_blocks(child, blocks)
-    elif isinstance(value, str):
-        inside = "\n" in value and literal(value) is not None
-        if _PAIR.match(value):
-            return True
-    if inside:
-        blocks.add(id(tree))
-    return inside or bool(tree.above) or bool(tree.beside) or bool(tree.end)
+        value = tuple([_spelled(child, predicate) for child in value])
+    return tree if value == tree.value else replace(tree, value=value)
 
 
 class _Writer:
-    """Writes mappings and lists; ``blocks`` contains the identities of trees that do not fit on one line."""
+    """Writes mappings and lists.
 
-    def __init__(self, blocks: set[int]) -> None:
-        self.blocks = blocks
+    ``blocks`` contains the identities of trees that cannot be written on one line because they contain a comment, a
+    long text, or a predicate. Predicates are included because editors and other YAML readers split
+    ``OnTop(cup, desk)`` at the comma inside brackets.
+    """
+
+    def __init__(self, tree: YamlTree) -> None:
+        self.blocks: set[int] = set()
+        self.needs_lines = self._collect(tree)
+
+    def _collect(self, tree: YamlTree) -> bool:
+        """Collect blocks; return True if the tree prevents its parent from being written on one line."""
+        value = tree.value
+        inside = bool(value) and bool(tree.end)
+        if isinstance(value, str):
+            inside = "\n" in value and literal(value) is not None
+            if _PAIR.match(value):
+                return True
+        elif isinstance(value, dict | tuple):
+            for child in value.values() if isinstance(value, dict) else value:
+                inside |= self._collect(child)
+        if inside:
+            self.blocks.add(id(tree))
+        return inside or bool(tree.above or tree.beside or tree.end)
 
     def sections(self, tree: YamlTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
         """Yield the entries of a document, with a blank line before each block."""
@@ -220,8 +206,9 @@ class _Writer:
             return
         flow = self.flow(tree, slot, "block")
         if isinstance(tree.value, tuple) and len(head) + 1 + len(flow) > WIDTH:
-            items = [self.flow(item, slot.item, "item") for item in tree.value]
-            *lines, last = _wrapped(f"{head} [", items, indent + 2)
+            items = [f"{self.flow(item, slot.item, 'item')}," for item in tree.value]
+            words = [f"{head} [{items[0]}", *items[1:]]
+            *lines, last = filled([*words[:-1], f"{words[-1][:-1]}]"], WIDTH, " " * (indent + 2))
             yield from ((line, "") for line in lines)
             yield last, beside
         else:
@@ -233,11 +220,8 @@ class _Writer:
         line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
             lines = folded(text, WIDTH - indent - 2)
-        if lines is None:
-            yield line, beside
-            return
-        yield f"{head} {lines[0]}", beside
-        yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
+        yield line if lines is None else f"{head} {lines[0]}", beside
+        yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in (lines or ())[1:])
 
     def is_block(self, tree: YamlTree, slot: KeyOrder, column: int) -> bool:
         """Return True if a mapping or list that starts at a column is written on several lines."""
@@ -267,19 +251,6 @@ class _Writer:
         return scalar(value, where)
 
 
-def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
-    """Yield the lines of a long list in brackets, with as many items per line as fit."""
-    line = head
-    for k, item in enumerate(items):
-        text = item + ("]" if k == len(items) - 1 else ",")
-        if line != head and len(line) + 1 + len(text) > WIDTH:
-            yield line
-            line = " " * indent + text
-        else:
-            line += text if line == head else f" {text}"
-    yield line
-
-
 def _above(tree: YamlTree) -> tuple[str, ...]:
     """Return the comments above a value, including those inside an empty collection, which has no lines for them."""
     return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
@@ -296,35 +267,21 @@ def _spaced(comment: str) -> str:
 
 def _joined(lines: list[Line]) -> Iterator[str]:
     """Yield lines with their comments, which are aligned for neighboring lines of similar length."""
-    run: list[Line] = []
-    for line in lines:
-        if line[1]:
-            run.append(line)
-            continue
-        yield from _aligned(run)
-        run = []
-        yield line[0]
-    yield from _aligned(run)
-
-
-def _aligned(run: list[Line]) -> Iterator[str]:
-    widths = [len(code) for code, _ in run]
-    column = max(widths) if run and max(widths) - min(widths) <= NEIGHBORS else 0
-    yield from (f"{code:<{column}}  {_spaced(comment)}" for code, comment in run)
+    for commented, run in groupby(lines, key=lambda line: bool(line[1])):
+        neighbors = [*run]
+        widths = [len(code) for code, _ in neighbors]
+        column = max(widths) if max(widths) - min(widths) <= NEIGHBORS else 0
+        for code, comment in neighbors:
+            yield f"{code:<{column}}  {_spaced(comment)}" if commented else code
 
 
 def to_data(spec: Model) -> dict[str, Any]:
     """Return the plain data of a document in canonical order, without values that equal their defaults."""
-    out: dict[str, Any] = {}
     given = spec.model_fields_set
-    for name, needed, default in _fields(type(spec)):
-        if not needed and name not in given:
-            continue
-        data = _data(getattr(spec, name))
-        # A value with the same text as the default would be read as the default and then not be written again.
-        if needed or not _written_alike(data, default):
-            out[name] = data
-    return out
+    fields = [field for field in _fields(type(spec)) if field[1] or field[0] in given]
+    values = [(name, needed, _data(getattr(spec, name)), default) for name, needed, default in fields]
+    # A value with the same text as the default would be read as the default and then not be written again.
+    return {name: data for name, needed, data, default in values if needed or not _written_alike(data, default)}
 
 
 @cache
@@ -335,19 +292,16 @@ def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
     return tuple((name, name in needed, _data(fields[name].default)) for name in field_order(model))
 
 
-_SCALARS = (str, float, int, type(None))
-
-
 def _data(value: Any) -> Any:
-    if isinstance(value, _SCALARS):
-        return value
     match value:
-        case Model():
-            return to_data(value)
+        case str() | float() | int() | None:  # tested first because most values are scalars
+            return value
         case dict():
             return {key: _data(item) for key, item in value.items()}
         case tuple():
             return tuple([_data(item) for item in value])
+        case Model():
+            return to_data(value)
     return value
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.frontends.draft import plain_name
 from simfoundry.frontends.importer import ImportReport
+from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
 from tests.corpora.importing.outcome import LIMIT, MASS, POSE, Outcome

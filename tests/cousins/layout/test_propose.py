@@ -77,8 +77,8 @@ def test_the_same_seed_gives_the_same_layout_whatever_came_before(table: Twin) -
         assert {n: (x.p.tolist(), x.q.tolist()) for n, x in layout.poses.items()} == {
             n: (x.p.tolist(), x.q.tolist()) for n, x in again[k].poses.items()
         }
-        states = [examine(table, one).poses for one in (layout, again[k])]
-        assert all(states[0][n].p.tolist() == states[1][n].p.tolist() for n in states[0])
+        states = [examine(table, one).state.poses for one in (layout, again[k])]
+        assert all(states[0][n].p.tolist() == states[1][n].p.tolist() for n in layout.poses)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults, needs_of
+from simfoundry.cousins.objects.components import each, parts_of, with_parts
 from simfoundry.cousins.objects.geometry import stretched
 from simfoundry.cousins.objects.item import lowered
-from simfoundry.cousins.objects.parts import each, parts_of, shaped, with_parts
+from simfoundry.cousins.objects.parts import shaped
 from simfoundry.cousins.objects.retrieval import COLOR, SHAPE, likeness
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject

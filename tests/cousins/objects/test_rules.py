@@ -16,10 +16,11 @@ from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.assets.solids import checked_profile
 from simfoundry.cousins.objects.appearance import change_material, color_of, recolor
-from simfoundry.cousins.objects.geometry import is_radial, reshape, resize, stretched, taper
+from simfoundry.cousins.objects.components import Kind, components, parts_of
+from simfoundry.cousins.objects.geometry import reshape, resize, stretched, taper
 from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, lowered
 from simfoundry.cousins.objects.meshes import COLLIDERS, FORMS, swept
-from simfoundry.cousins.objects.parts import Kind, at, axis_of, components, lathe_of, parts_of, rod
+from simfoundry.cousins.objects.parts import at, axis_of, is_radial, rod
 from simfoundry.cousins.objects.procedural import draft, rng_of
 from simfoundry.cousins.objects.profiles import Profile, flared, raised_foot, swelled, thickened
 from simfoundry.cousins.objects.skins import PATTERNS, skinned
@@ -57,7 +58,7 @@ def read_mesh_bytes(obj: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def profile(name: str) -> Profile:
     spec = item(name).spec
-    lathe = lathe_of(spec, components(spec)[0])
+    lathe = components(spec)[0].lathe(spec)
     assert lathe is not None
     return lathe[1]
 
@@ -268,7 +269,7 @@ def test_other_silhouettes_are_hollow_with_an_even_wall(name: str) -> None:
         if edit is None:
             sharp += 1
             continue
-        lathe = lathe_of(edit[0], body)
+        lathe = body.lathe(edit[0])
         assert lathe is not None
         shape = parts_of(edit[0])[lathe[0]].shape
         assert isinstance(shape, LatheShape)

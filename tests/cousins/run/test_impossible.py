@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
-from simfoundry.cousins.run.run import log_file
+from simfoundry.cousins.run.log import log_file
 from tests.cli.command import Done, run
 from tests.cousins.conftest import TABLE
 from tests.cousins.recipe.test_library import BALL, BRICK

@@ -15,19 +15,9 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Log, log_file, read_places
 from simfoundry.cousins.run.report import write_manifest
-from simfoundry.cousins.run.run import (
-    LEAST_RATE,
-    PATIENCE,
-    Ledger,
-    Log,
-    RunEnd,
-    RunPlan,
-    finish,
-    log_file,
-    read_places,
-    run,
-)
+from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, Ledger, RunEnd, RunPlan, finish, run
 from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from simfoundry.frontends.bddl.problem import BddlProblem
-from simfoundry.frontends.draft import plain_name
+from simfoundry.frontends.names import plain_name
 
 
 def write_scene(problem: BddlProblem, folder: Path) -> Path:

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd.compiled.loading import import_usd, load_usd
-from simfoundry.frontends.usd.compiled.reading import read_spec, read_stage
+from simfoundry.frontends.usd.compiled.loading import import_usd, load_usd, read_stage
+from simfoundry.frontends.usd.compiled.reading import read_spec
 from simfoundry.frontends.usd.compiled.stage import StageError, open_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.spec.diagnostics import SpecError

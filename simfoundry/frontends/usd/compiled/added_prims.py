@@ -14,7 +14,7 @@ from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
 from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageNote, factored
-from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place
+from simfoundry.frontends.usd.compiled.views import LENS, OFFSETS, RESOLUTION, camera_pose, lens, light_place
 from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.frontends.usd.views import LIGHTS
 from simfoundry.geometry.frames import Pose
@@ -150,12 +150,9 @@ def _contact(shape: Usd.Prim) -> dict[str, Any]:
 
 
 def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
-    names = ("focalLength", "horizontalAperture", "verticalAperture")
-    values = {name: float(prim.GetAttribute(name).Get()) for name in names}
-    values |= {name: float(prim.GetAttribute(name).Get() or 0.0) for name in (f"{n}Offset" for n in names[1:])}
-    own = "simfoundry:resolution"
-    size = prim.GetAttribute(own).Get() if prim.HasAttribute(own) else None
-    data = lens({**values, own: tuple(size or PICTURE)}, {})
+    values: dict[str, Any] = {name: prim.GetAttribute(name).Get() or 0.0 for name in (*LENS, *OFFSETS)}
+    size = prim.GetAttribute(RESOLUTION).Get() if prim.HasAttribute(RESOLUTION) else None
+    data = lens({**values, RESOLUTION: tuple(size or PICTURE)}, {})
     middle = {"cx": (data["size"][0] - 1) / 2, "cy": (data["size"][1] - 1) / 2}
     data = {key: value for key, value in data.items() if value != middle.get(key)}
     return {**data, "pose": camera_pose(pose @ X_CU.inverse())}

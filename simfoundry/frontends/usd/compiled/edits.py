@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.mesh import srgb_of_linear
-from simfoundry.frontends.draft import free_name
-from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote, Values, fallback, links_of, placed
+from simfoundry.frontends.documents import rounded
+from simfoundry.frontends.names import free_name
+from simfoundry.frontends.usd.compiled.stage import (
+    Edited,
+    StageMember,
+    StageNote,
+    fallback,
+    links_of,
+    local_pose,
+    transform,
+)
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import STILL, UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
-
-def short(value: Any) -> Any:
-    """Shorten the numbers in ``data`` while preserving their single-precision values: 0.31 instead of 0.310000002."""
-    if isinstance(value, dict):
-        return {key: short(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return tuple(map(short, value))
-    return float(format(value, ".6g"))
+# Rounds numbers to six significant digits, which removes single-precision noise: 0.31 instead of 0.310000002.
+short = partial(rounded, digits=6)
 
 
 def srgb(linear: Iterable[float]) -> tuple[float, ...]:
@@ -68,21 +71,17 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
             yield StageNote(f"{part.path}/{child}", message)
         name = relative.rpartition("/")[2]
         if abs(new - old) > STILL:
-            joints[name] = _written(new, isinstance(joints.get(name), dict))
+            in_degrees = isinstance(joints.get(name), dict)
+            joints[name] = {"deg": round(math.degrees(new), 2) + 0.0} if in_degrees else round(new, 4) + 0.0
     if joints != data.get("joints", {}):
         data["joints"] = joints
-
-
-def _written(position: float, degrees: bool) -> Any:
-    return {"deg": round(math.degrees(position), 2) + 0.0} if degrees else round(position, 4) + 0.0
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
     """Return a joint's child link, its motion along the joint [m or rad], and True if it deviates from the joint."""
     prim = part.prim.GetPrimAtPath(relative)
-    bodies = [_target(part, prim, name) for name in ("physics:body0", "physics:body1")]
-    parent, child = bodies
-    X_PC_old, X_PC_new = (_at(v, parent).inverse() @ _at(v, child) for v in (part.built, part.now))
+    parent, child = (_target(part, prim, name) for name in ("physics:body0", "physics:body1"))
+    X_PC_old, X_PC_new = (local_pose(v, parent).inverse() @ local_pose(v, child) for v in (part.built, part.now))
     step = X_PC_old.inverse() @ X_PC_new  # motion in the child frame, in which the axis is constant
     values = part.built[relative]
     X_CJ = Pose.of(q=values.get("physics:localRot1", (1.0, 0.0, 0.0, 0.0)))
@@ -101,10 +100,6 @@ def _target(part: StageMember, joint: Any, name: str) -> str:
     return str(targets[0].MakeRelativePath(part.prim.GetPath())) if targets else ""
 
 
-def _at(values: Values, link: str) -> Pose:
-    return placed(values.get(link, {}).get("at"))[0]
-
-
 # Minimum translation [m] that counts as an edit; smaller ones are accidental movements in a viewer.
 MOVED_M = 1e-4
 
@@ -120,29 +115,18 @@ _PIECES = ("Colliders", "Visuals")
 _REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
 
 
-@dataclass(frozen=True)
-class Edited:
-    """The data of a member as edited in the stage, with notes on unsupported edits."""
-
-    data: dict[str, Any]
-    notes: tuple[StageNote, ...]
-
-
 def edited_object(part: StageMember) -> Edited:
     """Return the data of an edited object, including its variants.
 
     Supported edits are changes of pose, size, mass, surface properties, joint positions, and being fixed.
     """
-    if part.variant:
-        return Edited(*edited_variants(part, _edited_one))
-    return Edited(*_edited_one(part))
+    return edited_variants(part, _edited_one) if part.variant else _edited_one(part)
 
 
-def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
+def _edited_one(part: StageMember) -> Edited:
     """Return the data of an object without variants, or of a single variant, and notes on unsupported edits."""
     data = dict(part.spec)
-    handled: set[tuple[str, str]] = set()
-    handled |= {(link, "at") for link in links_of(part.built)[:1]}
+    handled = {(link, "at") for link in links_of(part.built)[:1]}
     _pose(part, data)
     notes = [*_size(part, data, handled)]
     articulated = is_document(str(data.get("asset", "")))
@@ -152,7 +136,7 @@ def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...
         _fixed(part, data, handled)
         notes += [*_mass(part, data, handled), *_surface(part, data, handled)]
     hint = f"it is defined in {data['asset']}; change it there" if articulated else ""
-    return data, (*notes, *rest(part, handled, hint))
+    return Edited(data, (*notes, *rest(part, handled, hint)))
 
 
 def edited_robot(part: StageMember) -> Edited:
@@ -223,7 +207,7 @@ def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> It
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
                 yield StageNote(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
-        if relative and (relative, "at") not in handled and _displaced(values, now):
+        if relative and (relative, "at") not in handled and _displaced(part, relative):
             yield StageNote(path, "it was moved within its object", hint or "move the entire object")
     for relative, now in part.now.items():
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
@@ -245,9 +229,8 @@ def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
 
 
-def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
-    old = np.array(values.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)), dtype=np.float64)
-    new = np.array(now.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)), dtype=np.float64)
+def _displaced(part: StageMember, relative: str) -> bool:
+    old, new = (transform(values, relative) for values in (part.built, part.now))
     if new[3:7] @ old[3:7] < 0:
         new[3:7] = -new[3:7]
     bound = np.full(len(old), MOVED_M)
@@ -276,13 +259,13 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
     Colliders take precedence over visuals.
     """
-    factors = part.scale
-    links = links_of(part.built)
+    factors, links = part.scale, links_of(part.built)
     if links and "shape" in data:
-        pieces = {f"{links[0]}/{place}/shape": _resized(part, f"{links[0]}/{place}/shape") for place in _PIECES}
-        own = next((factor for factor in pieces.values() if factor is not None), np.ones(3))
+        paths = [f"{links[0]}/{place}/shape" for place in _PIECES]
+        pieces = {path: _resized(part, path) for path in paths if path in part.built and path in part.now}
+        own = next(iter(pieces.values()), np.ones(3))
         for relative, factor in pieces.items():
-            if factor is not None and (np.abs(own - 1.0) > 1e-6).any() and not differs(factor.tolist(), own.tolist()):
+            if (np.abs(own - 1.0) > 1e-6).any() and not differs(factor.tolist(), own.tolist()):
                 handled |= {(relative, name) for name in ("size", "radius", "height", "at")}
         factors = factors * own
     if (np.abs(factors - 1.0) <= 1e-6).all():
@@ -294,19 +277,16 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
         data.update(changed)
 
 
-def _resized(part: StageMember, relative: str) -> Any:
-    """Return the scale factors of a resized primitive along its axes, shape (3,), or None if the prim is missing."""
-    if relative not in part.built or relative not in part.now:
-        return None
+def _resized(part: StageMember, relative: str) -> Array:
+    """Return the scale factors of a primitive along its axes, shape (3,)."""
     built, now = part.built[relative], part.now[relative]
-    old, new = (np.array(v.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1))[7:], dtype=np.float64) for v in (built, now))
-    factors = new / old
+    factors = transform(part.now, relative)[7:] / transform(part.built, relative)[7:]
     for name, axes in (("size", (0, 1, 2)), ("radius", (0, 1)), ("height", (2,))):
         if name in built and isinstance(now.get(name), float) and built[name]:
             factors[list(axes)] *= now[name] / built[name]
     if "radius" in built and "height" not in built:  # a sphere
         factors[2] = factors[0]
-    return np.asarray(factors, dtype=np.float64)
+    return factors
 
 
 def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
@@ -396,16 +376,7 @@ def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
     kind, value = next(iter(shape.items()))
     if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
         return {}, f"scaled by {x:.4g}, {y:.4g}, {z:.4g}, it is no longer a {kind}"
-    match kind:
-        case "box":
-            new: Any = tuple(short(v * f) for v, f in zip(value, (x, y, z), strict=True))
-        case "sphere":
-            new = short(value * x)
-        case "cylinder" | "capsule":
-            new = {"radius": short(value["radius"] * x), "height": short(value["height"] * z)}
-        case "lathe":
-            new = {"profile": tuple((short(r * x), short(h * z)) for r, h in value["profile"])}
-        case _:
-            outline = tuple((short(a * x), short(b * y)) for a, b in value["outline"])
-            new = {"outline": outline, "height": short(value["height"] * z)}
-    return {"shape": {kind: new}}, ""
+    by_size = {"box": factors, "sphere": x, "radius": x, "height": z, "profile": (x, z), "outline": (x, y)}
+    sizes = value if isinstance(value, dict) else {kind: value}
+    new = {name: short((np.array(size) * by_size[name]).tolist()) for name, size in sizes.items()}
+    return {"shape": {kind: new if isinstance(value, dict) else new[kind]}}, ""

@@ -10,8 +10,8 @@ from typing import Any
 from simfoundry.errors import OutputError
 from simfoundry.frontends.errors import refusing_faults
 from simfoundry.frontends.usd.compiled.edits import differs
-from simfoundry.frontends.usd.compiled.reading import StageReading, read_stage, renamed
-from simfoundry.frontends.usd.compiled.stage import StageError, StageNote
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec, renamed
+from simfoundry.frontends.usd.compiled.stage import StageError, StageNote, open_stage
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import validate
@@ -33,22 +33,8 @@ Path_ = tuple[str, ...]
 NOTHING = object()
 
 
-@dataclass(frozen=True)
-class Edit:
-    """A changed value at a path; ``old`` or ``new`` is ``NOTHING`` if the value was added or removed."""
-
-    path: Path_
-    old: Any
-    new: Any
-
-
-@dataclass(frozen=True)
-class Written:
-    """A document with edits applied; ``disputed`` contains the paths of values that the document had also changed."""
-
-    name: str
-    text: str
-    disputed: tuple[str, ...]
+# A path, and the old and the new value at this path; either is ``NOTHING`` if the value was added or removed.
+Edit = tuple[Path_, Any, Any]
 
 
 def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
@@ -62,24 +48,18 @@ def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
         if isinstance(a, dict) and isinstance(b, dict) and (a.keys() & b.keys() or len(path) == 0):
             found += edits(a, b, (*path, key))
         elif a is NOTHING or b is NOTHING or a != b:
-            found.append(Edit((*path, key), a, b))
+            found.append(((*path, key), a, b))
     return found
 
 
-def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str], str]) -> Written:
-    """Apply the changes from ``old`` to ``new`` to the document at ``path``.
+def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str, ...]]:
+    """Apply the edits in a stage to the document at ``path``, without modifying the file.
 
     If the document is an overlay, it remains one: only the differences are written, with ``null`` for removed values of
     its base.
 
-    Args:
-        path: Document to change; the file itself is not modified.
-        old: Document data before the changes.
-        new: Document data after the changes.
-        names: New names of renamed members, by section and old name.
-
     Returns:
-        The new text and the paths of disputed values.
+        The name of the document, its new text, and the paths of values that the document had changed as well.
 
     Raises:
         SpecError: If the document cannot be read.
@@ -92,22 +72,21 @@ def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str
     whole, findings, bases = compose(document, KIND, project_root(path).resolve())
     if findings or not isinstance(tree.value, dict):
         raise SpecError(findings)
-    base = _base(path, bases)
-    own = {key: new_name for key, new_name in names.items() if _at(base, key) is NOTHING}
-    todo = edits(renamed(old, own), new)
+    base, name = _base(path, bases), str(whole.data.get("name"))
+    own = {key: new_name for key, new_name in reading.renamed.items() if _at(base, key) is NOTHING}
+    todo = edits(renamed(reading.before, own), reading.data)
     if not todo and not own:
-        return Written(str(whole.data.get("name")), document.text, ())
+        return name, document.text, ()
     if own:
         tree = _with_names(tree, own)
     present = renamed(whole.data, own)
     data, disputed = tree.data, []
-    for edit in todo:
-        there = _at(present, edit.path)
-        if there is not NOTHING and there != edit.new and _other(there, edit.old):
-            disputed.append(".".join(edit.path))
-        data = _applied(data, base, (), edit.path, edit.new)
-    text = write_tree(with_data(tree, data), SceneSpec)
-    return Written(str(whole.data.get("name")), text, tuple(disputed))
+    for place, old, new in todo:
+        there = _at(present, place)
+        if there is not NOTHING and there != new and _other(there, old):
+            disputed.append(".".join(place))
+        data = _applied(data, base, (), place, new)
+    return name, write_tree(with_data(tree, data), SceneSpec), tuple(disputed)
 
 
 def _base(path: Path, bases: list[Path]) -> Data:
@@ -180,6 +159,18 @@ def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTre
         sections[section] = child
     tree = replace(tree, value=sections)
     return with_data(tree, renamed(tree.data, names))
+
+
+def read_stage(path: Path) -> StageReading:
+    """Read a stage as a document; raise :class:`StageError` if it does not exist or was not compiled from one."""
+    stage = open_stage(path)
+    try:
+        reading = read_spec(stage)
+    except StageError as error:
+        raise StageError(error.reason, path) from None
+    if reading is None:
+        raise StageError("the stage was not compiled from a document; use `simfoundry import` to create one", path)
+    return reading
 
 
 def load_usd(path: Path, known: Known | None = None) -> Loaded:
@@ -270,10 +261,10 @@ def import_usd(path: Path, original: Path | None = None, into: Path | None = Non
         folder = home(path, reading.file).parent
         data = relocated({k: v for k, v in reading.data.items() if k != "extends"}, SceneSpec, folder, into or folder)
         return Imported(to_yaml(SceneSpec.model_validate(data)), reading.notes)
-    written = written_into(original, reading.before, reading.data, reading.renamed)
-    if written.name != reading.data["name"]:
-        raise StageError(f"{path} was compiled from `{reading.data['name']}`, but {original} is `{written.name}`")
-    return Imported(written.text, reading.notes, written.disputed)
+    name, text, disputed = written_into(original, reading)
+    if name != reading.data["name"]:
+        raise StageError(f"{path} was compiled from `{reading.data['name']}`, but {original} is `{name}`")
+    return Imported(text, reading.notes, disputed)
 
 
 def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = False) -> Imported:

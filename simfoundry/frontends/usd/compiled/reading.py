@@ -7,35 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simfoundry.backends.usd.source import SCOPES
-from simfoundry.frontends.usd.compiled.added_prims import AddedPrims, added_prims
-from simfoundry.frontends.usd.compiled.edits import (
-    MOVED_M,
-    Edited,
-    as_name,
-    edited_object,
-    edited_robot,
-    has_moved,
-    pose_data,
-    short,
-)
-from simfoundry.frontends.usd.compiled.stage import (
-    StageError,
-    StageMember,
-    StageNote,
-    carrier,
-    document,
-    open_stage,
-    parts,
-)
+from simfoundry.frontends.usd.compiled.added_prims import added_prims
+from simfoundry.frontends.usd.compiled.edits import MOVED_M, as_name, edited_object, edited_robot, has_moved, pose_data
+from simfoundry.frontends.usd.compiled.stage import Edited, StageError, StageMember, StageNote, carrier, document, parts
 from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 from simfoundry.frontends.usd.compiled.variants import variant_data
-from simfoundry.frontends.usd.compiled.views import edited_camera, edited_light
+from simfoundry.frontends.usd.compiled.views import edit_gravity, edited_camera, edited_light
 from simfoundry.spec.change.diff.changes import Rename
 from simfoundry.spec.change.diff.changes import renamed as with_new_names
 from simfoundry.spec.models.predicate import ExpressionError, parse_call
@@ -52,8 +32,7 @@ ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
     """Return the document with renamed members; ``names`` maps section and old name to the new name."""
     renames = [Rename((section,), old, new) for (section, old), new in names.items()]
-    out: Data = with_new_names(data, renames)
-    return out
+    return dict(with_new_names(data, renames))
 
 
 def without(data: Data, gone: Set[str]) -> Data:
@@ -61,21 +40,22 @@ def without(data: Data, gone: Set[str]) -> Data:
 
     Placements and camera mounts that refer to deleted members remain, and the caller must replace them.
     """
+
+    def remains(name: str) -> bool:
+        return name.split(".")[0] not in gone
+
     out = dict(data)
     if isinstance(out.get("relations"), tuple):
-        out["relations"] = tuple(text for text in out["relations"] if not _about(text, gone))
+        out["relations"] = tuple(text for text in out["relations"] if all(map(remains, _arguments(text))))
     if isinstance(out.get("no_contact"), tuple):
-        out["no_contact"] = tuple(pair for pair in out["no_contact"] if not {n.split(".")[0] for n in pair} & gone)
+        out["no_contact"] = tuple(pair for pair in out["no_contact"] if all(map(remains, pair)))
     if out.get("viewpoint") in gone:
         del out["viewpoint"]
     if isinstance(out.get("allow"), dict):
-        kept = {
-            code: {n: why for n, why in entry.items() if n.split(".")[0] not in gone}
-            if isinstance(entry, dict)
-            else entry
-            for code, entry in out["allow"].items()
-        }
-        out["allow"] = {code: entry for code, entry in kept.items() if entry}
+        allow = dict(out["allow"])
+        for code in (code for code, entry in allow.items() if isinstance(entry, dict)):
+            allow[code] = {name: why for name, why in allow[code].items() if remains(name)}
+        out["allow"] = {code: entry for code, entry in allow.items() if entry}
     for key in ("relations", "no_contact", "allow"):
         if key in out and not out[key] and data[key]:
             del out[key]
@@ -89,11 +69,11 @@ def anchors(place: Any) -> set[str]:
     return {str(place[key]).split(".")[0] for key in ANCHORS if isinstance(place.get(key), str)}
 
 
-def _about(text: Any, gone: Set[str]) -> bool:
+def _arguments(text: Any) -> tuple[str, ...]:
     try:
-        return any(arg.split(".")[0] in gone for arg in parse_call(text).args)
+        return parse_call(text).args
     except (ExpressionError, TypeError):
-        return False
+        return ()
 
 
 @dataclass(frozen=True)
@@ -117,18 +97,6 @@ class StageReading:
     notes: tuple[StageNote, ...]
 
 
-def read_stage(path: Path) -> StageReading:
-    """Read a stage as a document; raise :class:`StageError` if it does not exist or was not compiled from one."""
-    stage = open_stage(path)
-    try:
-        reading = read_spec(stage)
-    except StageError as error:
-        raise StageError(error.reason, path) from None
-    if reading is None:
-        raise StageError("the stage was not compiled from a document; use `simfoundry import` to create one", path)
-    return reading
-
-
 def read_spec(stage: Usd.Stage) -> StageReading | None:
     """Return the current document of a stage, or None if the stage was not compiled from a document."""
     prim = carrier(stage)
@@ -139,40 +107,39 @@ def read_spec(stage: Usd.Stage) -> StageReading | None:
         raise StageError(f"the stage contains a `{written.get('simfoundry')}` document; this version supports scene/1")
     world = StageFrame(stage, prim)
     found = parts(stage, world)
-    members, names, copies = _identified(found, written)
+    members, names, copies = identified = _identified(found, written)
     edited = {key: _edited(part) for key, part in members.items()}
-    before = _compiled(written, members)
     data = renamed(_joined(written, edited, copies), names)
-    owners = [(s, n) for s in ("objects", "robots", "cameras") for n in before.get(s, {})]
-    gone = {n for s, n in owners if (s, n) not in members and _had(written, s, n)}
-    data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
-    notes = [note for each in edited.values() for note in each.notes]
-    _gravity(prim, data, world)
+    owners = [(s, n) for s in ("objects", "robots", "cameras") for n in written.get(s, {})]
+    # A member without data in the document had its own prim, and was deleted with it.
+    gone = {n for s, n in owners if (s, n) not in members and written[s][n] is None}
+    data = _placed(without(data, gone - set(names.values())), identified, gone)
+    edit_gravity(prim, data, world)
     new = added_prims(stage, prim, {part.path for part in found}, data, world)
-    _add(data, new)
+    for section, added in new.members.items():
+        data[section] = {**data.get(section, {}), **added}
+    notes = [note for each in edited.values() for note in each.notes]
     prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
     prims |= {(part.section, name): part.path for name, part in copies.items()}
-    return StageReading(data, before, file, names, {**prims, **new.prims}, (*notes, *new.notes))
+    return StageReading(data, _compiled(written, members), file, names, {**prims, **new.prims}, (*notes, *new.notes))
 
 
-def _had(written: Data, section: str, name: str) -> bool:
-    """Return True if a member had its own prim and may therefore have been deleted."""
-    return bool(written.get(section, {}).get(name, {}) is None)
+class Identified(NamedTuple):
+    """The members of a stage, identified with the members of the written document.
 
-
-Members = dict[tuple[str, str], StageMember]
-
-
-def _identified(
-    found: list[StageMember], written: Data
-) -> tuple[Members, dict[tuple[str, str], str], dict[str, StageMember]]:
-    """Identify the members of a stage with members of the written document.
-
-    Returns:
-        The members by section and original name, the new names of renamed members by the same keys, and copied members
-        by name.
+    Attributes:
+        members: Original members by section and original name.
+        names: New names of renamed members by section and original name.
+        copies: Copies of members by their new names.
     """
-    members: Members = {}
+
+    members: dict[tuple[str, str], StageMember]
+    names: dict[tuple[str, str], str]
+    copies: dict[str, StageMember]
+
+
+def _identified(found: list[StageMember], written: Data) -> Identified:
+    members: dict[tuple[str, str], StageMember] = {}
     for part in sorted(found, key=_identity_rank):
         if written.get(part.section, {}).get(part.name, part) is None:
             members.setdefault((part.section, part.name), part)
@@ -180,11 +147,8 @@ def _identified(
     names: dict[tuple[str, str], str] = {}
     copies: dict[str, StageMember] = {}
     for part in found:
-        key = (part.section, part.name)
-        original, name = (
-            members.get(key) is part,
-            part.prim.GetName(),
-        )  # a member from another stage is treated as a copy
+        key, name = (part.section, part.name), part.prim.GetName()
+        original = members.get(key) is part  # a member from another stage is treated as a copy
         if original and part.name in (name, as_name(name, ())):
             continue
         new = as_name(name, taken)
@@ -193,7 +157,7 @@ def _identified(
             names[key] = new
         else:
             copies[new] = part
-    return members, names, copies
+    return Identified(members, names, copies)
 
 
 def _identity_rank(part: StageMember) -> tuple[bool, bool]:
@@ -202,14 +166,11 @@ def _identity_rank(part: StageMember) -> tuple[bool, bool]:
 
 
 def _edited(part: StageMember) -> Edited:
-    if part.section == "robots":
-        return edited_robot(part)
-    if part.section == "cameras":
-        return edited_camera(part)
-    return edited_light(part) if part.section == "lights" else edited_object(part)
+    edit = {"objects": edited_object, "robots": edited_robot, "cameras": edited_camera, "lights": edited_light}
+    return edit[part.section](part)
 
 
-def _compiled(written: Data, members: Members) -> Data:
+def _compiled(written: Data, members: Mapping[tuple[str, str], StageMember]) -> Data:
     """Return the document as it was compiled; deleted members are represented by their names only."""
     filled = _filled(written, {key: part.spec for key, part in members.items()})
     return {key: {n: {} if v is None else v for n, v in section.items()} if isinstance(section, dict) else section
@@ -236,18 +197,12 @@ def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dic
     return {key: value for key, value in out.items() if value or not isinstance(written[key], dict) or not written[key]}
 
 
-def _placed(
-    data: Data,
-    members: Members,
-    names: Mapping[tuple[str, str], str],
-    copies: Mapping[str, StageMember],
-    gone: set[str],
-) -> Data:
+def _placed(data: Data, found: Identified, gone: set[str]) -> Data:
     """Return the document with the poses from the stage.
 
     A placement is kept only if none of its anchors moved; otherwise, it would resolve to a different pose.
     """
-    out = dict(data)
+    out, (members, names, copies) = dict(data), found
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
     changed = {name for name, part in by_name.items() if _changed(part, data["objects"][name])}
     rigid = {name for name in changed if not _only_along(by_name[name], data["objects"][name])}
@@ -256,8 +211,7 @@ def _placed(
     shifted = seen_from is not None and ((viewer is not None and has_moved(viewer)) or seen_from in gone)
     objects = dict(out.get("objects", {}))
     for name, item in objects.items():
-        place = item.get("place")
-        if place is None:
+        if (place := item.get("place")) is None:
             continue
         part = copies.get(name) or by_name.get(name)
         about = anchors(place)
@@ -288,24 +242,3 @@ def _only_along(part: StageMember, data: Data) -> bool:
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
-
-
-def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
-    """Write gravity into ``data`` if it was edited in the stage."""
-    physics = prim.GetChild("Physics")
-    if not physics:
-        return
-    direction, magnitude = (physics.GetAttribute(f"physics:gravity{name}").Get() for name in ("Direction", "Magnitude"))
-    if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
-        return
-    gravity = np.array(direction, dtype=np.float64) * float(magnitude)
-    old = data.get("gravity", (0.0, 0.0, -9.81))
-    kept = [v for v in (gravity, world.gravity(gravity)) if np.abs(v - old).max() <= 1e-5 * max(1.0, np.abs(old).max())]
-    if not kept:  # differs from the written value in meters and in stage units
-        gravity = world.gravity(gravity)
-        data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
-
-
-def _add(data: Data, new: AddedPrims) -> None:
-    for section, members in new.members.items():
-        data[section] = {**data.get(section, {}), **members}

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,9 @@ _BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
 # Values by prim path relative to the member, and then by name.
 Values = dict[str, dict[str, Any]]
 
+# The identity transform as stored under ``at``: a position, a quaternion (w first), and a scale.
+_IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+
 
 class StageError(SimfoundryError):
     """Raised for a file that is not a stage or cannot be read as a document; ``reason`` does not include the file."""
@@ -51,6 +54,13 @@ class StageNote:
     prim: str
     message: str
     hint: str = ""
+
+
+class Edited(NamedTuple):
+    """The data of a member as edited in the stage, with notes on unsupported edits."""
+
+    data: dict[str, Any]
+    notes: tuple[StageNote, ...]
 
 
 @dataclass(frozen=True)
@@ -84,11 +94,7 @@ class StageMember:
     @property
     def X_WP_built(self) -> Pose:
         """Return the pose of the member in the world as compiled."""
-        return self.at("")[0]
-
-    def at(self, relative: str) -> tuple[Pose, Array]:
-        """Return the pose and scale of a prim in its parent prim as compiled; ``relative`` is the prim's path."""
-        return placed(self.built.get(relative, {}).get("at"))
+        return local_pose(self.built, "")
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -193,11 +199,15 @@ def _in_variant(spec: Any) -> bool:
     return bool(spec.path.ContainsPrimVariantSelection())
 
 
-def placed(at: list[float] | None) -> tuple[Pose, Array]:
-    """Decode a pose and a scale from ten numbers; None means identity."""
-    if at is None:
-        return Pose.of(), np.ones(3)
-    return Pose.of(at[:3], at[3:7]), np.array(at[7:])
+def transform(values: Values, path: str) -> Array:
+    """Return the position, quaternion (w first) and scale of a prim relative to its parent, shape (10,)."""
+    return np.array(values.get(path, {}).get("at") or _IDENTITY, dtype=np.float64)
+
+
+def local_pose(values: Values, path: str) -> Pose:
+    """Return the pose of a prim relative to its parent, without its scale."""
+    at = transform(values, path)
+    return Pose.of(at[:3], at[3:7])
 
 
 def factored(matrix: Any) -> tuple[Pose, Array]:
@@ -249,9 +259,8 @@ def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
         if check is not None:
             check(data)
     except (KeyError, ValueError, TypeError, RecursionError):
-        raise StageError(
-            f"{prim.GetPath()}: could not parse its metadata `{KEY}:{key}`; was it edited by hand?"
-        ) from None
+        message = f"{prim.GetPath()}: could not parse its metadata `{KEY}:{key}`; was it edited by hand?"
+        raise StageError(message) from None
     return data
 
 
@@ -262,11 +271,9 @@ def _checked_sections(data: dict[str, Any]) -> None:
 
 def _checked_values(data: dict[str, Any]) -> None:
     for values in data.values():
-        at = values.get("at") if isinstance(values, dict) else [0.0] * 9
-        if at is not None:
-            placed([float(v) for v in at])
-            if len(at) != 10:
-                raise ValueError
+        if not isinstance(values, dict) or transform({"": values}, "").shape != (10,):
+            raise ValueError
+        local_pose({"": values}, "")  # raises ValueError for a quaternion of zero length
 
 
 def _tuples(data: Any) -> Any:
@@ -325,10 +332,9 @@ def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_own(material: dict[str, Any]) -> dict[str, Any]:
     """Add the surface's own coefficients to a contact material; materials that we did not compile lack them."""
-    out = dict(material)
-    for name, mode in (("friction", "frictionCombineMode"), ("restitution", "restitutionCombineMode")):
-        value = plain(material.get("physics:dynamicFriction" if name == "friction" else "physics:restitution", 0.0))
-        out.setdefault("physics:restitution", 0.0)
-        own = value * value if material.get(f"physxMaterial:{mode}") == "multiply" else value
+    out = {"physics:restitution": 0.0, **material}
+    for name, source in (("friction", "physics:dynamicFriction"), ("restitution", "physics:restitution")):
+        value = plain(out[source])
+        own = value * value if material.get(f"physxMaterial:{name}CombineMode") == "multiply" else value
         out.setdefault(f"{KEY}:{name}", own)
     return out

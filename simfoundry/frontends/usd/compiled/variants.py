@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd.compiled.stage import UNKNOWN, StageMember, StageNote, links_of
+from simfoundry.frontends.usd.compiled.stage import UNKNOWN, Edited, StageMember, StageNote, links_of, transform
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, GEOMETRY, OF_GEOMETRY, ObjectSpec, variant_of
 from simfoundry.spec.yaml.write import to_data
 
 Data = dict[str, Any]
-Edit = Callable[[StageMember], tuple[Data, tuple[StageNote, ...]]]
+Edit = Callable[[StageMember], Edited]
 
 # Keys of an object that do not belong to its variants.
 OF_OBJECT = ("pose", "place", "fixed", "joints")
@@ -32,7 +32,7 @@ def variant_data(data: Data, variant: str) -> Data:
     return to_data(variant_of(ObjectSpec.model_validate(data), variant))
 
 
-def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNote, ...]]:
+def edited_variants(part: StageMember, edit: Edit) -> Edited:
     """Return the edited data of an object with variants, and notes on unsupported edits.
 
     ``edit`` converts a single variant. Opinions on the object itself, which override all variants, count as edits of
@@ -43,24 +43,22 @@ def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNot
     if part.variant not in names:
         known = ", ".join(f"`{name}`" for name in names)
         message = f"the selected variant is not in the document; available variants: {known}"
-        return spec, (StageNote(part.path, message, "add it to `variants` in the document and compile again"),)
+        return Edited(spec, (StageNote(part.path, message, "add it to `variants` in the document and compile again"),))
     data = {key: value for key, value in spec.items() if key != "variant"}
     if part.variant != DEFAULT_VARIANT or spec.get("variant") == DEFAULT_VARIANT:
         data["variant"] = part.variant
     notes: list[StageNote] = []
     by_name = {one.variant: one for one in (part, *part.others)}
-    for name in names:
-        if name in by_name:
-            one = by_name[name]
-            before = variant_data(spec, name)
-            after, found = edit(replace(one, spec=before))
-            if one is not part:
-                after, moved = _without_pose(one, before, after)
-                found = tuple(replace(note, message=f"in variant `{name}`: {note.message}") for note in found)
-                notes += moved
-            data = _merged(data, name, before, after)
-            notes += found
-    return data, tuple(notes)
+    for name in (name for name in names if name in by_name):
+        one, before = by_name[name], variant_data(spec, name)
+        after, found = edit(replace(one, spec=before))
+        if one is not part:
+            after, moved = _without_pose(one, before, after)
+            found = tuple(replace(note, message=f"in variant `{name}`: {note.message}") for note in found)
+            notes += moved
+        data = _merged(data, name, before, after)
+        notes += found
+    return Edited(data, tuple(notes))
 
 
 def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, list[StageNote]]:
@@ -68,16 +66,10 @@ def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, li
     data = {key: value for key, value in after.items() if key not in OF_OBJECT}
     data |= {key: value for key, value in before.items() if key in OF_OBJECT}
     paths = ["", *links_of(one.built)[:1]]
-    if any(_apart(one.built.get(path, {}), one.now.get(path, {})) for path in paths):
+    if any(np.abs(transform(one.built, path) - transform(one.now, path)).max() > _STILL for path in paths):
         message = f"the variant `{one.variant}` was moved, but all variants of an object share the same pose"
         return data, [StageNote(one.path, message, "move the object instead")]
     return data, []
-
-
-def _apart(built: Data, now: Data) -> bool:
-    unmoved = (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)
-    old, new = (np.array(values.get("at", unmoved), dtype=np.float64) for values in (built, now))
-    return bool(np.abs(old - new).max() > _STILL)
 
 
 def _merged(data: Data, name: str, before: Data, after: Data) -> Data:

@@ -1,48 +1,49 @@
-"""Convert the cameras and lights in a stage to document data."""
+"""Convert the cameras, the lights and the gravity in a stage to document data."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
-from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
-from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
+from simfoundry.frontends.usd.compiled.edits import differs, has_moved, rest, short, srgb
+from simfoundry.frontends.usd.compiled.stage import Edited, StageMember, StageNote
 from simfoundry.frontends.usd.views import LIGHTS
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
-LENS = (
-    "focalLength",
-    "horizontalAperture",
-    "horizontalApertureOffset",
-    "simfoundry:resolution",
-    "verticalAperture",
-    "verticalApertureOffset",
-)
+if TYPE_CHECKING:
+    from pxr import Usd
+
+    from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
+
+# Attributes of a camera in USD, and the attribute in which SimFoundry stores its image size.
+LENS = ("focalLength", "horizontalAperture", "verticalAperture")
+OFFSETS = ("horizontalApertureOffset", "verticalApertureOffset")
+RESOLUTION = "simfoundry:resolution"
+
 # Maximum roll of a camera that is written with `look_at`, which keeps the image upright.
 UPRIGHT_RAD = 1e-3
 
 
 def edited_camera(part: StageMember) -> Edited:
     """Return the data of an edited camera, with its pose and intrinsics."""
-    data = dict(part.spec)
-    handled = {("", name) for name in LENS}
+    data, names = dict(part.spec), (*LENS, *OFFSETS, RESOLUTION)
     built, now = part.built.get("", {}), part.now[""]
     if has_moved(part):
         data["pose"] = camera_pose(part.X_WP @ X_CU.inverse(), data.get("pose", {}))
-    if any(differs(built.get(name), now.get(name)) for name in LENS if name in built):
+    if any(differs(built[name], now.get(name)) for name in names if name in built):
         data |= {k: v for k, v in lens(now, built).items() if differs(v, lens(built, built)[k])}
-    return Edited(data, tuple(rest(part, handled)))
+    return Edited(data, tuple(rest(part, {("", name) for name in names})))
 
 
 def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
     """Return the image size, focal lengths, and principal point of a camera, rounded to 0.001 px."""
-    focal, across, up = (float(values[n]) for n in ("focalLength", "horizontalAperture", "verticalAperture"))
-    width, height = (int(v) for v in values.get("simfoundry:resolution", built["simfoundry:resolution"]))
-    right, above = (float(values.get(n, 0.0)) for n in ("horizontalApertureOffset", "verticalApertureOffset"))
+    focal, across, up = (float(values[name]) for name in LENS)
+    width, height = (int(v) for v in values.get(RESOLUTION) or built[RESOLUTION])
+    right, above = (float(values.get(name, 0.0)) for name in OFFSETS)
     return {
         "size": (width, height),
         "fx": _pixels(focal / across * width),
@@ -69,16 +70,12 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 def edited_light(part: StageMember) -> Edited:
     """Return the data of an edited light, with its intensity, color, and position or direction."""
-    data = dict(part.spec)
-    names = ("inputs:intensity", "inputs:exposure", "inputs:color")
-    handled = {("", name) for name in names}
+    data, names = dict(part.spec), ("inputs:intensity", "inputs:exposure", "inputs:color")
     built, now = part.built.get("", {}), part.now[""]
-    notes = tuple(rest(part, handled))
-    kind = LIGHTS.get(str(part.prim.GetTypeName()))
+    notes, type_name = tuple(rest(part, {("", name) for name in names})), str(part.prim.GetTypeName())
+    kind = LIGHTS.get(type_name)
     if kind is None:
-        return Edited(
-            data, (*notes, StageNote(part.path, f"lights of type {part.prim.GetTypeName()} are not supported"))
-        )
+        return Edited(data, (*notes, StageNote(part.path, f"lights of type {type_name} are not supported")))
     data["type"] = kind.value
     old, new = (v.get(names[0], 1.0) * 2.0 ** v.get(names[1], 0.0) for v in (built, now))
     if differs(old, new):
@@ -95,6 +92,22 @@ def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}
+
+
+def edit_gravity(prim: Usd.Prim, data: dict[str, Any], world: StageFrame) -> None:
+    """Write gravity into ``data`` if it was edited in the stage; ``prim`` contains the document."""
+    physics = prim.GetChild("Physics")
+    if not physics:
+        return
+    direction, magnitude = (physics.GetAttribute(f"physics:gravity{name}").Get() for name in ("Direction", "Magnitude"))
+    if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
+        return
+    gravity = np.array(direction, dtype=np.float64) * float(magnitude)
+    old = data.get("gravity", (0.0, 0.0, -9.81))
+    tolerance = 1e-5 * max(1.0, np.abs(old).max())
+    # The written value is in meters, also in a stage with other units.
+    if all(np.abs(value - old).max() > tolerance for value in (gravity, world.gravity(gravity))):
+        data["gravity"] = short(tuple(world.gravity(gravity).tolist()))
 
 
 def _point(values: Array, digits: int) -> tuple[float, ...]:

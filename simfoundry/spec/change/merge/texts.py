@@ -13,10 +13,9 @@ from simfoundry.spec.change.diff.changes import Rename, copied, renamed
 from simfoundry.spec.change.merge.conflict import ABSENT, CONFLICTS, MergeConflict, Path_, dotted, parts
 from simfoundry.spec.change.merge.equality import identical
 from simfoundry.spec.change.merge.members import reordered, rivals_at
-from simfoundry.spec.change.merge.trees import merge_trees
+from simfoundry.spec.change.merge.trees import merge_trees, model_in
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
@@ -52,8 +51,7 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
     for text, tree in ((ours, trees[1]), (theirs, trees[2])):
         if identical(merged.tree, tree):
             return MergedText(text, merged.conflicts)
-    kind = next(iter(kinds), "")
-    return MergedText(write_tree(merged.tree, model_of(kind) if kind in KINDS else None), merged.conflicts)
+    return MergedText(write_tree(merged.tree, model_in(merged.tree)), merged.conflicts)
 
 
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:

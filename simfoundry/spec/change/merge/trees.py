@@ -43,13 +43,14 @@ def merge_trees(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> Merged:
     """Merge three documents with their comments."""
     named = same_names(base, ours, theirs)
     overlay = any("extends" in _mapping(tree) for tree in (base, ours, theirs))
-    merging = _Merging(_model(ours), named.edited, overlay, list(named.conflicts))
+    merging = _Merging(model_in(ours), named.edited, overlay, list(named.conflicts))
     tree = merging.value(named.base, named.ours, named.theirs, ())
     assert tree is not None
     return Merged(_recorded(tree, merging.conflicts), tuple(merging.conflicts))
 
 
-def _model(document: YamlTree) -> type[Model] | None:
+def model_in(document: YamlTree) -> type[Model] | None:
+    """Return the model for a document's kind, or None if the kind is missing or unknown."""
     kind = document.value.get("simfoundry") if isinstance(document.value, dict) else None
     return model_of(kind.value) if kind is not None and kind.value in KINDS else None
 

@@ -1,0 +1,165 @@
+"""The skill of opening and closing joints by their handles, with a single hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from simfoundry.evaluate.expert.candidates import Grasp, down, grasps
+from simfoundry.evaluate.expert.motion import ArmPlanner, Path
+from simfoundry.evaluate.expert.skills import GraspPlan, before, hand_fits, path_to, seize
+from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.robots.arm import Jaws
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Joint, JointType, SceneObject
+from simfoundry.scene.object_shapes import solid
+from simfoundry.scene.state import SceneState
+
+# Maximum number of collision-free grasps of a handle to try with the arm.
+TRIES = 80
+
+# Fractions of its range to which a joint is opened; the first reachable one is used.
+WIDE = (0.94, 0.75, 0.5)
+
+# Distance [m or rad] past its closed end to which a joint is moved, so that it closes completely.
+BEYOND = 0.003
+
+# Step between hand poses along the joint's motion [m or rad].
+STEP = 0.02
+
+# Maximum distance [m] of handle geometry from the link's outermost point in the opening direction.
+OUTER = 0.02
+
+# Downward pitch angles of a hand that approaches a handle from the front [rad].
+SLANTS = (0.0, 0.4, 0.8, 1.2)
+
+# Factors that remove the vertical component of a vector.
+LEVEL = np.array([1.0, 1.0, 0.0])
+
+
+def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script:
+    """Open or close a joint by moving its handle."""
+    owner, _, name = target.partition(".")
+    item = worker.scene.object(owner)
+    handle = _Handle(item, worker.now.state, _joint_of(item, name))
+    closed, opened = handle.ends
+    goals = [closed + share * (opened - closed) for share in WIDE] if opening else [closed]
+    worker.sync()
+    planner, q = worker.planners[robot], worker.q[robot]
+    plan = next((plan for goal in goals for plan in _plans(planner, q, handle, goal)), None)
+    if plan is None:
+        raise FailedError(f"{robot} could not find a way to move {target} by a handle")
+    yield from seize(worker, robot, plan)
+    yield from worker.creep(robot, plan.along)
+    yield from worker.grip(robot, plan.grasp.open)
+    yield from worker.follow(robot, plan.back, CAREFUL)
+    yield from worker.wait(0.3)
+
+
+def _joint_of(item: SceneObject, name: str) -> Joint:
+    """Return the joint with the given name, or the joint that moves the given link.
+
+    If the name is empty, return the first movable joint of the object.
+    """
+    for joint in item.joints:
+        if joint.has_axis and name in ("", joint.name, joint.child):
+            return joint
+    raise FailedError(f"{item.name} has no movable joint {name}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Handle:
+    """The handle that moves a joint of an object, in a given state."""
+
+    item: SceneObject
+    state: SceneState
+    joint: Joint
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The closed and the fully open position of the joint [rad or m]; the closed one is closer to zero."""
+        if self.joint.limits is None:
+            raise FailedError(f"joint {self.joint.name} has no limits, so it cannot be opened or closed")
+        low, high = self.joint.limits
+        return (low, high) if abs(low) <= abs(high) else (high, low)
+
+    @property
+    def now(self) -> float:
+        """The position of the joint [rad or m]."""
+        return self.state.joints[f"{self.item.name}.{self.joint.name}"]
+
+    def motion(self, then: float) -> Pose:
+        """Return the motion of the joint's child in the world when the joint moves to ``then`` [rad or m]."""
+        X_WO, joints = self.state.poses[self.item.name], self.state.of_object(self.item)
+        X_OC, X_OD = (link_poses(self.item, {**joints, self.joint.name: q})[self.joint.child] for q in (self.now, then))
+        return X_WO @ X_OD @ X_OC.inverse() @ X_WO.inverse()
+
+    def front(self, corners: Array) -> Array:
+        """Return the direction in which the handle protrudes.
+
+        This is the opening direction of a drawer, or the horizontal direction away from a hinge.
+        """
+        if self.joint.type is JointType.PRISMATIC:
+            closed, opened = self.ends
+            outward = self.motion(self.now + math.copysign(1e-3, opened - closed))
+            way = outward.apply(corners[:1])[0] - corners[0]
+            return np.asarray(way / np.linalg.norm(way))
+        X_OC = link_poses(self.item, self.state.of_object(self.item))[self.joint.child]
+        return _unit((corners.mean(axis=0) - (self.state.poses[self.item.name] @ X_OC).p) * LEVEL)
+
+    def grasps(self, jaws: Jaws) -> list[Grasp]:
+        """Return grasps of the geometry that protrudes from the joint's child, best first.
+
+        The hand approaches from the front, at a downward slant, or from above.
+        """
+        child = [self.joint.child]
+        shape = solid(self.item, self.state, child)
+        front = self.front(shape.corners)
+        along = shape.corners @ front
+        outermost = float(along.max()) - OUTER
+        outer = solid(self.item, self.state, child, lambda corners: float((corners @ front).max()) > outermost)
+        level = _unit(-front * LEVEL)
+        slanted = [math.cos(t) * level - math.sin(t) * np.array([0.0, 0.0, 1.0]) for t in SLANTS]
+        return grasps(outer, shape.corners[along > outermost].mean(axis=0), jaws, [*slanted, *down()])
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / max(float(np.linalg.norm(v)), 1e-9))
+
+
+def _plans(planner: ArmPlanner, q: Array, handle: _Handle, goal: float) -> Iterator[GraspPlan]:
+    """Yield plans in which the arm grasps the handle and moves the joint to ``goal`` [rad or m]."""
+    fitting = (grasp for grasp in handle.grasps(planner.jaws) if hand_fits(planner, grasp, grasp.open))
+    for grasp in islice(fitting, TRIES):
+        to = path_to(planner, q, grasp)
+        along = None if to is None else _along(planner, to[-1], grasp, handle, goal)
+        if to is None or along is None:
+            continue
+        away = before(planner.arm.hand(along[-1]))
+        back = planner.line(along[-1], away, grasp.open, ignore=[handle.item.name])
+        way = planner.way(q, to[0], grasp.open) if back is not None else None
+        if back is not None and way is not None:
+            yield GraspPlan(grasp, way, to, along, back)
+
+
+def _along(planner: ArmPlanner, q: Array, grasp: Grasp, handle: _Handle, goal: float) -> Path | None:
+    """Return configurations in which the hand follows the joint, or None if the arm cannot follow it.
+
+    When the joint is closed, the hand moves slightly past its closed end.
+    """
+    now, held = handle.now, planner.jaws.at_width(grasp.width)[0]
+    far = goal + math.copysign(BEYOND, goal - now) if abs(goal - handle.ends[0]) < 1e-9 else goal
+    count = max(1, math.ceil(abs(far - now) / STEP))
+    along: Path = [q]
+    for k in range(1, count + 1):
+        X_WH = handle.motion(now + (far - now) * k / count) @ grasp.X_WH
+        part = planner.line(along[-1], X_WH, held, ignore=[handle.item.name])
+        if part is None:
+            return None
+        along += part[1:]
+    return along

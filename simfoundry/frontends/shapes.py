@@ -1,0 +1,31 @@
+"""Primitive shapes and colors of imported parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+
+PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
+Rgba = tuple[float, float, float, float]
+
+
+def clamped_rgba(values: Iterable[float]) -> Rgba:
+    """Return an RGBA color with each channel clamped to the range from 0 to 1."""
+    r, g, b, a = (min(max(float(v), 0.0), 1.0) for v in values)
+    return r, g, b, a
+
+
+def primitive(kind: str, *size: float) -> PrimitiveShape:
+    """Return a primitive shape of the given kind and size [m].
+
+    The size of a `box` is its extents, that of a `sphere` its radius, and that of a `cylinder` or `capsule` its radius
+    and height.
+    """
+    if kind == "box":
+        x, y, z = size
+        return BoxShape(box=(x, y, z))
+    if kind == "sphere":
+        return SphereShape(sphere=size[0])
+    tube = Round(radius=size[0], height=size[1])
+    return CylinderShape(cylinder=tube) if kind == "cylinder" else CapsuleShape(capsule=tube)
