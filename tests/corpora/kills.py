@@ -4,7 +4,7 @@ Each command that writes is ended by kill -9 at N moments (84 by default), half 
 from when it starts to write. After each kill no file may be torn or lost: every input is as it was, and every output is
 as it was before or as an undisturbed run leaves it; `compile` and `capture` replace their folder as a whole. Then the
 same command runs again and must leave exactly what an undisturbed run leaves, and `eval` and `cousins` must keep every
-file that they had finished.
+rollout and cousin that they had finished.
 
 Prints a line for each command; exit code 1 if anything was torn or lost.
 """
@@ -53,7 +53,8 @@ class Case:
     """A command, the project that it runs in, and what it promises.
 
     ``whole`` is the folder that is replaced as a whole, if any. ``growing`` names the files that grow during the run,
-    and ``clocks`` matches the times on a clock, which no two runs share.
+    ``clocks`` matches the times on a clock, which no two runs share, and ``kept`` matches the files that the next run
+    must not write again.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Case:
     whole: str = ""
     growing: tuple[str, ...] = ()
     clocks: str = ""
-    resumes: bool = False
+    kept: str = r"(?!)"
 
 
 def scene(height: float = 0.1, y: float = 0.1, z: float = 0.05) -> str:
@@ -111,7 +112,7 @@ CASES = (
         ("cousins", "cousins/other_cups.cousins.yaml", "-n", "4", "--no-gallery", "-j", "1", "-o", "out"),
         specs,
         growing=("out/.cousins/log.jsonl", "out/.cousins/run.json", "out/manifest.json"),
-        resumes=True,
+        kept=r"out/\d+\.(scene|task)\.yaml",
     ),
     Case(
         "eval",
@@ -119,7 +120,7 @@ CASES = (
         starter,
         growing=("out/results.json", "out/report.html"),
         clocks=r'"(total|physics|render|policy|judge)": [0-9.]+',
-        resumes=True,
+        kept=r"out/rollouts/.*\.json",
     ),
 )
 
@@ -227,20 +228,16 @@ class Run:
 
     def repeat(self) -> list[str]:
         """Run the command again; return what differs from an undisturbed run, and what was made twice."""
-        outputs = [self.root / name for name in self.tree(self.root) if name not in self.before]
-        kept = {p: p.stat().st_mtime_ns for p in outputs if self.name_of(p) not in self.case.growing}
+        names = [name for name in self.tree(self.root) if re.fullmatch(self.case.kept, name)]
+        kept = {name: (self.root / name).stat().st_mtime_ns for name in names}
         self.start().wait()
         now = self.tree(self.root)
         out = [f"{n} differs after the next run" for n in {*now, *self.after} if now.get(n) != self.after.get(n)]
-        if self.case.resumes:
-            out += [f"{self.name_of(p)} was made again" for p, t in kept.items() if p.stat().st_mtime_ns != t]
+        out += [f"{name} was made again" for name, t in kept.items() if (self.root / name).stat().st_mtime_ns != t]
         if self.case.whole:
             left = [p.name for p in (self.root / self.case.whole).iterdir() if p.name.startswith(".build.")]
             out += [f"{name} is left" for name in left]
         return out
-
-    def name_of(self, path: Path) -> str:
-        return path.relative_to(self.root).as_posix()
 
 
 def kills(case: Case, folder: Path, count: int) -> int:
