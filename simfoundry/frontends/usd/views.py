@@ -22,6 +22,7 @@ LIGHTS = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "Do
 BRIGHTEST = 20.0
 
 Matrix = Callable[[Any], Array]
+# The body draft, the link, and the pose of the link frame in the world, by the path of the rigid body.
 Mounts = dict[str, tuple[BodyDraft, str, Pose]]
 
 
@@ -39,7 +40,7 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
                  "verticalApertureOffset")  # fmt: skip
         focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in names)
         if camera.GetProjectionAttr().Get() != "perspective":
-            draft.dropped(what, "it is orthographic, and only pinhole cameras are supported")
+            draft.dropped(what, "it is orthographic, but only pinhole cameras are supported")
             continue
         if min(focal, across, up) <= 0:
             draft.dropped(what, "its focal length or aperture is not positive")

@@ -159,8 +159,7 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
 
 
 def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | StageNote:
-    kind = LIGHTS.get(str(prim.GetTypeName()))
-    if kind is None:
+    if (kind := LIGHTS.get(str(prim.GetTypeName()))) is None:
         message = f"lights of type {prim.GetTypeName()} are not supported"
         return StageNote(str(prim.GetPath()), message, "use a distant, sphere or dome light")
     intensity, exposure = (float(prim.GetAttribute(f"inputs:{n}").Get() or 0.0) for n in ("intensity", "exposure"))

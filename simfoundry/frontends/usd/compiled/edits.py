@@ -91,8 +91,7 @@ def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, boo
     if kind == "linear":
         off = np.linalg.norm(step.p - along * axis) > _OFF_M or step.angle_to(Pose.of()) > _OFF_RAD
         return child, along, bool(off)
-    turn = Pose.about(axis, angle)
-    return child, angle, bool(np.linalg.norm(step.p) > _OFF_M or turn.angle_to(step) > _OFF_RAD)
+    return child, angle, bool(np.linalg.norm(step.p) > _OFF_M or Pose.about(axis, angle).angle_to(step) > _OFF_RAD)
 
 
 def _target(part: StageMember, joint: Any, name: str) -> str:
@@ -307,8 +306,7 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Apply changes of color, friction and restitution; if several parts changed, the first one is used."""
     for relative, values in part.built.items():
-        now = part.now.get(relative)
-        if now is None:
+        if (now := part.now.get(relative)) is None:
             continue
         if values.get("look") is not None:
             handled.add((relative, "look"))

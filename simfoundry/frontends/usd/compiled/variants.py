@@ -86,8 +86,7 @@ def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
     inherited = variant_data(out, name)
     variant = {key: value for key, value in out["variants"][name].items() if key not in own}
     # A variant with its own geometry does not inherit the object's geometry fields, so they must be written as well.
-    stated = [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]
-    for key in stated:
+    for key in [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]:
         if key in after and (key in OF_GEOMETRY or after[key] != inherited.get(key)):
             variant[key] = after[key]
     members = {**out["variants"], name: variant}
