@@ -154,8 +154,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             found[f"{name}/joints"] = np.array(reading.joints)
             found[f"{name}/gripper"] = np.array([reading.gripper])
             found[f"{name}/hand"] = np.concatenate([reading.X_WH.p, reading.X_WH.q])
-        poses = [np.concatenate([pose.p, pose.q]) for pose in self._state.poses.values()]
-        found["objects"] = np.array(poses).reshape(len(poses), 7)
+        poses = self._state.poses.values()
+        found["objects"] = np.array([(*pose.p.tolist(), *pose.q.tolist()) for pose in poses]).reshape(len(poses), 7)
         found["joints"] = np.array(list(self._state.joints.values()), dtype=np.float64)
         for name, image in pictures(self._now.world, self._cameras).items():
             found[f"image/{name}"] = image

@@ -1,4 +1,4 @@
-"""Additional files that some simulators require besides those of a backend.
+"""Additional files that some simulators require besides the files of a backend.
 
 For example, OmniGibson reads a scene JSON that references one USD file per object.
 """

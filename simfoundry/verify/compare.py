@@ -100,7 +100,7 @@ class ReadbackComparison:
 
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
-    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target it was read from."""
+    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target whose build was read."""
     # Converting a robot does not explain differences in the compared quantities. Nor do colliders that are simpler than
     # the visuals, because the comparison uses the scene's colliders.
     lost = [

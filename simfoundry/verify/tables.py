@@ -45,7 +45,7 @@ def _table(corner: str, engines: Iterable[str], cells: Mapping[tuple[str, str], 
 
 
 def measured_cell(measured: BehaviorResult) -> str:
-    """Return the measured value, marked if it has a known deviation or is incorrect."""
+    """Return the measured value, followed by a star for a known deviation or ``(!)`` for an incorrect value."""
     if measured.value is None:
         return "failed"
     marks = {ProofStatus.OK: "", ProofStatus.KNOWN: " *", ProofStatus.MISMATCH: " (!)"}

@@ -165,10 +165,10 @@ def tilt_deg(before: Pose, after: Pose) -> float:
 
 
 def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
-    """Return true if a ball released at rest moved by at most its diameter, as if confined by a bowl.
+    """Return true if a ball that was released at rest moved by at most its diameter, like a ball in a bowl.
 
     Without rolling resistance, a height difference of only 0.1 mm keeps a ball in a bowl moving. On an open slope of
-    just 0.1 degrees, it rolls several times as far.
+    just 0.1 degrees, a ball rolls several times as far.
     """
     radius = ball_radius(item)
     return radius is not None and float(np.linalg.norm(after.p - before.p)) <= 2 * radius

@@ -62,8 +62,8 @@ def surface_of(collider: Collider) -> ContactSurface:
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
     """Return the attributes of a geom with the given surface, whose class has the ``inherited`` surface.
 
-    The restitution is stored in ``user``, which MuJoCo keeps but does not use; ``solref`` approximates it as closely as
-    possible.
+    The restitution is stored in ``user``, which MuJoCo keeps but does not use, and ``solref`` approximates the
+    restitution as closely as possible.
     """
     spinning, rolling = surface.spinning, surface.rolling
     resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))

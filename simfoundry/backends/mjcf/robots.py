@@ -1,7 +1,7 @@
 """Robots and mounted cameras in MJCF. Each robot keeps its own model, below a body named after the robot.
 
-The scene's options override those in the robot's file. A robot's contacts are as specified in its file, except for the
-stiffness of the finger contacts.
+The scene's options override the options in the robot's file. A robot's contacts are as specified in its file, except
+for the stiffness of the finger contacts.
 """
 
 from __future__ import annotations

@@ -179,22 +179,13 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
     limited = bool(model.jnt_limited[j])
     kind = JointType.PRISMATIC if slides else JointType.REVOLUTE if limited else JointType.CONTINUOUS
     dof, at = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
-    joint = Joint(
-        name,
-        kind,
-        *ends,
-        X_PC,
-        frozen_array(model.jnt_axis[j]),
-        limits=(float(model.jnt_range[j][0]), float(model.jnt_range[j][1])) if limited else None,
-        damping=float(np.ravel(model.dof_damping[dof])[0]),
-        friction=float(model.dof_frictionloss[dof]),
-        armature=float(model.dof_armature[dof]),
-        position=float(qpos[at]),
-    )
+    low, high = model.jnt_range[j].tolist()
+    limits = (low, high) if limited else None
+    damping, friction = float(np.ravel(model.dof_damping[dof])[0]), float(model.dof_frictionloss[dof])
+    passive = (damping, friction, float(model.dof_armature[dof]))
+    joint = Joint(name, kind, *ends, X_PC, frozen_array(model.jnt_axis[j]), limits, *passive, float(qpos[at]))
     reference = float(model.qpos0[at])  # the joint position at which the model's poses are defined
-    if reference == 0.0:
-        return joint
-    return replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
+    return joint if reference == 0.0 else replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:

@@ -112,7 +112,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact; a static link is represented by its colliders, as it has no rigid body."""
+    """Exclude pairs of links from contact. A static link has no rigid body, so its colliders represent the link."""
     every_mover, every_touched = defaultdict[str, list[Prim]](list), defaultdict[str, list[Prim]](list)
     found = defaultdict[Prim, list[Prim]](list)
 
