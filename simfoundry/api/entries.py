@@ -175,16 +175,14 @@ class EntryMapping(MutableMapping[str, E]):
 
         Example: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``.
         """
-        if name in self._names():
-            raise SimfoundryError(f"{self._a_noun} named `{name}` already exists; choose a different name")
+        self._require_new(name)
         self[name] = fields
         return self[name]
 
     def rename(self, old: str, new: str) -> E:
         """Rename a member and update all references to it, for example in relations and placements."""
         self._require(old)
-        if new in self._names():
-            raise SimfoundryError(f"{self._a_noun} named `{new}` already exists; choose a different name")
+        self._require_new(new)
         self._document._rename(self._at, old, new)
         return self[new]
 
@@ -196,9 +194,10 @@ class EntryMapping(MutableMapping[str, E]):
     def _noun(self) -> str:
         return self._at[-1].removesuffix("s")
 
-    @property
-    def _a_noun(self) -> str:
-        return f"an {self._noun}" if self._noun[0] in "aeiou" else f"a {self._noun}"
+    def _require_new(self, name: str) -> None:
+        if name in self._names():
+            article = "an" if self._noun[0] in "aeiou" else "a"
+            raise SimfoundryError(f"{article} {self._noun} named `{name}` already exists; choose a different name")
 
     def _require(self, name: str) -> None:
         if name not in (names := self._names()):

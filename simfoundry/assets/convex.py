@@ -103,7 +103,7 @@ Part = tuple[Array, Faces]
 # Maximum number of vertices in a convex hull; PhysX simplifies larger hulls on its own.
 MAX_HULL_VERTICES = 64
 
-# Limits for meshes that also collide as their hull although they fill less than ``NEARLY_CONVEX`` of it.
+# Limits for meshes that fill less than ``NEARLY_CONVEX`` of their hull but still collide as the hull.
 #
 # The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its
 # concave regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python

@@ -64,9 +64,8 @@ def capsule(radius: float, height: float) -> SolidMoments:
     caps = 4 / 3 * math.pi * radius**3
     # Two hemispheres; the center of mass of each is 3/8 of the radius above its flat face.
     across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
-    return SolidMoments(
-        tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
-    )
+    inertia = tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
+    return SolidMoments(tube.volume + caps, np.zeros(3), inertia)
 
 
 # Gauss-Legendre nodes and weights on [-1, 1]; three nodes integrate polynomials up to degree 5 exactly.

@@ -255,7 +255,7 @@ def _ply(path: Path) -> tuple[int, int]:
 
 
 def _glb(path: Path) -> tuple[int, int]:
-    """Return the total numbers of triangles and points; primitives count once for each node that uses them."""
+    """Return the total number of triangles and of points; a mesh counts once for each node that uses it."""
     try:
         tree = gltf_tree(path, MAX_BYTES)
         counts = [int(accessor["count"]) for accessor in tree["accessors"]]

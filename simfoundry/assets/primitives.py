@@ -68,10 +68,9 @@ def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
     for candidate in _candidates(corners):
         # Also compare along the axes of the candidate, which are the face normals of boxes and cylinders.
         own = np.concatenate([candidate.rotation.T, -candidate.rotation.T])
-        apart = max(
-            float(np.abs(candidate.support(directions) - wanted).max()),
-            float(np.abs(candidate.support(own) - (corners @ own.T).max(axis=0)).max()),
-        )
+        around = np.abs(candidate.support(directions) - wanted).max()
+        along = np.abs(candidate.support(own) - (corners @ own.T).max(axis=0)).max()
+        apart = float(max(around, along))
         if apart <= nearest.get(candidate.kind, (within, candidate))[0]:
             nearest[candidate.kind] = apart, candidate
     return [candidate for _, candidate in nearest.values()]

@@ -1,4 +1,4 @@
-"""Solids of revolution about z (lathes) and extrusions along z (prisms), as closed meshes and as convex parts."""
+"""Create closed meshes and convex parts for solids of revolution about z (lathes) and extrusions along z (prisms)."""
 
 from __future__ import annotations
 

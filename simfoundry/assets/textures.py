@@ -1,4 +1,4 @@
-"""Find missing or unreadable textures of mesh files.
+"""Find missing or unreadable textures in mesh files.
 
 This module does not import numpy, so that checks start quickly.
 """
@@ -51,9 +51,10 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 
 
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
-    """Return an error message for each unusable texture of a mesh file; empty if there are none.
+    """Return an error message for each unusable texture in a mesh file.
 
-    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; the surface is then untextured.
+    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; simulators would then show the
+    surface without a texture.
     """
     try:
         return list(dict.fromkeys(_faults(path, root)))

@@ -1,5 +1,7 @@
-"""Backends, which compile a lowered scene into the files of one format. Each has its own folder and is registered
-here."""
+"""Backends, which compile a lowered scene into the files of one format.
+
+Each backend has its own folder and is registered here.
+"""
 
 from __future__ import annotations
 

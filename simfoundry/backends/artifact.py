@@ -40,7 +40,7 @@ class Artifact:
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Format data as a JSON file with one line per key, for the top-level mapping and the mappings directly in it."""
+    """Format data as a JSON file, with one line per key of the top-level mapping and of each mapping directly in it."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 

@@ -111,7 +111,7 @@ def _left_out(scene: Scene, section: str) -> list[str]:
 
 
 def _of_robots(label: str, quantity: str = "") -> Feature:
-    """Return a feature of all robots, including those without a model, whose motors and surfaces are lost as well."""
+    """Return a feature of all robots; a robot without a model also loses its motors and surfaces."""
     return Feature("scene", label, lambda s: [*(r.name for r in s.robots), *_left_out(s, "robots")], quantity)
 
 
@@ -280,7 +280,7 @@ _USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
 
 
 def _elements(users: list[str], element: str) -> list[str]:
-    """Return the elements affected by a loss: the named element or the elements it belongs to, or else all users."""
+    """Return the users that a loss affects: ``element``, or the users that contain it, or all if it is empty."""
     if not element or element in users:
         return [element] if element else users
     return [user for user in users if element.startswith(f"{user}.")]

@@ -1,1 +1,1 @@
-"""Reconstruct scene specs from sensor data: color, depth and intrinsics in; objects with names, poses, sizes out."""
+"""Reconstruct scene specs from color and depth images."""

@@ -1,4 +1,4 @@
-"""Reconstruction accuracy, using the metrics from the paper: position, size, Chamfer distance, and F1 at 1 cm."""
+"""Measure the accuracy of a reconstruction: position, size, mass, Chamfer distance, and F1 score at 1 cm."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ class ObjectAccuracy:
 
 
 def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[ObjectAccuracy]:
-    """Match the free objects in two scenes seen by the same camera; each scene has its own world frame."""
+    """Compare the free objects in the ground-truth scene ``truth`` with those in its reconstruction ``found``.
+
+    Both scenes are seen by the same camera, but each has its own world frame.
+    """
     from scipy.optimize import linear_sum_assignment
 
     X_found_truth = found_camera.X_WC @ truth_camera.X_WC.inverse()
@@ -64,17 +67,8 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
 
 def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float) -> ObjectAccuracy:
     chamfer, f1 = surface_distance(surface(item, X_WO), surface(found, found.X_WO))
-    return ObjectAccuracy(
-        name=item.name,
-        recovered=found.name,
-        position=distance,
-        size_true=_sizes(item),
-        size=_sizes(found),
-        mass_true=sum(link.mass for link in item.links),
-        mass=sum(link.mass for link in found.links),
-        chamfer=chamfer,
-        f1=f1,
-    )
+    true_mass, mass = (sum(link.mass for link in each.links) for each in (item, found))
+    return ObjectAccuracy(item.name, found.name, distance, _sizes(item), _sizes(found), true_mass, mass, chamfer, f1)
 
 
 def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:

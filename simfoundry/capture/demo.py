@@ -1,4 +1,4 @@
-"""The demo: reconstruct a capture, settle it, compile and run it for every target, and compare it to ground truth."""
+"""The demo, which reconstructs a capture, compiles and simulates the scene, and compares it with the ground truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Demo:
     """The results of the demo.
 
     ``worlds`` maps each target to its entry file. ``motions`` maps each engine to the object motions, or to the reason
-    why it did not run. ``comparison`` compares the reconstruction to ground truth.
+    why the engine did not run. ``comparison`` compares the reconstruction with the ground truth.
     """
 
     run: CaptureRun

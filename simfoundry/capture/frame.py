@@ -1,4 +1,4 @@
-"""A registered RGB-D image, which is the input to every later capture stage, and the results of those stages."""
+"""The registered RGB-D image that is reconstructed, and the data types shared by the stages of the reconstruction."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 
-NEAREST, FARTHEST = 0.1, 5.0  # [m] measuring range of tabletop sensors
-MIN_PIXELS = 200  # minimum number of pixels with depth; a plane cannot be found with fewer
+NEAREST, FARTHEST = 0.1, 5.0  # Measuring range of tabletop sensors [m]
+MIN_PIXELS = 200  # Minimum number of pixels with depth; a plane cannot be found with fewer
 
 # Depth units keyed by their scale to meters, most common first; used in hints when the depth is implausible.
 UNITS = {
@@ -24,7 +24,7 @@ UNITS = {
 
 
 class CaptureError(Exception):
-    """An error for a capture that cannot be reconstructed: a stable ``code``, the problem, and a hint to fix it."""
+    """Raised for a capture that cannot be reconstructed, with a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         super().__init__(f"{message} [{code}]\n  hint: {hint}")
@@ -37,9 +37,12 @@ class CaptureError(Exception):
 class Frame:
     """A color image with depth registered to it.
 
-    ``color`` is RGB, uint8, shape (h, w, 3). ``depth`` [m] is measured along the optical axis, float64, shape (h, w),
-    and is NaN for pixels without a reading. ``K`` is the intrinsic matrix [px], shape (3, 3). ``instances`` is int32,
-    shape (h, w), with a unique number per object and 0 for the background; it is None if the capture has no masks.
+    Attributes:
+        color: RGB image, shape (h, w, 3).
+        depth: Depth along the optical axis [m], shape (h, w); NaN for pixels without a reading.
+        K: Intrinsic matrix [px], shape (3, 3).
+        instances: Number of the object at each pixel, shape (h, w), where 0 is the background, or None if the capture
+            has no masks.
     """
 
     color: NDArray[np.uint8]
@@ -69,10 +72,8 @@ class Frame:
         if not valid.any():
             median = float(np.median(self.depth[finite]))
             scale = next((s for s in UNITS if NEAREST <= median * s <= FARTHEST), None)
-            unit = f"it seems to be in {UNITS[scale]}" if scale else "its unit is not a common depth unit"
-            hint = (
-                f"multiply the depth scale of the capture by {scale:g}" if scale else "check the capture's depth scale"
-            )
+            unit = f"the unit seems to be {UNITS[scale]}" if scale else "the unit is not a common depth unit"
+            hint = f"multiply the capture's depth scale by {scale:g}" if scale else "check the capture's depth scale"
             message = f"no depth value is between {NEAREST} and {FARTHEST} m (median {median:g}): {unit}"
             raise CaptureError("SF502", message, hint)
         if valid.sum() < MIN_PIXELS:
@@ -86,10 +87,12 @@ class Frame:
 class SupportSurface:
     """The surface that supports the objects.
 
-    ``X_WC`` is the camera pose in the world frame, whose origin is on the surface with z up. ``outline`` [m] is the
-    boundary of the visible surface in world xy, shape (n, 2): a simple counterclockwise polygon whose first point is
-    not repeated at the end. ``residual`` [m] is the median distance of the surface points from the plane. ``inliers``
-    is a mask of the surface pixels, bool, shape (h, w).
+    Attributes:
+        X_WC: Camera pose in the world frame, whose origin is on the surface with z up.
+        outline: Boundary of the visible surface in world xy [m], shape (n, 2). It is a simple counterclockwise polygon
+            whose first point is not repeated at the end.
+        residual: Median distance of the surface points from the plane [m].
+        inliers: Mask of the surface pixels, shape (h, w).
     """
 
     X_WC: Pose
@@ -100,10 +103,10 @@ class SupportSurface:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Objects above the support.
+    """The segmented objects above the support.
 
-    ``labels`` is int32, shape (h, w): 1..n for pixels on an object, otherwise 0. ``supports[k]`` is the number of the
-    object that supports object ``k``, or 0 for the table.
+    ``labels``, shape (h, w), contains the number of the object at each pixel, from 1 to n, or 0 if there is none.
+    ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
     """
 
     labels: NDArray[np.int32]

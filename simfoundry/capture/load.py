@@ -1,10 +1,11 @@
-"""Load the files of a capture: return a registered frame, or report all findings together."""
+"""Load the images of a capture as a registered frame, and report all problems with them together."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,15 @@ USABLE_SHARE = 0.1  # Minimum fraction of usable readings; with fewer, the unit 
 
 CLOSEST_MEDIAN = 0.15  # Minimum median depth of a table [m]; below this, the unit is wrong if a different unit fits
 
+CHECK_INVALID = "check `invalid`, and make sure that the sensor returned depth"
+
+T = TypeVar("T")
+
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
-    """Return frame ``name`` (by default, the first) of a checked capture document.
+    """Load the frame called ``name``, or the first frame by default, from a checked capture document.
 
-    Raises :class:`SpecError` with every finding.
+    Raises :class:`SpecError` with all findings if the frame cannot be used.
     """
     assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
@@ -37,24 +42,36 @@ def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
     if name not in frames:
         message = f"the capture has no frame `{name}`"
         raise SpecError([loaded.finding("SF201", ("frames",), message, nearest(name, frames))])
-    return _Reader(loaded, ("frames", name)).frame(frames[name])
+    return _Reader(loaded, ("frames", name), frames[name]).frame()
 
 
 @dataclass
 class _Reader:
-    """Reads the files of one frame and collects findings."""
+    """A reader for the images of one frame, which collects findings."""
 
     loaded: Loaded
     place: tuple[str, ...]
+    shot: Shot
     findings: list[Diagnostic] = field(default_factory=list)
 
     def fail(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> None:
+        """Add a finding."""
         self.findings.append(self.loaded.finding(code, (*self.place, *path), message, hint))
 
-    def frame(self, shot: Shot) -> Frame:
-        color = self.color(shot)
-        depth = self.depth(shot)
-        masks = self.masks(shot)
+    def refuse(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> NoReturn:
+        """Raise a finding about an image that cannot be used."""
+        raise SpecError([self.loaded.finding(code, (*self.place, *path), message, hint)])
+
+    def read(self, image: Callable[[], T]) -> T | None:
+        """Return an image, or None if reading it raised findings, which are added."""
+        try:
+            return image()
+        except SpecError as error:
+            self.findings += error.diagnostics
+            return None
+
+    def frame(self) -> Frame:
+        shot, color, depth, masks = self.shot, self.read(self.color), self.read(self.depth), self.read(self.masks)
         if color is not None:
             self.intrinsics(shot.camera, color.shape[1], color.shape[0], ("camera",), shot.color)
         if depth is not None and shot.depth.camera is not None:
@@ -81,29 +98,26 @@ class _Reader:
                 raise SpecError(self.findings)
         return Frame(color, depth, matrix(shot.camera), masks)
 
-    def color(self, shot: Shot) -> NDArray[np.uint8] | None:
+    def color(self) -> NDArray[np.uint8]:
         """Return the color image as RGB.
 
         Any EXIF rotation is ignored, because depth, masks and intrinsics refer to the pixels as stored.
         """
-        picture = self.stored(shot.color, ("color",), mode="RGB")
-        if picture is not None and picture.shape[2:] != (3,):
-            self.fail("SF501", ("color",), f"{shot.color} is not a color image", "provide a PNG or a JPEG")
-            return None
-        return None if picture is None else picture.astype(np.uint8, copy=False)
+        picture = self.stored(self.shot.color, ("color",), mode="RGB")
+        if picture.shape[2:] != (3,):
+            self.refuse("SF501", ("color",), f"{self.shot.color} is not a color image", "provide a PNG or a JPEG")
+        return picture.astype(np.uint8, copy=False)
 
-    def depth(self, shot: Shot) -> Array | None:
-        """Return depth in meters; pixels without a reading are NaN."""
+    def depth(self) -> Array:
+        """Return the depth [m]; pixels without a reading are NaN."""
+        shot = self.shot
         hint = "provide raw distances as a 16-bit PNG, TIFF or .npy file, not a depth image rendered for viewing"
         raw = self.raw(shot.depth.image, ("depth", "image"), hint)
-        if raw is None:
-            return None
         values = raw.astype(np.float64)
         valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, shot.depth.invalid)
         if not valid.any():
             message = f"{shot.depth.image} contains no measurements: all values are invalid"
-            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor returned depth")
-            return None
+            self.refuse("SF502", ("depth", "image"), message, CHECK_INVALID)
         meters = np.where(valid, values * shot.depth.scale, np.nan)
         usable = (meters >= NEAREST) & (meters <= FARTHEST)
         median = float(np.median(values[valid]))
@@ -113,55 +127,46 @@ class _Reader:
             hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
             percent = 100 * usable.sum() / valid.sum()
             share = f"{percent:.0f}% of {shot.depth.image} is between {NEAREST:g} and {FARTHEST:g} m"
-            self.fail("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
-            return None
+            self.refuse("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
         if usable.sum() < FEWEST:
             message = f"{shot.depth.image} has {usable.sum()} usable pixels; at least {FEWEST} are required"
-            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor returned depth")
-            return None
+            self.refuse("SF502", ("depth", "image"), message, CHECK_INVALID)
         return np.where(usable, meters, np.nan)
 
-    def masks(self, shot: Shot) -> NDArray[np.int32] | None:
-        """Return the object number at each pixel; 0 is the background."""
-        if shot.masks is None:
+    def masks(self) -> NDArray[np.int32] | None:
+        """Return the object number at each pixel, where 0 is the background, or None if the frame has no masks."""
+        masks = self.shot.masks
+        if masks is None:
             return None
         hint = "use a single channel with a unique number per object, not colors"
-        raw = self.raw(shot.masks.image, ("masks", "image"), hint)
-        if raw is None:
-            return None
+        raw = self.raw(masks.image, ("masks", "image"), hint)
         if raw.dtype.kind not in "bui" or raw.max() > np.iinfo(np.int32).max:
-            self.fail("SF501", ("masks", "image"), f"{shot.masks.image} contains {raw.dtype}, not object numbers", hint)
-            return None
+            self.refuse("SF501", ("masks", "image"), f"{masks.image} contains {raw.dtype}, not object numbers", hint)
         labels = raw.astype(np.int32)
-        labels[np.isin(labels, shot.masks.background)] = 0
-        for name, number in shot.masks.names.items():
+        labels[np.isin(labels, masks.background)] = 0
+        for name, number in masks.names.items():
             if not (labels == number).any():
-                self.fail(
-                    "SF501", ("masks", "names", name), f"{shot.masks.image} has no pixel with the number {number}"
-                )
+                self.fail("SF501", ("masks", "names", name), f"{masks.image} has no pixel with the number {number}")
         return labels
 
-    def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any] | None:
+    def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any]:
         """Return a single-channel image as stored; ``hint`` describes the expected content."""
         picture = self.stored(image, path)
-        if picture is not None and picture.ndim != 2:
+        if picture.ndim != 2:
             what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
-            self.fail("SF501", path, f"{image} has {what}; one channel is expected", hint)
-            return None
+            self.refuse("SF501", path, f"{image} has {what}; one channel is expected", hint)
         return picture
 
-    def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any] | None:
+    def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any]:
         """Return the pixel values in an image file, converted to ``mode`` if specified."""
         file = self.loaded.file(image)
         try:
             picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
         except (OSError, ValueError, SyntaxError, EOFError, OverflowError, AttributeError) as error:
             reason = " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
-            self.fail("SF501", path, f"{image} could not be read as an image: {reason}", "export it again")
-            return None
+            self.refuse("SF501", path, f"{image} could not be read as an image: {reason}", "export it again")
         if picture.size == 0 or picture.ndim == 0 or picture.dtype.kind not in "buif":
-            self.fail("SF501", path, f"{image} does not contain an image: {picture.dtype}, shape {picture.shape}")
-            return None
+            self.refuse("SF501", path, f"{image} does not contain an image: {picture.dtype}, shape {picture.shape}")
         return picture
 
     def intrinsics(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:

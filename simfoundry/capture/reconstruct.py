@@ -88,7 +88,7 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
-    """Remove objects from the reconstruction; objects that rested on them are now supported by the table."""
+    """Return the reconstruction without some objects; objects that rested on them are now supported by the table."""
     gone = set(names)
     files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
     relations = []

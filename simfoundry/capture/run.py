@@ -1,4 +1,4 @@
-"""Turn a capture folder into a folder with a settled scene: reconstruct, settle, write a report, render images."""
+"""Reconstruct a settled scene from a capture, and write it to a folder with a report and images."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def _settled(
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
     """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
 
-    The result is empty if no object moves.
+    The tuple is empty if no object moves.
     """
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]

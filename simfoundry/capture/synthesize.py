@@ -172,9 +172,8 @@ def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None
 def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:
     """Return the depth with each pixel sampled at a random offset with standard deviation ``spread`` [px] per axis."""
     h, w = depth.shape
-    shift = np.rint(spread * rng.standard_normal((2, h, w))).astype(np.int64)
-    v, u = np.meshgrid(np.arange(h), np.arange(w), indexing="ij")
-    return np.asarray(depth[np.clip(v + shift[0], 0, h - 1), np.clip(u + shift[1], 0, w - 1)])
+    v, u = np.indices((h, w)) + np.rint(spread * rng.standard_normal((2, h, w))).astype(np.int64)
+    return np.asarray(depth[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)])
 
 
 CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")  # Files in a synthesized capture

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -99,14 +100,8 @@ def task_key(entry: TaskEntry, task: Task) -> str:
 def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
     """List every rollout in the plan's shard, ordered by task, engine, policy and initial state."""
     first, of = plan.shard
-    every = [
-        RolloutJob(e, c, k, engine)
-        for e in plan.entries
-        for engine in plan.engines
-        for c in plan.contenders
-        for k in range(plan.rollouts)
-    ]
-    return every[first::of]
+    every = product(plan.entries, plan.engines, plan.contenders, range(plan.rollouts))
+    return [RolloutJob(entry, contender, k, engine) for entry, engine, contender, k in every][first::of]
 
 
 def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
@@ -114,12 +109,12 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
     check_layout(plan.folder)
     if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
-    cache, keys = Cache.default(), set()
+    cache, keys = Cache.default(), set[str]()
     for entry in plan.entries:
         task = entry.load(cache)
-        if task_key(entry, task) in keys:
-            raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; specify each task only once")
-        keys.add(task_key(entry, task))
+        if (key := task_key(entry, task)) in keys:
+            raise SimfoundryError(f"two tasks have the name `{key}`; specify each task only once")
+        keys.add(key)
         need_robots(task)
         starts(task, plan.rollouts, plan.seed, cache, None if progress is None else partial(progress, task.name))
 
@@ -135,8 +130,7 @@ def pending(plan: EvaluationPlan) -> list[RolloutJob]:
 
 def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
     """Run the pending jobs; if a policy stops responding, its remaining jobs are skipped."""
-    waiting = pending(plan)
-    silent: Counter[str] = Counter()
+    waiting, silent = pending(plan), Counter[str]()
     outcomes: list[RolloutOutcome] = []
     for outcome in _carried_out(plan, waiting, workers, lambda job: silent[job.contender.label] >= GIVE_UP):
         label = outcome.job.contender.label
@@ -171,9 +165,8 @@ def _carried_out(
                 job, outcome = pool.next()
                 running -= 1
                 if isinstance(outcome, WorkerError):
-                    raise SimfoundryError(
-                        f"the worker process for rollout {job.index} of {job.entry.path.name} {outcome.how}"
-                    )
+                    name = f"rollout {job.index} of {job.entry.path.name}"
+                    raise SimfoundryError(f"the worker process for {name} {outcome.how}")
                 if isinstance(outcome, SimfoundryError):
                     raise outcome
                 yield outcome
@@ -212,7 +205,6 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
     """Return the context to store in a record in addition to the conditions of the rollout."""
-    regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
     cousin = cousin_of(task)
     return {
         "version": __version__,
@@ -225,7 +217,7 @@ def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -
         "horizon": task.horizon,
         **({"cousin": cousin} if cousin else {}),
         "grid": list(task.reset.grid),
-        "regions": regions,
+        "regions": {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()},
         "cells": {name: list(cell) for name, cell in start.cells.items()},
     }
 
@@ -269,8 +261,7 @@ def _slot(plan: EvaluationPlan, job: RolloutJob, task: Task) -> RecordSlot:
 
 
 def _video(plan: EvaluationPlan, task: Task) -> Video | None:
-    known = [camera.name for camera in task.scene.cameras]
-    names = plan.cameras if plan.cameras is not None else tuple(known[:1])
+    names = tuple(camera.name for camera in task.scene.cameras[:1]) if plan.cameras is None else plan.cameras
     if not plan.video or not names:
         return None
     check_cameras(task.scene, dict.fromkeys(names, ImageSize(1, 1)), "the video")
@@ -293,9 +284,8 @@ def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Settin
     """Return the setting of a task, creating it if it is not cached."""
     from simfoundry.predicates import Judge
 
-    cache = Cache.default()
-    task = entry.load(cache)
-    found = starts(task, rollouts, seed, cache)
+    task = entry.load(Cache.default())
+    found = starts(task, rollouts, seed, Cache.default())
     return _Setting(task, found, open_world(task.scene, engine), Judge(task.scene))
 
 
@@ -304,7 +294,7 @@ _open: dict[tuple[TaskEntry | None, str], Policy] = {}
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """Return the policy for a job; the expert is created for each task, other policies stay connected across tasks."""
+    """Return the policy for a job; unlike the expert, which needs the task, policies stay connected across tasks."""
     choice = job.contender.choice()
     key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import dropwhile
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from simfoundry.assets.cache import Cache
@@ -51,16 +51,15 @@ class TaskSetup:
         return self.scene.spec
 
     @property
-    def starts(self) -> dict[tuple[str, ...], Start]:
-        """Changes to the scene in the order in which they are applied, by their path in the task."""
-        own = self.task_spec.subtasks[self.step].start if self.step else None
-        return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
+    def own_start(self) -> Start | None:
+        """The start that the step itself defines, or None."""
+        return self.task_spec.subtasks[self.step].start if self.step else None
 
     @property
-    def put_by_step(self) -> frozenset[str]:
-        """Names of the objects that are placed by the step's own start."""
-        own = self.starts.get(("subtasks", self.step, "start"))
-        return frozenset((*own.place, *own.pose)) if own else frozenset()
+    def starts(self) -> dict[tuple[str, ...], Start]:
+        """Changes to the scene in the order in which they are applied, by their path in the task."""
+        own = self.own_start
+        return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
 
     @cached_property
     def started(self) -> SceneSpec:
@@ -72,8 +71,7 @@ class TaskSetup:
         moved = {name for start in starts for name in (*start.place, *start.pose)}
         turned = {name for start in starts for name in start.joints}
         kept = [text for text in self.scene_spec.relations if not _is_undone(text, moved, turned)]
-        carriers = {name: carrier for name in sorted(moved) if (carrier := _carrier(spec.objects[name]))}
-        stood = [f"OnTop({name}, {carrier})" for name, carrier in carriers.items()]
+        stood = [f"OnTop({name}, {support})" for name in sorted(moved) if (support := _carrier(spec.objects[name]))]
         return spec.model_copy(update={"relations": (*kept, *stood)})
 
     def lowered(self) -> Scene:
@@ -88,7 +86,7 @@ class TaskSetup:
             raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
 
     def carriers(self) -> dict[str, str]:
-        """Return the supporting object of each object for which the documents specify one."""
+        """Return the supporting object, by name, of each object for which the documents specify one."""
         calls = [parse_call(text) for text in self.started.relations]
         found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
         placed = {name: _carrier(item) for name, item in self.started.objects.items()}
@@ -105,9 +103,8 @@ class TaskSetup:
 
 
 def _carrier(item: ObjectSpec) -> str:
-    if item.place is None:
-        return ""
-    return (item.place.on or item.place.inside or "").partition(".")[0]
+    place = item.place
+    return ((place.on or place.inside or "") if place else "").partition(".")[0]
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
@@ -117,7 +114,7 @@ def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
 
 
-_FORM = "the format is described in docs/robots.md, *Your own models*"
+_FORM, _NAMED = "the format is described in docs/robots.md, *Your own models*", "model: {file: my_arm.yaml}"
 
 
 def check_can_act(robot: Robot) -> None:
@@ -138,27 +135,23 @@ def check_can_act(robot: Robot) -> None:
     try:
         body_name(read, "hand")
     except RobotModelError as error:
-        raise RobotModelError(
-            f"robot `{robot.name}` has no identifiable hand: {error}; name it in a robot file, such as "
-            f"`links: {{hand: {{link: {_leaf(read)}}}}}`, and name that file in the scene, such as "
-            f"`model: {{file: my_arm.yaml}}`; {_FORM}"
-        ) from None
+        links = f"`links: {{hand: {{link: {_leaf(read)}}}}}`"
+        fix = f"name it in a robot file, such as {links}, and name that file in the scene, such as `{_NAMED}`; {_FORM}"
+        raise RobotModelError(f"robot `{robot.name}` has no identifiable hand: {error}; {fix}") from None
     driven = _driven(read)
     for joint in native.joints.values() or [_own(read, read.model.joint(k)) for k in range(read.model.njnt)]:
         if joint not in driven:
-            raise RobotModelError(
-                f"robot `{robot.name}` cannot be position-controlled: no position actuator in {native.file.name} "
-                f"drives its joint `{joint}`; add one, or list the arm's joints under `joints` in a robot file; {_FORM}"
-            )
+            missing = f"no position actuator in {native.file.name} drives its joint `{joint}`"
+            fix = f"add one, or list the arm's joints under `joints` in a robot file; {_FORM}"
+            raise RobotModelError(f"robot `{robot.name}` cannot be position-controlled: {missing}; {fix}")
 
 
 def _leaf(read: MujocoRobot) -> str:
     """Return the link farthest down the kinematic chain, which is usually the hand."""
     depth = [0]
-    for body in range(1, read.model.nbody):
-        depth.append(depth[int(read.model.body_parentid[body])] + 1)
-    deepest = max(range(read.model.nbody), key=lambda body: depth[body])
-    return _own(read, read.model.body(deepest))
+    for parent in read.model.body_parentid[1:]:
+        depth.append(depth[parent] + 1)
+    return _own(read, read.model.body(depth.index(max(depth))))
 
 
 def _own(read: MujocoRobot, named: Any) -> str:
@@ -170,19 +163,17 @@ def _driven(read: MujocoRobot) -> set[str]:
     """Return the names, within the model, of the joints that are driven by a position actuator."""
     import mujoco
 
-    model, found = read.model, set()
-    for k in range(model.nu):
-        pulls = model.actuator_gainprm[k][0] != 0 and model.actuator_biasprm[k][1] < 0
-        if pulls and model.actuator_trntype[k] == int(mujoco.mjtTrn.mjTRN_JOINT):
-            found.add(_own(read, model.joint(int(model.actuator_trnid[k][0]))))
-    return found
+    model = read.model
+    pulls = (model.actuator_gainprm[:, 0] != 0) & (model.actuator_biasprm[:, 1] < 0)
+    driven = model.actuator_trnid[pulls & (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)), 0]
+    return {_own(read, model.joint(int(joint))) for joint in driven}
 
 
 @dataclass(frozen=True, eq=False)
 class SubtaskGoal:
     """A step of a task.
 
-    ``instruction`` is used if the step is run alone; ``starts_itself`` is True if the step defines its own start.
+    ``instruction`` is used if the step is run alone. ``starts_itself`` is True if the step defines its own start.
     """
 
     name: str
@@ -234,18 +225,17 @@ class Task:
             SimfoundryError: If the step does not exist.
         """
         step = self._subtask(name)
-        own = MappingProxyType({name: step})
-        return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks=own)
+        return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks={name: step})
 
     def onward(self, name: str) -> Task:
-        """Return the rest of the task from a step onward.
+        """Return the rest of the task from a step onward, which keeps the goal of the whole task.
 
-        It has the initial state of that step and the goal of the whole task.
+        Raises:
+            SimfoundryError: If the step does not exist.
         """
         self._subtask(name)
-        names = list(self.subtasks)
-        rest = {n: self.subtasks[n] for n in names[names.index(name) :]}
-        return replace(self._from(name), subtasks=MappingProxyType(rest))
+        rest = dropwhile(lambda entry: entry[0] != name, self.subtasks.items())
+        return replace(self._from(name), subtasks=dict(rest))
 
     def _subtask(self, name: str) -> SubtaskGoal:
         if name not in self.subtasks:
@@ -255,15 +245,10 @@ class Task:
 
     def _from(self, name: str) -> Task:
         setup = replace(self.setup, step=name)
-        regions = {n: region for n, region in self.reset.objects.items() if n not in setup.put_by_step}
-        return replace(
-            self,
-            scene=setup.lowered(),
-            reset=self.reset.model_copy(update={"objects": regions}),
-            carriers=setup.carriers(),
-            setup=setup,
-            step=name,
-        )
+        own = setup.own_start
+        put = {*own.place, *own.pose} if own else set()
+        reset = self.reset.model_copy(update={"objects": {n: r for n, r in self.reset.objects.items() if n not in put}})
+        return replace(self, scene=setup.lowered(), reset=reset, carriers=setup.carriers(), setup=setup, step=name)
 
 
 def load_task(path: Path, cache: Cache | None = None) -> Task:
@@ -283,18 +268,14 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
     if scene is None:
         raise SpecError([loaded.finding("SF005", ("scene",), f"`{spec.scene}` is not a readable scene")])
     setup = TaskSetup(loaded, scene, cache=cache)
+    steps = spec.subtasks.items()
     return Task(
         name=spec.name,
         scene=setup.lowered(),
         instruction=spec.instruction,
         robots=spec.robots or tuple(setup.scene_spec.robots),
         goal=spec.goal,
-        subtasks=MappingProxyType(
-            {
-                name: SubtaskGoal(name, step.goal, step.instruction or spec.instruction, step.start is not None)
-                for name, step in spec.subtasks.items()
-            }
-        ),
+        subtasks={n: SubtaskGoal(n, s.goal, s.instruction or spec.instruction, s.start is not None) for n, s in steps},
         reset=spec.reset,
         carriers=setup.carriers(),
         control_hz=spec.control_hz,

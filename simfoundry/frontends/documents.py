@@ -34,14 +34,18 @@ class BuiltDocuments:
     """Documents and other files by path, with the requested document first.
 
     Paths are relative to the folder that contains the requested document.
+
+    Attributes:
+        documents: Text of each document, by path.
+        files: Contents of all other files, by path.
+        names: New names of renamed elements, by their names in the file; links and joints are qualified by their body.
+        parts: Drafts of each part and its link, by the names of the asset, link, and part in the documents.
     """
 
     documents: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
-    """New names of renamed elements, keyed by their names in the file; links and joints are qualified by their body."""
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
-    """The drafts of each part and its link, keyed by the names of asset, link, and part in the documents."""
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
@@ -102,8 +106,7 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
     """
     built = BuiltDocuments()
     shelf = FileShelf(base, f"{name}_files", root, built.files)
-    spec = _asset_spec(draft.bodies[0], plain_name(name), shelf, built)
-    built.documents[f"{name}.asset.yaml"] = document_text(spec)
+    built.documents[f"{name}.asset.yaml"] = document_text(_asset_spec(draft.bodies[0], plain_name(name), shelf, built))
     return built
 
 
@@ -116,7 +119,10 @@ def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 class _SceneBuilder:
-    """Builds a scene from a draft; ``assets`` contains the asset documents by object name."""
+    """Builds a scene from a draft.
+
+    ``objects`` maps body names to object names, and ``assets`` maps object names to asset documents.
+    """
 
     def __init__(self, draft: ModelDraft, folder: str, base: Path, root: Path | None) -> None:
         self.draft, self.folder, self.built = draft, folder, BuiltDocuments()
@@ -124,7 +130,6 @@ class _SceneBuilder:
         self.names = NameTable()
         self.assets: dict[str, AssetSpec] = {}
         self.objects: dict[str, str] = {}
-        """Object names by body name."""
         self.bodies = {body.name: body for body in draft.bodies}
 
     def build(self, name: str) -> BuiltDocuments:
@@ -143,10 +148,8 @@ class _SceneBuilder:
         data["no_contact"], data["relations"] = self.no_contact(), tuple(draft.relations)
         if draft.background is not None:
             data["background"] = {"mesh": f"{self.folder}/{self.shelf.place(draft.background)}"}
-        spec = SceneSpec.model_validate(_without_empty(rounded(data)))
-        built.documents[f"{name}.scene.yaml"] = document_text(spec)
-        for called, asset in self.assets.items():
-            built.documents[f"{self.folder}/{called}.asset.yaml"] = document_text(asset)
+        built.documents[f"{name}.scene.yaml"] = document_text(SceneSpec.model_validate(_without_empty(rounded(data))))
+        built.documents |= {f"{self.folder}/{n}.asset.yaml": document_text(a) for n, a in self.assets.items()}
         built.files = {f"{self.folder}/{path.removeprefix('./')}": data for path, data in self.shelf.files.items()}
         return built
 
@@ -186,16 +189,16 @@ class _SceneBuilder:
     def cameras(self) -> Data:
         names, out = NameTable("camera"), {}
         for camera in self.draft.cameras:
-            data: Data = _given({key: getattr(camera, key) for key in ("size", "fx", "fy", "cx", "cy")})
+            keys = ("size", "fx", "fy", "cx", "cy")
+            data: Data = {key: value for key in keys if (value := getattr(camera, key)) is not None}
             data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
             if camera.mount is not None:
                 body, link = camera.mount
                 if body not in self.objects:  # a robot, whose frame names are not changed
                     data["mount"] = f"{body}.{link}" if link else body
-                elif link == self.bodies[body].root:
-                    data["mount"] = self.objects[body]
                 else:
-                    data["mount"] = self.link_path(body, link)
+                    is_root = link == self.bodies[body].root
+                    data["mount"] = self.objects[body] if is_root else self.link_path(body, link)
             out[names.name(camera.name)] = data
         return out
 
@@ -234,10 +237,6 @@ def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocume
 
 def _without_empty(data: Data) -> Data:
     return {key: value for key, value in data.items() if value not in ({}, ())}
-
-
-def _given(data: Data) -> Data:
-    return {key: value for key, value in data.items() if value is not None}
 
 
 def _category(body: BodyDraft) -> Data:

@@ -43,16 +43,22 @@ Contact = dict[str, float]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Import options: ``packages`` maps package names to folders, and ``force`` allows replacing existing files."""
+    """Import options.
+
+    Attributes:
+        packages: Folders of packages, by package name.
+        force: True to replace existing files.
+        scene: Scene document of an imported task.
+        bound: Scene objects that the user assigned to names in a BDDL task.
+        density: Density [kg/m^3] of links without a mass, or None for the density of water, which simulators use by
+            default.
+    """
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     force: bool = False
     scene: Path | None = None
-    """Scene document for an imported task."""
     bound: Mapping[str, str] = field(default_factory=dict)
-    """Scene objects that the user assigned to names in a BDDL task."""
     density: float | None = None
-    """Density [kg/m^3] of links without a mass; None for the density of water, which simulators use by default."""
 
 
 DEFAULTS = ImportOptions()
@@ -119,7 +125,8 @@ class LinkDraft:
     """A rigid body.
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
-    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts.
+    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``assumed`` is the source
+    that the document records for an assumed mass or density, or an empty string if the file specifies the value.
     """
 
     name: str
@@ -131,7 +138,6 @@ class LinkDraft:
     contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
-    """Source recorded in the document for an assumed mass or density; empty if the file specifies it."""
 
     @property
     def colliders(self) -> list[PartDraft]:
@@ -145,8 +151,9 @@ class JointDraft:
 
     ``X_PC`` is the pose of the child frame in the parent frame at joint position zero, and ``axis`` is expressed in the
     child frame. ``type`` is fixed, revolute, continuous, prismatic, ball, or free. ``limits`` and ``position`` are in
-    radians or meters. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the file
-    does not specify it.
+    radians or meters; the state of a ball or free joint is ``motion`` instead, which is the pose of the child frame
+    relative to its zero pose. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the
+    file does not specify it.
     """
 
     name: str
@@ -164,14 +171,15 @@ class JointDraft:
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
-    """State of a ball or free joint, given as the pose of the child frame relative to its zero pose."""
 
 
 @dataclass(eq=False)
 class BodyDraft:
     """An object with one or more links.
 
-    ``root`` is the name of the root link, and ``X_WO`` is the pose of that link's frame in the world.
+    ``root`` is the name of the root link, and ``X_WO`` is the pose of that link's frame in the world. ``note`` records
+    the object's origin for users, and for tasks that refer to the object by its original name. ``exact`` is True if all
+    names in the body come from a scene and must be kept unchanged.
     """
 
     name: str
@@ -184,9 +192,7 @@ class BodyDraft:
     no_contact: list[tuple[str, str]] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     note: str = ""
-    """Note on the object's origin, for users and for tasks that refer to the object by its original name."""
     exact: bool = False
-    """True if all names in this body come from a scene and must be kept unchanged."""
 
     def carrier(self, link: str) -> JointDraft | None:
         """Return the joint that connects a link to its parent, or None for the root link."""
@@ -202,7 +208,8 @@ class BodyDraft:
 class CameraDraft:
     """A pinhole camera.
 
-    The image size, focal lengths, and principal point are in pixels, and the pose uses OpenCV axes.
+    The image size, focal lengths, and principal point are in pixels, and the pose uses OpenCV axes. ``mount`` is the
+    body and link to which the camera is attached; the pose is then expressed in the link frame.
     """
 
     name: str
@@ -213,7 +220,6 @@ class CameraDraft:
     cx: float | None = None
     cy: float | None = None
     mount: LinkPath | None = None
-    """Body and link to which the camera is attached; the pose is then expressed in the link frame."""
 
 
 @dataclass(eq=False)
@@ -243,7 +249,12 @@ class RobotDraft:
 
 @dataclass(eq=False)
 class ModelDraft:
-    """The content of an imported file; ``notes`` lists all differences between the file and the documents."""
+    """The content of an imported file.
+
+    ``background`` is a visual mesh in the world frame. ``no_contact`` lists pairs of links in different bodies that do
+    not collide, and ``notes`` lists all differences between the file and the documents. ``density`` [kg/m^3] applies to
+    links without a mass, or is None for the default of the format.
+    """
 
     name: str
     format: str
@@ -254,12 +265,9 @@ class ModelDraft:
     gravity: tuple[float, float, float] | None = None
     relations: list[str] = field(default_factory=list)
     background: MeshDraft | None = None
-    """Visual background mesh, expressed in the world frame."""
     no_contact: list[tuple[LinkPath, LinkPath]] = field(default_factory=list)
-    """Pairs of links in different bodies that do not collide."""
     notes: list[ImportNote] = field(default_factory=list)
     density: float | None = None
-    """Density [kg/m^3] set by the user for links without a mass; None for the format's default."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
         """Record an element that is omitted."""
@@ -311,8 +319,8 @@ def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> 
     try:
         spec = RobotSpec.model_validate(words)
     except ValidationError as error:
-        reason = error.errors()[0]["msg"]
-        raise ImportRefusedError(path, f"robot `{name}` has invalid data for a compiled file: {reason}") from None
+        message = f"robot `{name}` has invalid data for a compiled file: {error.errors()[0]['msg']}"
+        raise ImportRefusedError(path, message) from None
     known = spec.known()
     if known is None or not isinstance(spec.model, str):
         raise ImportRefusedError(path, f"robot `{name}` has an unknown model: {spec.model!r}")

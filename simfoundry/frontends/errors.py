@@ -62,16 +62,17 @@ def refusing_faults(file: Path) -> Iterator[None]:
 
 
 def _place(error: Exception) -> str:
-    """Return the line of SimFoundry code that raised an error, formatted for a message; empty if unknown."""
+    """Return the line of SimFoundry code that raised an error, formatted for a message, or "" if it is unknown."""
     root = Path(simfoundry.__file__).parent
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
     return f", at {Path(frames[-1].filename).relative_to(root).as_posix()}:{frames[-1].lineno}" if frames else ""
 
 
 def _line(file: Path, error: Exception) -> int:
-    """Return the line of ``file`` that was being read when an error occurred; 0 if unknown.
+    """Return the line of ``file`` that was being read when an error occurred, or 0 if it is unknown.
 
-    This is the line of the XML element being read, or otherwise the first line with the name of an affected element.
+    This is the line of the XML element being read or, if there is none, the first line that contains the name of an
+    affected element.
     """
     from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
     from simfoundry.frontends.files import Element

@@ -22,10 +22,10 @@ from simfoundry.frontends.errors import ImportRefusedError
 
 # Maximum file sizes [bytes], which limit memory use.
 #
-# The largest of 2,380 public XML models has 21 MB, and the largest OmniGibson scene has 3 MB.
+# The largest of 2,380 public XML models is 21 MB, and the largest OmniGibson scene is 3 MB.
 MAX_XML_BYTES, MAX_JSON_BYTES = 50_000_000, 100_000_000
 
-# Maximum number of elements, which take a second and 200 MB; the largest public model has a tenth of that.
+# Maximum number of elements. Reading this many takes a second and 200 MB; the largest public model has a tenth of them.
 MAX_ELEMENTS = 500_000
 
 # Maximum nesting depth; a kinematic chain in MJCF has one level per body.
@@ -66,8 +66,7 @@ class Element:
 
     def need(self, name: str) -> str:
         """Return the value of a required attribute."""
-        text = self.get(name)
-        if text is None:
+        if (text := self.get(name)) is None:
             raise self.refused(f"`<{self.tag}>` has no `{name}`")
         return text
 
@@ -202,8 +201,7 @@ class FileSearch:
                     raise NotFoundError(f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
                 return target
         if outside:
-            hint = "add the folder that contains it with `--package NAME=PATH`"
-            raise NotFoundError(f"is outside {self.root}; {hint}")
+            raise NotFoundError(f"is outside {self.root}; add the folder that contains it with `--package NAME=PATH`")
         if package:
             name = package[1].lstrip("/").partition("/")[0]
             raise NotFoundError(f"could not be found; specify the folder of its package with `--package {name}=PATH`")

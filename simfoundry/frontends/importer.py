@@ -34,6 +34,7 @@ class ImportReport:
     """The result of importing a file.
 
     It contains the path of the document and its differences from the file, or the reason for the failure in ``error``.
+    ``assumed_masses`` contains the masses [kg], by `object.link`, that the file does not specify.
     """
 
     source: str
@@ -50,7 +51,6 @@ class ImportReport:
     more: tuple[str, ...] = ()
     error: str = ""
     assumed_masses: Mapping[str, float] = field(default_factory=dict)
-    """Masses [kg], by `object.link`, that were computed from the density of water because the file has none."""
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for ``--json``."""
@@ -127,12 +127,10 @@ def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskR
     spec, draft = read_task(path, loaded.spec, scene, out, options)
     text = document_text(spec)
     out.parent.mkdir(parents=True, exist_ok=True)
-    trial = out.parent / f".{out.name.removesuffix(TASK)}.import{TASK}"
-    try:
-        trial.write_text(text)
-        errors = load(trial).errors
-    finally:
-        trial.unlink(missing_ok=True)
+    with tempfile.NamedTemporaryFile("w", prefix=".import.", suffix=TASK, dir=out.parent, encoding="utf-8") as trial:
+        trial.write(text)
+        trial.flush()
+        errors = load(Path(trial.name)).errors
     if errors:
         raise ImportRefusedError(path, errors[0].message, hint=errors[0].hint)
     write_atomically(out, text.encode())

@@ -80,9 +80,9 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
             continue
         carrier = body.carrier(link.name)
         if carrier is not None and carrier.type == "fixed":
-            what = "its shapes are" if link.parts else "it is"
+            what = "its shapes were" if link.parts else "the link was"
             _join_to_parent(draft, body, body.links[carrier.parent], link, carrier)
-            why = f"it has no mass and is attached by a fixed joint, so {what} merged into its parent link"
+            why = f"it has no mass and a fixed joint to its parent link, so {what} merged into the parent link"
             x, y, z = (f"{v:.4g}" for v in carrier.X_PC.p + 0.0)
             draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` at ({x}, {y}, {z})")
             continue
@@ -141,7 +141,7 @@ def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: J
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact if frame.name not in (a, b)]
     draft.no_contact = [(paths.get(a, a), paths.get(b, b)) for a, b in draft.no_contact if new not in (a, b)]
     _remove_link(draft, body, child.name, frame.name, joint)
-    why = "it is merged into its parent link, which has no mass of its own"
+    why = "the link was merged into its parent link, which has no mass of its own"
     draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
     if frame.name.lower() in WORLD_NAMES:
         body.fixed = True
@@ -167,8 +167,7 @@ def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str)
     link.mass, link.com, link.inertia = None, None, None
     what = f"mass of `{link.name}`"
     if link.colliders:
-        usual = f"computed from its shapes at {WATER_DENSITY:g} kg/m^3, as in MuJoCo"
-        assume_density(draft, link, usual, is_root and body.fixed)
+        assume_density(draft, link, "MuJoCo", is_root and body.fixed)
     elif is_root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
         if not body.fixed:
@@ -183,21 +182,20 @@ def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str)
         raise ImportRefusedError(file, message, hint="add an `inertial` element")
 
 
-def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bool = False) -> None:
+def assume_density(draft: ModelDraft, link: LinkDraft, simulator: str, is_static: bool = False) -> None:
     """Set the density of a link without a mass to the user's density or, by default, to the density of water.
 
     Args:
         draft: Draft that records the assumption.
         link: Link without a mass.
-        usual: Explanation to record if the user did not specify a density.
+        simulator: Simulator with the same default density, for the record.
         is_static: True for links that do not move, for which nothing is recorded.
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
     if not is_static:
-        reason = (
-            f"computed from its shapes at {draft.density:g} kg/m^3, as set by --density" if draft.density else usual
-        )
-        draft.assumed(f"mass of `{link.name}`", f"the file specifies none; {reason}")
+        reason = "as set by --density" if draft.density else f"as in {simulator}"
+        value = f"computed from its shapes at {link.density:g} kg/m^3, {reason}"
+        draft.assumed(f"mass of `{link.name}`", f"the file specifies none; {value}")
 
 
 def _mass_below(body: BodyDraft, link: str) -> float:

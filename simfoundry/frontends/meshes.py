@@ -31,7 +31,7 @@ TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")
 # Relative tolerance for equal scales, which allows for double-precision rounding.
 EVEN_SCALE = 1e-12
 
-# Start of a line where Bullet's OBJ reader (tiny_obj_loader.cpp) begins a new shape; a bare `g` does not count.
+# Start of a line where Bullet's OBJ reader (tiny_obj_loader.cpp) begins a new shape; a `g` without a name does not.
 _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
 
 
@@ -77,8 +77,7 @@ class FileShelf:
 
     def _store(self, files: dict[str, bytes]) -> str:
         main = next(iter(files))
-        numbered = (f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{k}" for k in count(2))
-        places = chain([self.folder], numbered)
+        places = chain([self.folder], (f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{k}" for k in count(2)))
         free = (p for p in places if all(self.files.get(f"{p}/{name}", data) == data for name, data in files.items()))
         place = next(free)
         self.files |= {f"{place}/{name}": data for name, data in files.items()}
@@ -273,8 +272,8 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
     from collada.common import DaeError
 
     try:
-        root = read_xml(path)  # rejects entities and excessively large files
-        strips = next((e for tag in ("tristrips", "trifans") for e in root.walk() if e.tag == tag), None)
+        # Reading the XML first rejects entities and excessively large files.
+        strips = next((e for tag in ("tristrips", "trifans") for e in read_xml(path).walk() if e.tag == tag), None)
         if strips is not None:
             raise strips.refused(f"`<{strips.tag}>` is not supported", "export plain triangles")
         data = path.read_bytes()

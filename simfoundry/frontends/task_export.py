@@ -7,6 +7,7 @@ are recorded as notes.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -136,12 +137,11 @@ def _kind(item: SceneObject) -> str:
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
     """Return BEHAVIOR's object names, which consist of a WordNet synset and a number, by scene object."""
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     names = {}
     for item in scene.objects:
-        kind = f"{_kind(item)}.n.01"
-        counts[kind] = counts.get(kind, 0) + 1
-        names[item.name] = f"{kind}_{counts[kind]}"
+        counts[_kind(item)] += 1
+        names[item.name] = f"{_kind(item)}.n.01_{counts[_kind(item)]}"
     export.notes.append("synsets: derived from object categories, as in `cup.n.01`")
     return names
 
@@ -203,9 +203,9 @@ def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], ex
             f"  (:ranges (({x0:.6g} {y0:.6g} {x1:.6g} {y1:.6g}))) (:yaw_rotation (({low:.6g} {high:.6g}))))",
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
-    for item, joint in ((item, joint) for item, joints in spec.start.joints.items() for joint in joints):
-        export.notes.append(f"initial position of {item}.{joint}: the format only supports open, not a position")
-        yield f"(Open {_region(f'{item}.{joint}', regions)})"
+    for joint in (f"{item}.{name}" for item, names in spec.start.joints.items() for name in names):
+        export.notes.append(f"initial position of {joint}: the format only supports open, not a position")
+        yield f"(Open {_region(joint, regions)})"
 
 
 # The authors' task YAML ----------------------------------------------------------------------------------------------
@@ -245,8 +245,7 @@ def _omnigibson(spec: TaskSpec, scene: Scene, export: TaskExport) -> str:
     if spec.start.joints:
         config["group_init_joint_positions"] = {k: dict(v) for k, v in spec.start.joints.items()}
     names = {"task_name": spec.name or "task", "language_instruction": spec.instruction}
-    document = names | {"og_task_config": config}
-    return str(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+    return str(yaml.safe_dump(names | {"og_task_config": config}, sort_keys=False, allow_unicode=True))
 
 
 def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> dict[str, Any]:
@@ -276,8 +275,5 @@ def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
         turn = math.radians(max(abs(y) for y in region.yaw_deg))
         if turn:
             turns[name] = round(turn, 6)
-    return {
-        key: value
-        for key, value in (("group_xyz_randomization", widths), ("group_z_rot_randomization", turns))
-        if value
-    }
+    found = {"group_xyz_randomization": widths, "group_z_rot_randomization": turns}
+    return {key: value for key, value in found.items() if value}

@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.geometry.vertical_contact import heights
 from simfoundry.lint.draft import DraftScene
-from simfoundry.lint.lints import MOST, Lint, Subject, warning, where
+from simfoundry.lint.lints import Lint, Subject, warning, where
 from simfoundry.scene.lengths import length, number
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import Diagnostic
@@ -29,15 +29,11 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
     """Find pairs of interpenetrating objects, unless both are fixed or their contacts are excluded."""
     draft = subject.scene
     silent = {frozenset(pair) for pair in draft.spec.no_contact}
-    found = 0
     for a, b in neighbors(draft)[:MOST_PAIRS]:
         if (a.fixed and b.fixed) or frozenset((a.name, b.name)) in silent or _is_placed_on(draft, a, b):
             continue
         if draft.distance(a.name, b.name, -DEEP) < -DEEP:
             yield _overlap_finding(subject, a, b)
-            found += 1
-            if found >= MOST:
-                return
 
 
 def neighbors(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
@@ -98,7 +94,7 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
         return
     items = draft.solids
     low, high = (np.array([draft.bounds[item.name][k] for item in items]) for k in (0, 1))
-    found = measured = 0
+    measured = 0
     for k, item in enumerate(items):
         if item.fixed or draft.spec.objects[item.name].place is not None:
             continue
@@ -108,12 +104,8 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
         measured += len(below)
         if measured > MOST_MEASURED:
             return
-        if any(supports(draft, items[j], item) for j in below) or _may_rest_on_unplaced(draft):
-            continue
-        yield _falling(subject, item)
-        found += 1
-        if found >= MOST:
-            return
+        if not any(supports(draft, items[j], item) for j in below) and not _may_rest_on_unplaced(draft):
+            yield _falling(subject, item)
 
 
 def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:

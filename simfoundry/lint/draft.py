@@ -18,7 +18,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls
-from simfoundry.predicates.judging.bodies import Bodies, Entity, NoCavityError, PredicateError
+from simfoundry.predicates.judging.bodies import Bodies, NoCavityError, PredicateError
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
@@ -85,15 +85,13 @@ class DraftScene:
 
     def distance(self, a: str, b: str, threshold: float) -> float:
         """Return a value [m] on the same side of ``threshold`` as the signed distance between two objects."""
-        return float(self._distances.between(self._view, self._thing(a), self._thing(b), threshold)[0])
+        things = self._bodies.thing(a), self._bodies.thing(b)
+        return float(self._distances.between(self._view, *things, threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
         """Return the penetration depth of two objects [m]."""
-        measured = Distances(self._bodies)
-        return -float(measured.between(self._view, self._thing(a), self._thing(b))[0])
-
-    def _thing(self, name: str) -> Entity:
-        return self._bodies.thing(name)
+        things = self._bodies.thing(a), self._bodies.thing(b)
+        return -float(Distances(self._bodies).between(self._view, *things)[0])
 
     @cached_property
     def _bodies(self) -> Bodies:
@@ -220,9 +218,8 @@ class StartJudge:
     def _is_apart(self, call: Call) -> bool:
         """Return True if a predicate's two objects are certain not to touch, because their hulls do not."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
-        return (
-            bool(approximate) and call.predicate in NEEDS_TOUCH and self._judged(Call("Touching", call.args)) is False
-        )
+        may_be_apart = bool(approximate) and call.predicate in NEEDS_TOUCH
+        return may_be_apart and self._judged(Call("Touching", call.args)) is False
 
     def _judged(self, call: Call) -> bool | None:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,4 +154,4 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
         yield from asset_faults(loaded)
     for one in LINTS.load_all().values():
         if kind in one.kinds:
-            yield from one.find(subject)
+            yield from islice(one.find(subject), MOST)

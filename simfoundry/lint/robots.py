@@ -48,9 +48,7 @@ def too_wide(subject: Subject) -> Iterator[Diagnostic]:
             message = f"`{name}` is {length(width)} wide at its narrowest, but `{robot}` opens only {length(widest)}"
         else:
             message = f"`{name}` cannot be grasped from above with two fingers; `{robot}` opens {length(widest)}"
-        hint = (
-            "make it narrower, give it a handle or a rim, or rotate it; `opening` sets how wide a robot's gripper opens"
-        )
+        hint = "make it narrower, give it a handle or a rim, or rotate it; `opening` sets how wide a gripper opens"
         yield warning(subject.loaded, "SF407", path, message, hint, (name, robot))
 
 
@@ -118,14 +116,13 @@ def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterato
     low, high = subject.scene.bounds[name]
     x, y, _ = subject.scene.scene.by_name[name].X_WO.p.tolist()
     around = max(math.dist(corner, (x, y)) for corner in product((low[0], high[0]), (low[1], high[1])))
-    worst: tuple[Miss, tuple[float, float]] | None = None
-    for corner in product(region.x, region.y):
-        miss = nearest_miss(hands, [math.dist(corner, hand.at) - around for hand in hands])
-        if miss is not None and (worst is None or miss.lacking > worst[0].lacking):
-            worst = miss, corner
-    if worst is not None:
-        (cx, cy), path = worst[1], ("reset", "objects", name)
-        yield _reach_finding(subject, path, f"`{name}` in the corner ({cx:g}, {cy:g}) of its region", name, worst[0])
+    corners = [*product(region.x, region.y)]
+    misses = [nearest_miss(hands, [math.dist(corner, hand.at) - around for hand in hands]) for corner in corners]
+    found = [(miss, corner) for miss, corner in zip(misses, corners, strict=True) if miss is not None]
+    if found:
+        worst, (cx, cy) = max(found, key=lambda each: each[0].lacking)
+        what = f"`{name}` in the corner ({cx:g}, {cy:g}) of its region"
+        yield _reach_finding(subject, ("reset", "objects", name), what, name, worst)
 
 
 def _reach_finding(subject: Subject, path: Path_, what: str, name: str, miss: Miss) -> Diagnostic:

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from simfoundry.geometry.frames import Array
-from simfoundry.lint.lints import MOST, Lint, Path_, Subject, warning, where
+from simfoundry.lint.lints import Lint, Path_, Subject, warning, where
 from simfoundry.scene.model import Camera
 from simfoundry.spec.diagnostics import Diagnostic
 
@@ -37,14 +37,12 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
     draft, cameras = subject.scene, subject.scene.cameras
     if not cameras:
         return
-    found = 0
     for name in names:
-        if name not in draft.bounds or found >= MOST:
+        if name not in draft.bounds:
             continue
         low, high = draft.bounds[name]
         if any(sees(camera, low, high) for camera in cameras.values()):
             continue
-        found += 1
         angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
         message = f"`{name}` is outside the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
         seen = f"whose image extends {half_angle(cameras[nearest]):.0f} deg to the corners"

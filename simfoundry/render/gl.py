@@ -58,7 +58,7 @@ def working_drivers() -> list[str]:
 
 
 def _obstacle(engine: Engine) -> str | None:
-    """Return the reason why MuJoCo cannot use this driver in this process, or None if it can."""
+    """Return the reason why MuJoCo cannot use a driver in this process, or None if the driver works."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if platform not in ("", engine.value):  # PyOpenGL uses a single driver for the lifetime of a process
         return f"this process already uses the GL driver {platform!r}"

@@ -79,7 +79,7 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
         return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
-        """Return the geom at each pixel, shape (h, w): 1 + the geom id, or 0 if there is no geom."""
+        """Return the ID of the geom at each pixel plus 1, or 0 if there is no geom, shape (h, w)."""
         import mujoco
 
         labels = [mujoco.mjtRndFlag.mjRND_SEGMENT.value, mujoco.mjtRndFlag.mjRND_IDCOLOR.value]
@@ -240,13 +240,13 @@ def _clusters(corners: Floats, faces: Index) -> Index:
 
 
 def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Normalize vectors, shape (n, 3); vectors of zero length are unchanged."""
+    """Normalize vectors, shape (n, 3); vectors with zero length are unchanged."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, 1e-20), dtype=np.float64)
 
 
 def _cubes(corners: Floats, size: float) -> Index:
-    """Return the index of the cube that contains each vertex, counted from 0 among nonempty cubes, shape (n,)."""
+    """Return the index of the cube that contains each vertex, shape (n,); empty cubes are not counted."""
     x, y, z = np.floor((corners - corners.min(axis=0)) / size).astype(np.int64).T
     along = int(max(x.max(), y.max(), z.max())) + 1
     return np.asarray(np.unique((x * along + y) * along + z, return_inverse=True)[1], dtype=np.int64)

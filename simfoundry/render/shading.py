@@ -47,9 +47,12 @@ NADIR = frozen_array([0.50, 0.52, 0.55])
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A light that casts shadows, with linear ``rgb``.
+    """A light that casts shadows.
 
-    It is located at ``p`` [m, world], or shines from direction ``p`` (unit vector) if it is ``distant``.
+    Attributes:
+        p: The position in the world [m], or a unit vector toward the light if it is distant.
+        distant: True if the light is infinitely far away.
+        rgb: The linear color.
     """
 
     p: Array
@@ -143,7 +146,7 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
 
 
 def _openness(surface: SceneSurface, at: Points) -> Array:
-    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,); 1 if there is only one group."""
+    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,), or 1 if there is only one group."""
     open_sky = np.ones(len(at.p))
     if at.groups == 1:
         return open_sky
@@ -216,7 +219,7 @@ def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: flo
 
 
 def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Return the texture color of each hit, shape (n, 3), from the mipmap level whose texels are about pixel-sized."""
+    """Return the texture color of each hit, shape (n, 3), using the mipmap level whose texels match the pixel size."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
     at = blend(uv, hits.weights)
@@ -235,7 +238,7 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
 
 
 def _bilinear(image: Array, uv: Array) -> Array:
-    """Sample ``image`` (h, w, 3) at ``uv`` (n, 2) with v up, repeating beyond [0, 1]."""
+    """Sample an image with shape (h, w, 3) at ``uv`` with shape (n, 2), where v points up; the image repeats."""
     h, w = image.shape[:2]
     x, y = uv[:, 0] * w - 0.5, (1 - uv[:, 1]) * h - 0.5
     left, top = np.floor(x), np.floor(y)

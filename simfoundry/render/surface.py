@@ -1,4 +1,4 @@
-"""The visible surface of a scene as one list of triangles, with shading data at every corner."""
+"""The visible surfaces of a scene as a list of triangles, with shading data at each corner."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SceneSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """The triangles of one geometry in its own frame; the arrays are the same as in :class:`SceneSurface`."""
+    """The triangles of one geometry in its own frame; for the shapes of arrays, see :class:`SceneSurface`."""
 
     corners: Array
     normals: Array
@@ -112,7 +112,7 @@ def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
 
 
 def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
-    """Return unit normals, shape (m, 3, 3): area-weighted means of the faces at each vertex, except across creases."""
+    """Return unit normals, shape (m, 3, 3), as the area-weighted mean of adjacent faces that do not form a crease."""
     area = area_normals(corners)
     facet = unit(area)
     vertex = faces.ravel()

@@ -1,4 +1,4 @@
-"""A page that shows a change: images of the scene before and after, and a list of changes.
+"""A page that shows the changes to a document: images of the scene before and after, and a list of changes.
 
 The page is a single file without scripts or links, so it can be attached to a pull request. All text from documents is
 escaped, and equal documents give equal bytes.
@@ -30,7 +30,7 @@ COLORS = {
     "changed": (0x1C, 0x7E, 0xD6),
 }
 
-# Minimum indirect motion that is reported: half a millimeter and a tenth of a degree. Smaller motions are artifacts of
+# Minimum indirect motion that is reported: half a millimeter or a tenth of a degree. Smaller motions are caused by
 # solving a placement again.
 SEEN_M, SEEN_DEG = 5e-4, 0.1
 
@@ -66,7 +66,7 @@ def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
 
 
 def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
-    """Add indirect motion to the comparison: objects that moved because their `place` refers to a changed object."""
+    """Add the objects that moved because their `place` refers to an object that changed."""
     old, new = lowered if lowered else ("", "")
     if isinstance(old, str) or isinstance(new, str):
         return comparison
@@ -99,7 +99,7 @@ def _label(side: Side | None) -> str:
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Return both scenes, or the reason why a scene cannot be shown; empty for other kinds of documents."""
+    """Return both scenes, or the reasons why they cannot be shown, or nothing for other kinds of documents."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()
@@ -162,7 +162,7 @@ def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
 
 
 def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
-    """Return the changed objects in the old or new scene, keyed by their names there, each with its CSS class."""
+    """Return the CSS class and the change for each changed object in the old or the new scene, by its name there."""
     out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":

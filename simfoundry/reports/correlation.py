@@ -1,4 +1,4 @@
-"""A scatter plot of simulated versus real success rates, with one point per policy and task, as in the paper."""
+"""A scatter plot of simulated versus real success rates, with one point for each policy and task."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATHS = {
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:
-    """Return an SVG of every series of agreements by name; colors encode the series, and markers encode the task."""
+    """Return a scatter plot of all series as SVG; colors represent the series, and markers represent the tasks."""
     tasks = list(dict.fromkeys(a.task for found in series.values() for a in found))
     marks = {task: list(PATHS)[k % len(PATHS)] for k, task in enumerate(tasks)}
     colors = {name: COLORS[k % len(COLORS)] for k, name in enumerate(series)}

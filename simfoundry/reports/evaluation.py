@@ -1,7 +1,4 @@
-"""The evaluation report: a page with conditions, success rates with intervals, initial states, failures, and videos.
-
-Videos are linked by relative paths.
-"""
+"""The evaluation report, a page with conditions, success rates, initial states, failures, and links to videos."""
 
 from __future__ import annotations
 
@@ -113,7 +110,7 @@ def _task_rows(named: Mapping[str, Mapping[str, ScoreRow]]) -> Iterator[RateRow]
 
 
 def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
-    """Yield table rows for all tasks combined, and for each of their steps."""
+    """Yield the table rows for all tasks combined and for each of their steps."""
     policies = _policies(pool.policy for pool in found)
     for name, here in by_title(found).items():
         tasks = max(len(pool.counts) for pool in here.values())
@@ -138,7 +135,7 @@ def _grids(records: Sequence[Record]) -> list[dict[str, Any]]:
 
 
 def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
-    """Return the grid of an object's initial positions, with x up and y to the left as seen from the arm."""
+    """Return the grid of an object's initial positions; x points up and y to the left, as seen from the robot."""
     here = [record for record in records if name in record["cells"]]
     region = here[0]["regions"][name]
     cells_ = [

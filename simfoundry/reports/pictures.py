@@ -96,7 +96,7 @@ def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
 
 
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
-    """Return the first chosen camera, scaled down if necessary; by default, a view of everything in the scenes."""
+    """Return the first chosen camera, scaled down if necessary, or a view of all objects if no camera is chosen."""
     camera = next((camera for camera in chosen if camera is not None), None)
     return _shrunk(camera) if camera is not None else _overview([scene for scene in scenes if scene.objects])
 
@@ -117,7 +117,7 @@ def _shrunk(camera: Camera) -> Camera:
 
 
 def _overview(scenes: list[Scene]) -> Camera:
-    """Return a three-quarter view of the objects that are not fixed, or of all objects if all are fixed."""
+    """Return a three-quarter view of the movable objects, or of all objects if none can move."""
     clouds = (np.concatenate([np.zeros((0, 3)), *(_corners(s, free) for s in scenes)]) for free in (True, False))
     cloud = next((points for points in clouds if len(points)), np.array([[-0.5] * 3, [0.5] * 3]))
     low, high = cloud.min(axis=0), cloud.max(axis=0)
@@ -192,7 +192,7 @@ class Label:
 
     @property
     def text(self) -> str:
-        """The name, truncated if it is long."""
+        """Return the name, truncated if it is long."""
         return self.name if len(self.name) <= LONGEST else f"{self.name[: LONGEST - 1]}…"
 
     def meets(self, other: Label) -> bool:
@@ -217,7 +217,7 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
 
 
 def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
-    """Yield candidate positions of a label inside the image, nearest first: above its object, then below."""
+    """Yield possible labels inside the image, nearest first; labels above the object come before labels below it."""
     height = (_LINE + _GAP) * FONT * aspect
     width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
     above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)

@@ -1,4 +1,4 @@
-"""Template rendering. All text is escaped, so names in documents cannot inject markup."""
+"""Render templates. All text is escaped, so names in documents cannot inject markup."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: Any) -> str:
-    """Render a template in ``reports/templates``; a missing template variable is an error."""
+    """Render a template from ``reports/templates``; a missing variable is an error."""
     return _environment().get_template(template).render(values)
 
 

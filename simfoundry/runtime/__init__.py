@@ -1,1 +1,1 @@
-"""Utilities for files, processes and optional packages, used by all other packages."""
+"""Utilities for files, processes, plug-ins and optional dependencies."""

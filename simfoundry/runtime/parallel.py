@@ -69,7 +69,6 @@ def _map_in_processes(
     size = max(1, min(MAX_CHUNK, len(inputs) // (4 * processes)))
     chunks = [inputs[k : k + size] for k in range(0, len(inputs), size)]
     found: dict[int, list[R]] = {}
-    done = 0
     pool = WorkerPool(min(processes, len(chunks)), Limits.shared(SILENCE_S, processes))
     try:
         for k, chunk in enumerate(chunks):
@@ -79,8 +78,7 @@ def _map_in_processes(
             if isinstance(result, WorkerError):
                 raise SimfoundryError(f"a worker process {result}; check whether the machine ran out of memory")
             found[k] = result
-            done += len(chunks[k])
-            progress(done)
+            progress(sum(map(len, found.values())))
     finally:
         pool.close()
     return [result for k in range(len(chunks)) for result in found[k]]

@@ -42,7 +42,7 @@ RELATIONS = {
 
 
 class PlaceError(Exception):
-    """An error for an infeasible placement; the message states the problem in numbers, and the hint suggests a fix."""
+    """Raised if a placement is infeasible; the message contains the relevant sizes, and the hint suggests a fix."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -168,7 +168,7 @@ class _Carrier:
     def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
         owner, _, link = name.partition(".")
         if owner not in placed:
-            raise PlaceError(f"`{owner}` is not placed itself", "place it without depending on this object")
+            raise PlaceError(f"`{owner}` is not placed itself", f"place `{owner}` without depending on this object")
         item = placed[owner]
         part = whole = _standing(item)
         number, X_WC = None, item.X_WO
@@ -264,7 +264,7 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
         spans = [" to ".join(map(_meters, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
         spot = ", ".join(map(_meters, xy))
         message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
-        return PlaceError(message, f"move it over `{carrier.name}`")
+        return PlaceError(message, f"move `{name}` over `{carrier.name}`")
     if where == "inside" and len(set(carrier.part.part)) == 1:
         message = f"`{name}` cannot be inside `{carrier.name}`, whose only collider is convex and has no cavity"
         hint = "use `on`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"

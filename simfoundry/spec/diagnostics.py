@@ -100,7 +100,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     Source lines are read from the file of the finding unless ``texts`` contains its content. With ``color``, the
     output contains terminal escape sequences.
     """
-    sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
+    sources = {file: _lines(text) for file, text in (texts or {}).items()}
 
     def paint(text: str, style: str) -> str:
         return f"\x1b[{_STYLES[style]}m{text}\x1b[0m" if color else text
@@ -110,8 +110,14 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
         place = printable(f"{d.file}:{d.line}:{d.column}" if d.line else d.file)
         label = paint(f"{d.severity}[{d.code}]", d.severity)
         lines = [f"{paint(place, 'place')}: {label} {paint(printable(d.message), 'message')}"]
-        text = _line_of(d, sources)
-        if text is not None:
+        if d.line and d.file not in sources:  # a file that could not be read may be a pipe or a device
+            try:
+                sources[d.file] = _lines(Path(d.file).read_text(encoding="utf-8", errors="replace"))
+            except OSError:
+                sources[d.file] = []
+        if 0 < d.line <= len(sources.get(d.file, ())):
+            # Every character must occupy one column, so that the caret is aligned.
+            text = "".join(c if c.isprintable() else " " for c in sources[d.file][d.line - 1])
             start = max(0, d.column - SHOWN)
             caret = " " * (d.column - 1 - start) + paint("^", d.severity)
             lines += [
@@ -133,19 +139,5 @@ def printable(line: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
-def _line_of(d: Diagnostic, sources: dict[str, list[str]]) -> str | None:
-    if not d.line:
-        return None
-    if d.file not in sources:
-        try:
-            text = Path(d.file).read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            text = ""
-        sources[d.file] = text.removeprefix("\ufeff").splitlines()
-    lines = sources[d.file]
-    return _single(lines[d.line - 1]) if d.line <= len(lines) else None
-
-
-def _single(line: str) -> str:
-    """Return a line in which every character occupies one column, so that the caret is aligned."""
-    return "".join(c if c.isprintable() else " " for c in line)
+def _lines(text: str) -> list[str]:
+    return text.removeprefix("\ufeff").splitlines()

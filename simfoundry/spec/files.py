@@ -40,7 +40,7 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
     The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
     """
     found = _ROBOT.match(reference)
-    return None if found is None else (found[1], found[2], found[3])
+    return found and (found[1], found[2], found[3])
 
 
 def located(reference: str, document: Path) -> Path:
@@ -84,21 +84,18 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
 
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
     if Path(reference).is_absolute() or not target.is_relative_to(root):
-        hint = (
-            f"files must be inside the project, {root}; copy it there and give a relative path{_or_mark(target, root)}"
-        )
-        raise FileError("SF204", f"`{reference}` is outside the project", hint)
+        hint = f"files must be inside the project, {root}; copy it there and give a relative path"
+        raise FileError("SF204", f"`{reference}` is outside the project", hint + _or_mark(target, root))
     if suffixes and not reference.lower().endswith(suffixes):
-        raise FileError(
-            "SF203", f"`{reference}` does not have a supported file type", f"supported: {', '.join(suffixes)}"
-        )
+        message = f"`{reference}` does not have a supported file type"
+        raise FileError("SF203", message, f"supported: {', '.join(suffixes)}")
     if target.is_file() or (not suffixes and target.is_dir()):
         return target
     folder = target.parent
-    if not folder.is_dir():
-        raise FileError("SF203", f"file `{reference}` does not exist", f"folder `{folder.name}` does not exist")
-    near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
-    hint = nearest(target.name, near) or f"folder `{folder.name}` does not contain any such file"
+    hint = f"folder `{folder.name}` does not exist"
+    if folder.is_dir():
+        near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
+        hint = nearest(target.name, near) or f"folder `{folder.name}` does not contain any such file"
     raise FileError("SF203", f"{'file' if suffixes else 'folder'} `{reference}` does not exist", hint)
 
 

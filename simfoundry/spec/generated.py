@@ -17,12 +17,12 @@ def generated() -> dict[str, str]:
     return {**files, "docs/reference.md": reference(), "docs/findings.md": findings_page()}
 
 
-def stale(root: Path) -> list[str]:
+def stale(root: Path) -> dict[str, str]:
     """Return the generated files below ``root`` that are missing or out of date."""
-    return [path for path, text in generated().items() if not _holds(root / path, text)]
+    return {path: text for path, text in generated().items() if not _is_current(root / path, text)}
 
 
-def _holds(path: Path, text: str) -> bool:
+def _is_current(path: Path, text: str) -> bool:
     return path.is_file() and path.read_bytes() == text.encode()
 
 
@@ -37,8 +37,8 @@ def main(arguments: list[str]) -> int:
         for path in differing:
             print(f"{path} does not match the models; run `make schemas`", file=sys.stderr)
         return 1 if differing else 0
-    for path in differing:
-        write_atomically(root / path, generated()[path].encode())
+    for path, text in differing.items():
+        write_atomically(root / path, text.encode())
         print(f"wrote {path}")
     return 0
 

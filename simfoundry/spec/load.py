@@ -218,7 +218,10 @@ class _Joining:
                 self.added[*path, key] = tuple(base.children)
             children[key] = self.join(children[key], node, (*path, key)) if key in children else node
             keys[key] = over.keys[key]
-        return _mapping(over, children, {key: keys[key] for key in children})
+        value = {key: child.value for key, child in children.items()}
+        weight = 1 + sum(child.weight for child in children.values())
+        places = {key: keys[key] for key in children}
+        return Node(value, over.line, over.column, children, places, "", weight, over.file)
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
         """Return the keys that ``key`` replaces; the result is empty for named mappings."""
@@ -233,12 +236,6 @@ class _Joining:
         similar = nearest(path[-1], there)
         hint = similar if similar.startswith("did you mean") else "remove the line"
         self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, ".".join(path), hint))
-
-
-def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, int]]) -> Node:
-    value = {key: child.value for key, child in children.items()}
-    weight = 1 + sum(child.weight for child in children.values())
-    return Node(value, like.line, like.column, children, keys, "", weight, like.file)
 
 
 def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:

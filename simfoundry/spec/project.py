@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from tempfile import gettempdir
 
@@ -81,24 +82,16 @@ class Project:
             return False
         parts, above = _parts(path, self.root), _parts(named, self.root)
         patterns = [[part for part in pattern.split("/") if part not in ("", ".")] for pattern in self.exclude]
-        return any(
-            _matches(parts[:count], pattern)
-            for pattern in patterns
-            for count in range(len(above) + 1, len(parts) + 1)
-            if pattern
-        )
+        inner = [parts[:count] for count in range(len(above) + 1, len(parts) + 1)]
+        return any(_matches(below, pattern) for pattern in filter(None, patterns) for below in inner)
 
 
 def find_project(path: Path) -> Project | None:
     """Find the project of a file or folder: the nearest parent with ``simfoundry.yaml``, or otherwise with ``.git``."""
     real = Path(os.path.realpath(path))  # unlike `Path.resolve`, it also works for cyclic symbolic links
     start = real if real.is_dir() else real.parent
-    folders = (start, *start.parents)
-    for mark in (MARKER, ".git"):
-        for folder in folders:
-            if (folder / mark).exists():
-                return Project(folder)
-    return None
+    marked = product((MARKER, ".git"), (start, *start.parents))
+    return next((Project(folder) for mark, folder in marked if (folder / mark).exists()), None)
 
 
 def project_root(path: Path) -> Path:
@@ -125,11 +118,9 @@ def common_project(*files: Path) -> Project:
     for file, folder in zip(files, folders, strict=True):
         inner = find_project(folder)
         if inner is not None and inner.root != project.root:
-            raise NoProjectError(
-                f"`{file}` belongs to the project {inner.root}, which does not contain "
-                f"{_listed(f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root))}; "
-                f"move all files into {inner.root}, or its {MARKER} to {project.root}"
-            )
+            others = [f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root)]
+            message = f"`{file}` belongs to the project {inner.root}, which does not contain {_listed(others)}"
+            raise NoProjectError(f"{message}; move all files into {inner.root}, or its {MARKER} to {project.root}")
     if not project.is_marked and len({*folders}) > 1 and _is_shared(project.root):
         raise NoProjectError(
             f"the closest folder that contains {_listed(files)} is {project.root}, "

@@ -23,8 +23,7 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
     artifact, profile = target_files(scene, target), target.profile
     # The loader restores some losses of the backend, but not what lowering omitted.
     absent = {part.path for part in scene.left_out}
-    combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
-    restated = profile.restores.keys() | combined | profile.gaps.keys()
+    restated = profile.restored | profile.gaps.keys()
     left = [loss for loss in artifact.losses if loss.element in absent or loss.feature not in restated]
     gaps = [
         Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
@@ -36,7 +35,7 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
 
 def target_files(scene: Scene, target: Target) -> Artifact:
     """Compile the files for ``target``, including only the backend's losses."""
-    artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
+    artifact = replace(compile_scene(scene, target.backend, target.profile.options), target=target.name)
     files = dict(artifact.files)
     if target.loader is not None:
         files = {path: data for path, data in files.items() if not path.startswith("load_")}
@@ -60,21 +59,13 @@ RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
 def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
     """Yield one loss each for friction and restitution, based on the pair in the scene with the largest error."""
     for field in ("friction", "restitution"):
-        rule = getattr(combines, field)
-        worst = None if rule is None else _worst(scene, field, RULES[rule][1])
-        if worst is not None:
-            a, b, meant, got = worst
-            reason = combination_reason(simulator, RULES[rule][0], a, b, got, meant)
-            yield approximate(field, "", reason, abs(got - meant))
-
-
-def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:
-    """Return the pair of coefficients with the largest error, followed by the intended and the actual combined value.
-
-    Returns None if the two combined values never differ.
-    """
-    values = {(o.name, float(getattr(c, field))) for o in scene.objects for link in o.links for c in link.colliders}
-    met = {(a, b) if a <= b else (b, a) for (one, a), (two, b) in combinations(sorted(values), 2) if one != two}
-    pairs = [(a, b, math.sqrt(a * b), rule(a, b)) for a, b in sorted(met)]
-    off = [p for p in pairs if abs(p[3] - p[2]) > 1e-9]
-    return max(off, key=lambda p: abs(p[3] - p[2]), default=None)
+        if getattr(combines, field) is None:
+            continue
+        words, rule = RULES[getattr(combines, field)]
+        values = {(o.name, float(getattr(c, field))) for o in scene.objects for link in o.links for c in link.colliders}
+        met = {(a, b) if a <= b else (b, a) for (one, a), (two, b) in combinations(sorted(values), 2) if one != two}
+        pairs = [(a, b, rule(a, b), math.sqrt(a * b)) for a, b in sorted(met)]
+        a, b, got, wanted = max(pairs, key=lambda pair: abs(pair[2] - pair[3]), default=(0.0, 0.0, 0.0, 0.0))
+        if abs(got - wanted) > 1e-9:
+            reason = combination_reason(simulator, words, a, b, got, wanted)
+            yield approximate(field, "", reason, abs(got - wanted))

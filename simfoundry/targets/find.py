@@ -50,11 +50,6 @@ class Target:
         return self.profile.backend
 
     @property
-    def options(self) -> Mapping[str, float | bool | str]:
-        """The options passed to the backend."""
-        return self.profile.options
-
-    @property
     def loader(self) -> Path | None:
         """The target's own ``load.py``, or None if builds use the backend's loader."""
         if self.folder is None or self.name == self.backend:

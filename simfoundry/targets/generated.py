@@ -22,11 +22,9 @@ def cells_of(target: Target) -> dict[str, SupportCell]:
     profile = target.profile
     for name, how in profile.restores.items():
         cells[name] = SupportCell(None, how)
-    for name in ("friction", "restitution"):
-        rule = getattr(profile.combines, name)
-        if rule is not None:
-            reason = f"uses {RULES[rule][0]} of a pair; exact if both values are equal"
-            cells[name] = SupportCell(Fidelity.APPROXIMATED, reason)
+    for name, rule in profile.combines.model_dump(exclude_none=True).items():
+        reason = f"uses {RULES[rule][0]} of a pair; exact if both values are equal"
+        cells[name] = SupportCell(Fidelity.APPROXIMATED, reason)
     for name, gap in profile.gaps.items():
         cells[name] = SupportCell(Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
     return cells

@@ -124,3 +124,8 @@ class TargetSpec(Model):
     world: ClassPath | None = Field(
         None, description="The `World` class as `module:Class`, if the simulator can run rollouts and settling."
     )
+
+    @property
+    def restored(self) -> frozenset[str]:
+        """The features that the loader restores, and those for which the simulator has its own combination rule."""
+        return frozenset(self.restores.keys() | self.combines.model_dump(exclude_none=True).keys())

@@ -1,4 +1,4 @@
-"""Additional files that some simulators require besides those of a backend.
+"""Additional files that some simulators require besides the files of a backend.
 
 For example, OmniGibson reads a scene JSON that references one USD file per object.
 """
@@ -40,7 +40,7 @@ def scene_json(scene: Scene) -> bytes:
     return (json.dumps(data, indent=2) + "\n").encode()
 
 
-def _constructor(module: str, name: str, arguments: dict[str, object]) -> dict[str, object]:
+def _constructor(module: str, name: str, arguments: Mapping[str, object]) -> dict[str, object]:
     return {"class_module": f"omnigibson.{module}", "class_name": name, "args": arguments}
 
 

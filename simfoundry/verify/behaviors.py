@@ -51,7 +51,7 @@ class Behavior:
 # Friction coefficients for which any other combination rule changes the slip angle by at least 2.5 degrees.
 MU_BOX, MU_RAMP = 0.3, 0.8
 _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
-# Minimum distance that a slipping box moves in one second [m], which it reaches 0.1 degrees above the slip angle.
+# Distance [m] that a box must move in one second to count as slipping, which happens 0.1 degrees above the slip angle.
 _SLID_M = 0.01
 
 _SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
@@ -84,7 +84,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the boxes that slipped during the last second; they settle before that."""
+    """Return a mask of the boxes that slipped during the last second; the boxes settle before the last second."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -132,19 +132,15 @@ def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def rebound() -> Measurement:
-    """Measure the ratio of a ball's speeds after and before its first bounce, computed from its heights."""
+    """Measure the ratio of a ball's speed after its first bounce to its speed before, computed from its heights."""
     ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
     floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
     moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
     heights = np.array([m.pose("ball").p[2] - 0.03 for m in moments])
-    lowest = int(np.argmin(heights[: _after_impact(moments)]))
+    # The ball falls by 0.5 m, and the impact is over 50 ms later.
+    after_impact = math.sqrt(2 * 0.5 / rigs.GRAVITY) + 0.05
+    lowest = int(np.argmin(heights[: next(k for k, m in enumerate(moments) if m.time > after_impact)]))
     return float(math.sqrt(max(0.0, heights[lowest:].max()) / heights[0]))
-
-
-def _after_impact(moments: Moments) -> int:
-    """Return the index of the sample 50 ms after the ball's expected impact."""
-    impact = math.sqrt(2 * 0.5 / rigs.GRAVITY)
-    return next(k for k, m in enumerate(moments) if m.time > impact + 0.05)
 
 
 def limit_holds() -> Measurement:
@@ -154,7 +150,7 @@ def limit_holds() -> Measurement:
 
 
 def friction_holds() -> Measurement:
-    """Measure the distance that a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N [mm]."""
+    """Measure how far a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N [mm]."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
@@ -186,7 +182,7 @@ def drive_holds() -> Measurement:
 
 
 def follower_keeps() -> Measurement:
-    """Measure the ratio between the travel of a follower and of its falling leader, which should be 2."""
+    """Measure the ratio of a follower's travel to the travel of its falling leader, which should be 2."""
     moments = yield Trial(rigs.scene_of("gear", rigs.geared(2.0)), Run(0.5, 0.1))
     last = moments[-1].joints
     if abs(last["gear.leader"]) < 0.01:
@@ -195,7 +191,7 @@ def follower_keeps() -> Measurement:
 
 
 def passes_through() -> Measurement:
-    """Measure the extra distance that a box falls by passing through a shelf, as a ratio to a free fall of 0.3 s."""
+    """Measure how much farther a box falls if it passes through a shelf, relative to a free fall of 0.3 s."""
     shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
     boxes = [
         rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))
@@ -228,9 +224,8 @@ def settled_position() -> Measurement:
     """Measure the largest position error of four objects after a fall of 5 mm [mm]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
-    last = moments[-1]
-    off = [last.pose(n).p - [*scene.object(n).X_WO.p[:2], z] for n, z in _RESTING.items()]
-    return float(max(np.linalg.norm(d) for d in off)) * 1000
+    off = [moments[-1].pose(n).p - [*scene.object(n).X_WO.p[:2], z] for n, z in _RESTING.items()]
+    return float(np.linalg.norm(off, axis=1).max()) * 1000
 
 
 def settled_rotation() -> Measurement:

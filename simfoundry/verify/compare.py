@@ -30,8 +30,8 @@ FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "la
     **{"armature": 1e-4, "joint position": 1.0},
 }
 
-# Maximum deviation of an approximated collision shape from the scene's [m], which allows for Bullet's margin at both
-# ends and at a corner.
+# Maximum deviation of an approximated collision shape from the shape in the scene [m], which allows for Bullet's margin
+# at both ends and at a corner.
 SKIN_M = 2.5e-3
 
 # Quantities that must be present even if the entire object is approximated.
@@ -91,7 +91,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of compared quantities, the unexplained and explained differences, and any stale losses."""
+    """The number of compared quantities, the unexplained differences, the explained differences, and stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -100,7 +100,7 @@ class ReadbackComparison:
 
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
-    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target it was read from."""
+    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target whose build was read."""
     # Converting a robot does not explain differences in the compared quantities. Nor do colliders that are simpler than
     # the visuals, because the comparison uses the scene's colliders.
     lost = [
@@ -121,7 +121,8 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
     used = frozenset[tuple[str, str]]().union(*(keys for _, keys in checker.found))
     # A loss is stale if its element was compared and the loss did not cause a difference.
     seen = checker.checked - checker.untold - used
-    stale = [lo.path for lo in lost if lo.element and _key(lo) in seen and lo.feature not in engine.restored]
+    restored = engine.target.profile.restored
+    stale = [lo.path for lo in lost if lo.element and _key(lo) in seen and lo.feature not in restored]
     mismatches, covered = (tuple(d for d in found if bool(d.covered) == known) for known in (False, True))
     return ReadbackComparison(checker.compared, mismatches, covered, tuple(stale))
 
@@ -330,7 +331,7 @@ def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadb
 
 
 def _tip(scene: Scene, name: str) -> float:
-    """Return the distance [m] by which a convex mesh's tips move if all faces are inset by Bullet's margin.
+    """Return how far [m] the tips of a convex mesh move if all faces are moved inward by Bullet's margin.
 
     Sharper tips move farther.
     """
@@ -347,7 +348,7 @@ def _tip(scene: Scene, name: str) -> float:
 
 
 def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
-    """Return true if a coefficient can represent its link because it is in the range of the link's coefficients."""
+    """Return true if a coefficient that applies to a whole link is within the range of the link's coefficients."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]

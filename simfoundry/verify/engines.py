@@ -73,13 +73,6 @@ class VerifyEngine:
         beside = build / f"load_{self.target.name}.py"
         return EngineJob(build, run, beside if beside.is_file() else own)
 
-    @property
-    def restored(self) -> frozenset[str]:
-        """The features that are dropped by the target's format but restored by the loader for this engine."""
-        profile = self.target.profile
-        combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
-        return frozenset(profile.restores.keys() | combined)
-
     def tolerance(self, quantity: str) -> float:
         """Return the maximum relative error for a quantity that is read back."""
         stated = self.target.profile.tolerances
@@ -158,7 +151,7 @@ def find_installed(
 
 @cache
 def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions of the given modules in an interpreter, or nothing if it does not start."""
+    """Return the versions of the given modules in an interpreter, or an empty mapping if it does not start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

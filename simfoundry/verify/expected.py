@@ -94,7 +94,7 @@ def _joint(item: SceneObject, joint: Joint) -> JointReadback:
 
 
 def _silent(scene: Scene) -> Iterator[str]:
-    """Yield the pairs of links whose collisions are disabled: those listed in the spec, and neighboring links."""
+    """Yield the pairs of links whose collisions are disabled: pairs listed in the spec, and neighboring links."""
     static = static_links(scene)
     felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
     pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in excluded_link_pairs(o)]

@@ -121,7 +121,7 @@ def ask(
 
 
 def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: float) -> Iterator[EngineAnswer]:
-    """Yield the answers from one process, up to and including the first job for which it failed."""
+    """Yield the answers from one process, up to and including the first job that failed in it."""
     with tempfile.TemporaryFile() as log:
         serve = command(python, str(readback.resolve()))
         process = subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -178,7 +178,7 @@ def _how_it_ended(process: subprocess.Popen[str]) -> str:
 
 
 def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
-    """Return the answer for an engine that failed, including the last line it printed."""
+    """Return the answer for an engine that failed, including the last line of its output."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
     last = f"; its last output was: {said[-1][:200]}" if said else ""

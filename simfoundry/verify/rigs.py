@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array, Pose, frozen_array, quat_from_rpy
-from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Primitive, Sphere
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Primitive, Sphere
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 
-# m/s^2, downward.
+# Gravitational acceleration [m/s^2], downward.
 GRAVITY = 9.81
 
 _GRAY = frozen_array([0.6, 0.6, 0.65, 1.0])
@@ -33,7 +33,7 @@ def solid(
     name: str, shape: Primitive, X_WO: Pose, mass: float = 0.2, friction: float = 0.5, restitution: float = 0.0,
     fixed: bool = False,
 ) -> SceneObject:  # fmt: skip
-    """Return an object that consists of one primitive with uniform density, located at the object's frame."""
+    """Return an object that consists of a single primitive with uniform density, centered on the object's frame."""
     link = _link("body", mass, moments(shape, mass), np.zeros(3), shape, friction, restitution)
     return SceneObject(name, name, fixed, X_WO, (link,))
 
@@ -61,7 +61,7 @@ def lopsided(name: str, X_WO: Pose) -> SceneObject:
     """Return a ball with an eccentric center of mass and a non-diagonal inertia."""
     turn = posed(0, 0, 0, 0.4, -0.3, 0.9).rotation
     inertia = turn @ np.diag([2e-4, 3e-4, 4e-4]) @ turn.T
-    link = _link("body", 0.4, inertia, np.array([0.02, -0.01, 0.03]), Sphere(0.05), 0.5, 0.0)
+    link = _link("body", 0.4, inertia, np.array([0.02, -0.01, 0.03]), Sphere(0.05))
     return SceneObject(name, name, False, X_WO, (link,))
 
 
@@ -71,16 +71,13 @@ def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
     vertices = np.array([[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]) - [x / 3, y / 2, 0.0]
     faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
     mesh = Mesh(frozen_array(vertices), np.array(faces, dtype=np.int32))
-    inertia = np.diag([2e-4, 2.6e-4, 3.6e-4])
-    link = Link(
-        "body", 0.24, frozen_array([0.0, 0.0, z / 3]), frozen_array(inertia),
-        (Visual("shape", mesh, _BLUE),), (Collider("shape", mesh, friction, 0.0),),
-    )  # fmt: skip
+    inertia = np.array([2e-4, 2.6e-4, 3.6e-4])
+    link = _link("body", 0.24, inertia, np.array([0.0, 0.0, z / 3]), mesh, friction, rgba=_BLUE)
     return SceneObject(name, name, False, X_WO, (link,))
 
 
 def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
-    """Return a scene with several fixed ramps side by side along y and a box on each; sliding boxes move toward -x."""
+    """Return a scene with fixed ramps side by side along y, and a box on each ramp; sliding boxes move toward -x."""
     objects = []
     for k, angle in enumerate(degrees):
         X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))
@@ -96,12 +93,8 @@ def jointed(
 ) -> SceneObject:  # fmt: skip
     """Return a mount fixed to the world with a movable bob; ``bob`` contains its mass, center of mass and inertia."""
     mass, com, inertia = bob
-    mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04), 0.5, 0.0)
-    shape = box(0.03, 0.03, 0.03)
-    moving = Link(
-        "bob", mass, frozen_array(com), frozen_array(inertia),
-        (Visual("shape", shape, _BLUE, Pose.of(com)),), (Collider("shape", shape, 0.5, 0.0, Pose.of(com)),),
-    )  # fmt: skip
+    mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04))
+    moving = _link("bob", mass, inertia, com, box(0.03, 0.03, 0.03), X_LG=Pose.of(com), rgba=_BLUE)
     joint = Joint(
         "joint", kind, "mount", "bob", Pose.of([0.0, 0.0, 0.0]), frozen_array(axis), limits,
         damping=damping, friction=friction, position=position,
@@ -113,7 +106,7 @@ def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
     """Return a physical pendulum of 0.5 kg, 0.4 m below a hinge along y, deflected by ``amplitude`` [rad]."""
     mass, length = 0.5, 0.4
     inertia = moments(box(0.05, 0.07, 0.09), mass)
-    bob = (mass, np.array([0.0, 0.0, -length]), np.diag(inertia))
+    bob = (mass, np.array([0.0, 0.0, -length]), inertia)
     return jointed("pendulum", JointType.REVOLUTE, [0, 1, 0], bob, posed(0.1, -0.2, 1.0, yaw=0.7), (-1.5, 1.5),
                    damping=damping, position=amplitude)  # fmt: skip
 
@@ -125,18 +118,21 @@ def pendulum_constants() -> tuple[float, float]:
     return about_com + mass * length**2, mass * GRAVITY * length
 
 
+# The mass [kg], center of mass [m] and principal moments of inertia [kg m^2] of the weight on a slider.
+_WEIGHT = (1.0, np.array([0.0, 0.0, -0.1]), moments(box(0.05, 0.05, 0.05), 1.0))
+
+
 def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, drive: Drive | None = None) -> SceneObject:
     """Return a vertical slider of 1 kg that can fall by ``travel`` [m] from its upper end; its axis points down."""
-    bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
-    item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
+    item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], _WEIGHT, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
                    damping=damping, friction=friction)  # fmt: skip
     return replace(item, joints=(replace(item.joints[0], drive=drive),))
 
 
 def geared(multiplier: float) -> SceneObject:
     """Return two weights that slide down in parallel; the ``follower`` moves ``multiplier`` times as far."""
-    bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
-    one = jointed("gear", JointType.PRISMATIC, [0, 0, -1], bob, posed(0, 0, 10.0, yaw=0.4), (-0.2, 3.0), damping=5.0)
+    X_WO = posed(0, 0, 10.0, yaw=0.4)
+    one = jointed("gear", JointType.PRISMATIC, [0, 0, -1], _WEIGHT, X_WO, (-0.2, 3.0), damping=5.0)
     (mount, moving), (joint,) = one.links, one.joints
     side = Pose.of([0.2, 0.0, 0.0])
     leader = replace(joint, name="leader")
@@ -146,10 +142,10 @@ def geared(multiplier: float) -> SceneObject:
 
 
 def _link(
-    name: str, mass: float, inertia: Array, com: Array, shape: Primitive, friction: float, restitution: float
-) -> Link:
+    name: str, mass: float, inertia: Array, com: Array, shape: Geometry, friction: float = 0.5,
+    restitution: float = 0.0, X_LG: Pose = IDENTITY, rgba: Array = _GRAY,
+) -> Link:  # fmt: skip
+    """Return a link with a single shape; ``inertia`` contains the principal moments or the whole tensor."""
     tensor = np.diag(inertia) if np.ndim(inertia) == 1 else (inertia + inertia.T) / 2
-    return Link(
-        name, mass, frozen_array(com), frozen_array(tensor),
-        (Visual("shape", shape, _GRAY),), (Collider("shape", shape, friction, restitution),),
-    )  # fmt: skip
+    visual, collider = Visual("shape", shape, rgba, X_LG), Collider("shape", shape, friction, restitution, X_LG)
+    return Link(name, mass, frozen_array(com), frozen_array(tensor), (visual,), (collider,))

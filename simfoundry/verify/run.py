@@ -236,7 +236,7 @@ class RestResult:
 
 @dataclass(frozen=True)
 class _Place:
-    """The resting pose of an object or the resting position of a joint: a point [m], and a rotation or angle [rad]."""
+    """The resting state of an object or a joint: a point [m], and a rotation as a quaternion or an angle [rad]."""
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None
@@ -292,9 +292,8 @@ def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[R
 
 def _things(scene: Scene) -> list[str]:
     """Return the names of the free objects and of the joints with exactly one degree of freedom."""
-    one = (JointType.REVOLUTE, JointType.CONTINUOUS, JointType.PRISMATIC)
     free = [o.name for o in scene.objects if not o.fixed]
-    return free + [f"{o.name}.{j.name}" for o in scene.objects for j in o.joints if j.type in one]
+    return free + [f"{o.name}.{j.name}" for o in scene.objects for j in o.joints if j.has_axis]
 
 
 def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
@@ -305,12 +304,9 @@ def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
             ball = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
             pose = end.poses[item.name]
             places[item.name] = _Place(pose[:3], None if ball else pose[3:])
-        for joint in item.joints:
-            name = f"{item.name}.{joint.name}"
-            if joint.type is JointType.PRISMATIC:
-                places[name] = _Place((end.joints[name],))
-            elif name in end.joints:
-                places[name] = _Place((0.0,), angle=end.joints[name])
+        for joint in (joint for joint in item.joints if joint.has_axis):
+            name, slides = f"{item.name}.{joint.name}", joint.type is JointType.PRISMATIC
+            places[name] = _Place((end.joints[name],)) if slides else _Place((0.0,), angle=end.joints[name])
     return places
 
 

@@ -45,7 +45,7 @@ def _table(corner: str, engines: Iterable[str], cells: Mapping[tuple[str, str], 
 
 
 def measured_cell(measured: BehaviorResult) -> str:
-    """Return the measured value, marked if it has a known deviation or is incorrect."""
+    """Return the measured value, followed by a star for a known deviation or ``(!)`` for an incorrect value."""
     if measured.value is None:
         return "failed"
     marks = {ProofStatus.OK: "", ProofStatus.KNOWN: " *", ProofStatus.MISMATCH: " (!)"}
@@ -84,25 +84,18 @@ def details(
     """Return a line for every failure and every unexplained difference."""
     lines: list[str] = []
     for reading in readings:
-        where = f"{reading.subject} in {reading.engine}"
-        if reading.comparison is None:
-            lines.append(f"{where}: {reading.error}")
-            continue
-        wrong = reading.comparison.mismatches
-        lines += [f"{where}: {difference_line(d)}" for d in wrong[:SHOWN]]
+        where, found = f"{reading.subject} in {reading.engine}", reading.comparison
+        wrong = [reading.error] if found is None else [difference_line(d) for d in found.mismatches]
+        lines += [f"{where}: {line}" for line in wrong[:SHOWN]]
         if len(wrong) > SHOWN:
             lines.append(f"{where}: and {len(wrong) - SHOWN} more")
     for m in results:
-        if m.verdict is ProofStatus.FAILED:
-            lines.append(f"{m.behavior} in {m.engine}: {m.error}")
-        elif m.verdict is ProofStatus.MISMATCH:
-            lines.append(f"{m.behavior} in {m.engine}: {m.value:.5g} is outside the tolerance")
+        if m.verdict in (ProofStatus.FAILED, ProofStatus.MISMATCH):
+            lines.append(f"{m.behavior} in {m.engine}: {m.error or f'{m.value:.5g} is outside the tolerance'}")
     for r in rested:
-        if r.verdict is ProofStatus.FAILED:
-            lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
-        elif r.verdict is ProofStatus.MISMATCH:
+        if r.verdict in (ProofStatus.FAILED, ProofStatus.MISMATCH):
             away = f"{r.mm:.2f} mm and {r.deg:.2f} deg away from its state in the other engines"
-            lines.append(f"{r.subject} left alone in {r.engine}: {r.worst} ends {away}")
+            lines.append(f"{r.subject} left alone in {r.engine}: {r.error or f'{r.worst} ends {away}'}")
     return lines
 
 

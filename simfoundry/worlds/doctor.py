@@ -111,9 +111,9 @@ def _models() -> Iterator[Part]:
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """Return the version of a package, and the error if it is installed but cannot be imported.
+    """Return the version of a package, and a note about the error if the package is installed but fails to import.
 
-    The version is empty if the package cannot be imported.
+    The version is empty if the package cannot be imported, and the note is empty if there is no such error.
     """
     from simfoundry.worlds.pybullet_world import quiet_native_output
 

@@ -158,7 +158,7 @@ class MujocoWorld(World):
         return renderer.picture(self.data, view)
 
     def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
-        """Return the renderer for small or for large images, each of which supports all sizes requested so far.
+        """Return the renderer for small or for large images. Each renderer supports all sizes requested so far.
 
         Creating a renderer uploads all meshes and textures, which takes as long as rendering dozens of images. A new
         renderer therefore also supports the previous sizes; otherwise, two alternating sizes would cause a new renderer
@@ -202,7 +202,7 @@ class MujocoWorld(World):
 
 
 class _Moving:
-    """The velocity indices of a movable object: the first of six for each ``free`` body, and those of other joints."""
+    """The indices of a movable object's velocities: the first of six indices per free body, and those of its joints."""
 
     def __init__(self, model: mujoco.MjModel, item: SceneObject) -> None:
         self.name, self._reach = item.name, reach(item)

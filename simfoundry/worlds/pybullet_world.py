@@ -220,20 +220,19 @@ class PybulletWorld(World):
 def quiet_native_output() -> Iterator[None]:
     """Discard the output of native code, because PyBullet prints a banner to stderr and warnings to stdout."""
     libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
-    flush = (sys.stdout.flush, sys.stderr.flush, partial(libc.fflush, None))
-    for each in flush:
-        each()
-    saved = os.dup(1), os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+
+    def redirect(*descriptors: int) -> None:
+        for flush in (sys.stdout.flush, sys.stderr.flush, partial(libc.fflush, None)):
+            flush()  # otherwise, buffered output would be written to the new streams
+        for stream, descriptor in enumerate(descriptors, 1):
+            os.dup2(descriptor, stream)
+
+    nowhere, saved = os.open(os.devnull, os.O_WRONLY), (os.dup(1), os.dup(2))
     try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
+        redirect(nowhere, nowhere)
         yield
     finally:
-        for each in flush:  # otherwise, C's buffers would be written to the restored streams later
-            each()
-        os.dup2(saved[0], 1)
-        os.dup2(saved[1], 2)
+        redirect(*saved)
         for descriptor in (*saved, nowhere):
             os.close(descriptor)
 
@@ -320,16 +319,14 @@ class PybulletRobotHandle(WorldRobot):
         if link not in self._links:
             raise KeyError(f"robot {self._name!r} has no link {link!r}; available links: {', '.join(self._links)}")
         X_LF = Pose.of(known["p"], known["q_wxyz"]) if known is not None else Pose.of()
-        return self._link_pose(self._links[link]) @ X_LF
-
-    def _link_pose(self, index: int) -> Pose:
-        p, q = self._call("getDynamicsInfo", self._body, index)[3:5]
-        X_LI = Pose.of(p, from_xyzw(q))
+        index = self._links[link]
         if index == BASE:
             p, q = self._call("getBasePositionAndOrientation", self._body)
         else:
             p, q = self._call("getLinkState", self._body, index, computeForwardKinematics=True)[:2]
-        return Pose.of(p, from_xyzw(q)) @ X_LI.inverse()
+        inertial = self._call("getDynamicsInfo", self._body, index)[3:5]
+        X_LI = Pose.of(inertial[0], from_xyzw(inertial[1]))
+        return Pose.of(p, from_xyzw(q)) @ X_LI.inverse() @ X_LF
 
     @property
     def moving(self) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ def render(scene: Scene, camera: Camera, state: SceneState | None = None, engine
         RenderError: If the engine does not work on this system.
     """
     chosen = choose_engine(engine)
-    _LOG.info("drawing %s/%s with %s", scene.name, camera.name, chosen)
+    _LOG.info("rendering %s/%s with %s", scene.name, camera.name, chosen)
     if chosen is Engine.RAYCAST:
         return raycast(scene, camera, state, samples=2).color
     with MujocoWorld(scene) as world:

@@ -19,7 +19,7 @@ from simfoundry.worlds.base import Contact, World
 # Minimum upward component of the contact normal for a contact that supports an object.
 UPWARD = 0.5
 
-# Minimum upward component for an object without such a contact, for example one held between a container's walls.
+# Minimum upward component if an object has no such contact, for example because it is held between a container's walls.
 STEEP = 0.02
 
 # Tilt for the stability test [deg], which is at most the slope of real shelves and tables.
@@ -28,7 +28,7 @@ NUDGE_DEG = 0.5
 # Time for a nudged object to fall [s], which is longer than a pencil balanced on its tip needs.
 NUDGE_S = 1.5
 
-# Fraction of its height above the object's lowest point by which a center of mass must drop to count as toppling.
+# An object topples if its center of mass drops by this fraction of the center's height above the object's lowest point.
 TOPPLED = 0.1
 
 # Horizontal distance from the center of mass [m] within which contacts do not stabilize an object.
@@ -43,7 +43,7 @@ def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tu
 
 
 def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
-    """Return an object's center of mass in the world [m], shape (3,), at the scene's joint positions."""
+    """Return an object's center of mass in the world frame [m], shape (3,), at the joint positions in the scene."""
     poses = link_poses(item)
     masses = np.array([link.mass for link in item.links])
     centers = np.array([poses[link.name].apply(link.com) for link in item.links])
@@ -165,10 +165,10 @@ def tilt_deg(before: Pose, after: Pose) -> float:
 
 
 def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
-    """Return true if a ball released at rest moved by at most its diameter, as if confined by a bowl.
+    """Return true if a ball that was released at rest moved by at most its diameter, like a ball in a bowl.
 
     Without rolling resistance, a height difference of only 0.1 mm keeps a ball in a bowl moving. On an open slope of
-    just 0.1 degrees, it rolls several times as far.
+    just 0.1 degrees, a ball rolls several times as far.
     """
     radius = ball_radius(item)
     return radius is not None and float(np.linalg.norm(after.p - before.p)) <= 2 * radius

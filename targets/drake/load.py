@@ -101,7 +101,7 @@ def source_name(plant: MultibodyPlant, model: ModelInstanceIndex) -> str:
 
 
 def desired(plant: MultibodyPlant, model: ModelInstanceIndex, targets: dict[str, float]) -> np.ndarray:
-    """Return the desired positions, then velocities, of all actuators in a model, even those without a controller."""
+    """Return the desired positions of all actuators in a model, followed by their desired velocities (zero)."""
     names = actuated(plant, model)
     return np.array([targets.get(name, 0.0) for name in names] + [0.0] * len(names))
 
@@ -112,7 +112,7 @@ def actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
 
 
 def add_motor(plant: MultibodyPlant, joint: Joint, drive: dict[str, float]) -> None:
-    """Add a motor that acts as a spring and damper toward the joint's target, up to its force limit."""
+    """Add a motor that pulls the joint toward its target like a spring and damper, up to the force limit."""
     actuator = actuator_of(plant, joint)
     actuator.set_effort_limit(drive.get("force_limit", np.inf))
     actuator.set_controller_gains(PdControllerGains(p=max(drive["stiffness"], LEAST), d=drive["damping"]))
@@ -174,7 +174,7 @@ def load_object(
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])
         armature = physics["joints"][name]["armature"] if physics else 0.0
-        if armature > 0:  # rotor inertia, including joints without a motor
+        if armature > 0:  # joints without a motor can have rotor inertia as well
             rotor = actuator_of(plant, joint)
             rotor.set_default_rotor_inertia(armature)
             rotor.set_default_gear_ratio(1.0)
@@ -182,7 +182,7 @@ def load_object(
 
 
 def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
-    """Exclude collisions between the links of each pair; a link is given by its model and name."""
+    """Exclude collisions between the two links in each pair; each link is given by its model and name."""
     filtered = CollisionFilterDeclaration()
     for pair in pairs:
         bodies = (plant.GetBodyByName(link, model) for model, link in pair)

@@ -26,7 +26,7 @@ FAR = 1e9
 """The force limit that represents an unlimited motor [N or N m]."""
 
 STIFF = (0.01, 1.0, 0.999, 0.999, 0.001, 0.5, 2.0)
-"""Stiffness of joint constraints, in the form of MuJoCo's solref and solimp. With Genesis' default, a drawer held by
+"""Stiffness of joint constraints, specified like MuJoCo's solref and solimp. With Genesis' default, a drawer held by
 friction creeps at 5 mm/s."""
 
 PAIRS = 4096
@@ -35,7 +35,7 @@ each other."""
 
 
 def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP) -> tuple[Any, dict[str, Any]]:
-    """Load all objects, build the scene and set its initial state, after calling ``gs.init`` if necessary."""
+    """Call ``gs.init`` if necessary, load all objects, build the scene, and set its initial state."""
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="warning")
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
@@ -43,7 +43,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
     scene = gs.Scene(
         sim_options=gs.options.SimOptions(dt=time_step, gravity=tuple(physics["gravity"])),
         rigid_options=gs.options.RigidOptions(
-            friction_cone=gs.friction_cone.elliptic,  # with a pyramidal cone, boxes slip too early between its axes
+            friction_cone=gs.friction_cone.elliptic,  # with a pyramidal cone, boxes slip too early in some directions
             impratio=10.0,  # tangential stiffness that preserves Coulomb's law
             integrator=gs.integrator.implicitfast,
             max_collision_pairs=PAIRS,
@@ -68,7 +68,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
 
 
 def add_object(scene: Any, item: dict[str, Any]) -> Any:
-    """Add one object at its pose, without decomposing its meshes, which are already convex, or merging its links."""
+    """Add one object at its pose. Links are not merged, and meshes are not decomposed because they are convex."""
     morph = gs.morphs.URDF(
         file=str(HERE / item["urdf"]),
         pos=tuple(item["p"]),
@@ -85,7 +85,7 @@ def add_object(scene: Any, item: dict[str, Any]) -> Any:
 
 
 def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
-    """Configure a motor that acts as a spring and damper toward the joint's target, up to its force limit."""
+    """Configure a motor that pulls the joint toward its target like a spring and damper, up to the force limit."""
     dofs = entity.get_joint(joint).dofs_idx_local
     limit = drive.get("force_limit", FAR)
     entity.set_dofs_kp([drive["stiffness"]], dofs)

@@ -35,7 +35,7 @@ class GenesisSession(rb.Session):
         }
 
     def step(self) -> None:
-        """One step."""
+        """Advance by one step."""
         self.scene.step()
 
     def moment(self, time: float) -> rb.Moment:
@@ -84,7 +84,7 @@ def _position(entity: Any, joint: Any) -> float:
 
 
 def _joint(entity: Any, joint: Any) -> rb.JointReadback:
-    """Return the values of a joint; all joints have gains, so a motor is reported only if it has a position target."""
+    """Return the values of a joint. All joints have gains, so a motor is reported only if it has a position target."""
     dofs = joint.dofs_idx_local
     low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
     one = {

@@ -1,4 +1,4 @@
-"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` with a clone in each environment.
+"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` that clones it per environment.
 
 Start the app first (``AppLauncher``), then:
 
@@ -23,7 +23,7 @@ ROOT = "{ENV_REGEX_NS}/World"
 
 
 def description() -> dict[str, Any]:
-    """Read ``objects.json``, which contains gravity, and the objects with their prims."""
+    """Read ``objects.json``, which contains the gravity and the objects with their prims."""
     found: dict[str, Any] = json.loads((HERE / "objects.json").read_text(encoding="utf-8"))
     return found
 

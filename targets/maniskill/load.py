@@ -32,7 +32,7 @@ FAR = 3.4e38
 
 @register_env("SimFoundryScene-v1", max_episode_steps=600)
 class SceneEnv(BaseEnv):
-    """The scene without a task, so there is no success or reward; each reset moves objects to their initial poses."""
+    """The scene without a task, success or reward. Each reset moves the objects to their initial poses."""
 
     SUPPORTED_REWARD_MODES = ("none",)
 

@@ -29,7 +29,7 @@ AMBIGUOUS = ContactFriction(float("inf"), float("inf"), float("inf"))
 
 
 class Meetings:
-    """The collision geoms by body and collider; ``colliders`` lists each collider's geoms, including proxies."""
+    """The collision geoms of a model by body and collider; ``colliders`` lists each collider's geoms and proxies."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -99,6 +99,6 @@ class Meetings:
 
 
 def resistance(friction: Sequence[float], dimensions: int) -> ContactFriction:
-    """Return the resistance from MuJoCo's three coefficients, using only those that apply to ``dimensions``."""
+    """Return the resistance from MuJoCo's three coefficients, ignoring those that do not apply to ``dimensions``."""
     sliding, spinning, rolling = friction
     return ContactFriction(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)

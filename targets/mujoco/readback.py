@@ -42,7 +42,7 @@ class MujocoSession(rb.Session):
         self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
 
     def step(self) -> None:
-        """One step."""
+        """Advance by one step."""
         mujoco.mj_step(self.model, self.data)
 
     def moment(self, time: float) -> rb.Moment:
@@ -128,7 +128,7 @@ class MujocoSession(rb.Session):
         )
 
     def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:
-        """Return the leader in a joint's equality constraint, with the multiplier and the offset."""
+        """Return the leader in a joint's equality constraint, followed by the multiplier and the offset."""
         model = self.model
         for k in range(model.neq):
             if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[k] == joint and model.eq_obj2id[k] >= 0:

@@ -1,4 +1,4 @@
-"""Newton read-back of an mjcf build, which is loaded by the loader of the target `newton`."""
+"""Newton read-back of an mjcf build, which is opened by the loader of the target ``newton``."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Names(NamedTuple):
 
     ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints added
     by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping`` contains
-    the damping of each joint without its motor. It is None if motor damping is stored in MuJoCo's custom attributes, in
-    which case resistances that apply only to contacts of higher dimension are stored there as well.
+    the damping of each joint without its motor, or is None if Newton stores the damping of motors, and the resistance
+    to spinning and rolling, in MuJoCo's custom attributes.
     """
 
     link: Callable[[str], str]
@@ -66,7 +66,7 @@ class NewtonSession(rb.Session):
         self._state, self._next = self._next, self._state
 
     def moment(self, time: float) -> rb.Moment:
-        """Return the root poses, from the bodies, and the joint positions, from the generalized coordinates."""
+        """Return the poses of the root bodies, and the joint positions from the generalized coordinates."""
         q = _array(self._state.joint_q)
         poses = {n: rb.pose_numbers(p) for n, p in self._poses().items() if "." not in n}
         return rb.Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
@@ -98,7 +98,7 @@ class NewtonSession(rb.Session):
         )
 
     def _held(self) -> dict[int, str]:
-        """Return each body's parent in the first joint above it; any further joint closes a loop."""
+        """Return each body's parent, which is given by its first joint; any other joint of the body closes a loop."""
         names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
@@ -186,7 +186,7 @@ class NewtonSession(rb.Session):
 
 
 def quiet() -> None:
-    """Silence Warp, which otherwise prints a message for every kernel it loads."""
+    """Silence Warp, which otherwise prints a message for every kernel that is loaded."""
     wp.config.quiet = True
 
 

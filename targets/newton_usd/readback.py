@@ -1,4 +1,4 @@
-"""Newton read-back of a usd build, which is loaded by the loader of the target `newton_usd`."""
+"""Newton read-back of a usd build, which is opened by the loader of the target ``newton_usd``."""
 
 from __future__ import annotations
 

@@ -18,14 +18,14 @@ FLAGS = (
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
 FAR = 1e9  # a practically unlimited force [N or N m]
-GAIN = 0.1  # Bullet's default fraction of its error that a motor corrects per step
+GAIN = 0.1  # fraction of the position error that a motor corrects per step, which is Bullet's default
 GEAR_ERP = (
     0.8  # fraction of the error between geared joints that is corrected per step; at 0.2, fingers yield by 2 degrees
 )
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load all objects and robots into ``client``, or else into the open default connection or a new headless one."""
+    """Load all objects and robots into ``client``, by default the open connection or else a new headless connection."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
@@ -82,8 +82,8 @@ def load_object(client: int, item: dict[str, Any]) -> int:
 
 
 def load_robot(client: int, item: dict[str, Any]) -> int:
-    """Load one robot from ``world.json`` at its pose, with coupled fingers and with motors that hold its joints."""
-    # Bullet must sort the links, because in file order, links that precede their parents would have no pose.
+    """Load one robot from ``world.json`` at its pose, with coupled fingers, and with motors that hold its joints."""
+    # Bullet must sort the links, because links that precede their parents in the file would have no pose otherwise.
     flags = FLAGS & ~pybullet.URDF_MAINTAIN_LINK_ORDER
     body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=flags, physicsClientId=client)
     place(client, body, item["p"], item["q_wxyz"])
@@ -97,7 +97,7 @@ def load_robot(client: int, item: dict[str, Any]) -> int:
         pybullet.resetJointState(body, index, position, 0.0, physicsClientId=client)
         if joint in item["motors"]:
             hold(client, body, index, item["motors"][joint])
-        else:  # driven only by its leader: disable Bullet's default motor
+        else:  # the joint is driven only by its leader, so disable Bullet's default motor
             pybullet.setJointMotorControl2(
                 body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=0, physicsClientId=client
             )
@@ -222,7 +222,7 @@ def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, 
 
 
 def set_drive(client: int, body: int, index: int, drive: dict[str, float], target: float | None = None) -> None:
-    """Add a spring and damper toward the drive's target, or toward ``target``, up to the drive's force limit."""
+    """Pull a joint toward ``target``, by default the drive's target, like a spring and damper with a force limit."""
     pybullet.setJointMotorControl2(
         body,
         index,

@@ -56,7 +56,7 @@ class PybulletSession(rb.Session):
         return getattr(pybullet, function)(*args, physicsClientId=self.client, **options)
 
     def step(self) -> None:
-        """One step."""
+        """Advance by one step."""
         self._call("stepSimulation")
 
     def moment(self, time: float) -> rb.Moment:
@@ -67,13 +67,13 @@ class PybulletSession(rb.Session):
         return rb.Moment(time, poses, joints)
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints and gravity, which is read from ``world.json`` because PyBullet does not report it."""
+        """Return links, joints, and the gravity in ``world.json``, because PyBullet does not report gravity."""
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
         return rb.WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from PyBullet."""
         pybullet.disconnect(self.client)
 
     def _motors(self) -> Iterator[str]:

@@ -38,11 +38,11 @@ FIRST, EVERY = 1, 0xFFFFFFFF
 """The collision category of most shapes, and the mask that matches all categories."""
 
 SOFT = 1e3
-"""Tendon stiffness for a joint whose leader is itself driven by a tendon; with a higher stiffness, they oscillate."""
+"""Tendon stiffness for a joint whose leader is driven by a tendon as well; stiffer chains of tendons oscillate."""
 
 
 class Law(NamedTuple):
-    """A joint's position is ``multiplier`` times that of its ``leader`` plus ``offset`` [rad or m]."""
+    """The position of a joint as ``multiplier`` times the position of its ``leader``, plus ``offset`` [rad or m]."""
 
     leader: str
     multiplier: float
@@ -76,7 +76,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
 
 
 def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
-    """Disable collisions between links of different objects; a link is given by its object and name."""
+    """Disable collisions between links of different objects; each link is given by its object and name."""
     found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
     for (name, link), (kind, met) in found.items():
         for shape in link_of(world[name], link).collision_shapes:
@@ -87,8 +87,8 @@ def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
 def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
     """Return a collision category and a mask for each link, such that the links of an excluded pair never match.
 
-    Links with the same excluded links share a category; all other links have the first category. PhysX supports 32
-    categories; links for which there are no more categories keep all of their collisions.
+    Links with the same excluded links share a category; all other links have the first category. PhysX supports only 32
+    categories, so any remaining links keep all of their collisions.
     """
     passed: dict[Link, set[Link]] = {}
     for a, b in pairs:
@@ -114,7 +114,7 @@ def link_of(thing: Loaded, name: str) -> physx.PhysxRigidBaseComponent:
 
 
 def drive_robot(robot: physx.PhysxArticulation, said: dict[str, Any]) -> None:
-    """Set those motors and mimic joints of a robot with its own URDF that its file does not contain."""
+    """Set the motors and mimic joints that the file of a robot with its own URDF does not contain."""
     for name, drive in said["motors"].items():
         set_drive(robot.find_joint_by_name(name), drive)
     follow(robot, {name: Law(law["joint"], law["multiplier"], law["offset"]) for name, law in said["follow"].items()})
@@ -267,7 +267,7 @@ def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> Non
 
 
 def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> None:
-    """Set a joint's armature and motor, or its Coulomb friction as a drive that holds the joint up to a force.
+    """Set a joint's armature, and either its motor or a drive that models the joint's Coulomb friction.
 
     PhysX has one drive per joint, which also models its damping, so friction is omitted if there is damping or a motor.
     """
@@ -280,7 +280,7 @@ def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> No
 
 
 def set_drive(joint: physx.PhysxArticulationJoint, drive: dict[str, float]) -> None:
-    """Set a motor that acts as a spring and damper toward the joint's target, and adds the joint's own damping."""
+    """Set a motor that pulls the joint toward its target like a spring and damper, and add the joint's damping."""
     limit = drive.get("force_limit", FAR)
     joint.set_drive_property(drive["stiffness"], drive["damping"] + joint.damping, limit, "force")
     joint.set_drive_target(drive["target"])

@@ -81,7 +81,7 @@ class SapienSession(rb.Session):
                 self._links[name] = next(parts)
 
     def step(self) -> None:
-        """One step."""
+        """Advance by one step."""
         self.scene.step()
 
     def moment(self, time: float) -> rb.Moment:
@@ -109,7 +109,7 @@ class SapienSession(rb.Session):
         }
 
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> rb.LinkReadback:
-        """Return the values of a link, without a mass for a static body, which has no mass in PhysX."""
+        """Return the values of a link; the mass of a static body is omitted because PhysX does not store it."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
@@ -125,13 +125,13 @@ class SapienSession(rb.Session):
         )
 
     def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
-        """Return the parent of a link, or None for the root of an articulation, for which SAPIEN does not report it."""
+        """Return the parent of a link, or None for the root of an articulation, whose parent SAPIEN does not report."""
         if isinstance(link, physx.PhysxArticulationLinkComponent):
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
         return rb.FREE if hasattr(link, "mass") else rb.WORLD
 
     def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> rb.JointReadback:
-        """Return the values of a joint, whose gains show if its drive is a motor, damping or Coulomb friction."""
+        """Return the values of a joint; the gains of its drive determine if it models a motor, damping or friction."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
         holds = stiffness == 0 and damping == self.told.holds

@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parent
 
 @dataclass(frozen=True)
 class Placed:
-    """An object: its URDF, its base's fixed flag, the pose of its root link in the world, and its joint positions.
+    """An object: its URDF, a flag for a fixed base, the pose of its root link in the world, and its joint positions.
 
     ``p`` is in m, ``q_wxyz`` is a unit quaternion with w first, and ``joints`` contains positions [m or rad] by name.
     """

@@ -14,9 +14,9 @@ SCENE = Path(__file__).resolve().parent / "scene.usda"
 def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage:
     """Open the stage.
 
-    Contact materials contain square roots for PhysX, which multiplies the two values of a pair. For a simulator that
-    averages them or uses the larger value, request the surfaces' own values. They are set in the session layer, so the
-    files are unchanged.
+    Contact materials contain square roots for PhysX, which multiplies the values of two surfaces. For a simulator that
+    averages the two values or uses the larger value, request the surfaces' own values, which are set in the session
+    layer, so the files are unchanged.
     """
     stage = Usd.Stage.Open(str(SCENE))
     with Usd.EditContext(stage, stage.GetSessionLayer()):

@@ -1,4 +1,4 @@
-"""OpenUSD read-back of a usd build: its ``load.py`` opens the stage, whose contents are read without a simulator."""
+"""OpenUSD read-back of a usd build. The build's ``load.py`` opens the stage, which is read without a simulator."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def open_build(folder: Path, loader: ModuleType) -> rb.Session:
 
 
 class UsdSession(rb.Session):
-    """A stage, which cannot be stepped."""
+    """A USD stage, which cannot be stepped."""
 
     timestep = 0.0
 
@@ -74,9 +74,10 @@ class UsdSession(rb.Session):
         return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
 
     def _held(self) -> dict[str, str | None]:
-        """Return the parent of each link: a joint's other body, free for a rigid body, or the world for a static root.
+        """Return the parent of each link, or None for static links whose parent is not in the stage.
 
-        For other static links, the stage does not contain the parent.
+        A link with a joint has the joint's other body as its parent. Otherwise, a rigid body is free, and the root of a
+        static object is held by the world.
         """
         names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
         found: dict[str, str | None] = {}
@@ -191,7 +192,7 @@ def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
 
 
 def _own(material: UsdShade.Material, name: str, value: float) -> float:
-    """Return a surface's own coefficient; for the combine mode ``multiply``, the stage contains its square root."""
+    """Return a surface's own coefficient, whose square root is stored for the combine mode ``multiply``."""
     mode = material.GetPrim().GetAttribute(f"physxMaterial:{name}CombineMode").Get()
     return value * value if mode == "multiply" else value
 

@@ -176,7 +176,7 @@ def test_outside_of_a_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     (tmp_path / "a.scene.yaml").write_text(BASE)
     done = run("diff", "a.scene.yaml")
-    assert done.code == 2 and "is not in a git repository; give two files to compare" in done.err
+    assert done.code == 2 and "is not in a git repository; pass two files to compare" in done.err
 
 
 def test_documents_with_errors_are_compared_as_far_as_they_are_sound(repository: Repository) -> None:

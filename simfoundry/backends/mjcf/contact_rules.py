@@ -74,7 +74,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Geoms with two surfaces that MuJoCo combines incorrectly. The first are static, or all of them can move."""
+    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. If any geoms are static, they are in ``one``."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -139,7 +139,7 @@ def damping_ratio(restitution: float) -> float:
 
 
 def rebound(ratio: float) -> float:
-    """Return the restitution of a spring and damper that can only push, for a damping ratio below 1."""
+    """Return the restitution of a spring and damper that can only push; the damping ratio must be below 1."""
     root = math.sqrt(1 - ratio * ratio)
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
@@ -370,7 +370,7 @@ def _add_proxies(
 
 
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
-    """Add a geom with the same shape, whose values take priority in all of its contacts."""
+    """Add a proxy with the shape of ``geom``; the proxy's values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     values = {"condim": dimensions, "friction": [mu, spinning, rolling], "solref": [*solref(contact.restitution)]}
     values |= {"contype": mask, "conaffinity": 0, "priority": 1, "group": 4}

@@ -12,7 +12,7 @@ from simfoundry.backends.mjcf.contact_rules import ContactGeom, ContactSurface, 
 from simfoundry.scene.kinematics import excluded_link_pairs, weld_groups
 from simfoundry.scene.model import Collider, Scene, SceneObject
 
-# The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms.
+# The default class for collision geoms, which is the parent of all material classes, and the class for visual geoms.
 COLLISION, VISUAL = "collision", "visual"
 
 # The geom group that cameras render. Colliders that are not visual are in group 3, which MuJoCo's viewer hides.
@@ -62,8 +62,8 @@ def surface_of(collider: Collider) -> ContactSurface:
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
     """Return the attributes of a geom with the given surface, whose class has the ``inherited`` surface.
 
-    The restitution is stored in ``user``, which MuJoCo keeps but does not use; ``solref`` approximates it as closely as
-    possible.
+    The restitution is stored in ``user``, which MuJoCo keeps but does not use, and ``solref`` approximates the
+    restitution as closely as possible.
     """
     spinning, rolling = surface.spinning, surface.rolling
     resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))
@@ -102,7 +102,7 @@ def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the friction loss, with the worst pair as an example, if the files leave contacts to MuJoCo's own rule."""
+    """Yield the friction loss if the files leave any contacts to MuJoCo's own rule; the worst pair is the example."""
     groups = rules.written_groups(geoms)[1] if exact else rules.unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):
@@ -120,7 +120,7 @@ def _native_error(group: UnlikeGroup) -> float:
 
 
 def restitution_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield one loss per object with restitution, and one for all objects that should not bounce but do so slightly."""
+    """Yield one loss per object with restitution, and one loss for all objects that rebound but should not."""
     reason = "MuJoCo has no restitution; contact damping keeps rebounds within 0.03 of it, but never below 0.14."
     for item in scene.objects:
         if any(collider.restitution for link in item.links for collider in link.colliders):

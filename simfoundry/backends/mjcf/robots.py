@@ -1,7 +1,7 @@
 """Robots and mounted cameras in MJCF. Each robot keeps its own model, below a body named after the robot.
 
-The scene's options override those in the robot's file. A robot's contacts are as specified in its file, except for the
-stiffness of the finger contacts.
+The scene's options override the options in the robot's file. A robot's contacts are as specified in its file, except
+for the stiffness of the finger contacts.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
 
 # The weight of a finger geom's stiffness in a contact; all other geoms have weight 1.
 _FINGERS = "1000"
+
+# Time constant of the finger contacts in time steps, which is the minimum that MuJoCo accepts.
+_FIRM = 2
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
@@ -71,13 +74,8 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
     for body in base.iter("body"):
         if any(joint.get("name") in moving for joint in body.findall("joint")):
             for geom in body.iter("geom"):
-                geom.set("solref", f"{number(_firm(timestep))} 1")
+                geom.set("solref", f"{number(_FIRM * timestep)} 1")
                 geom.set("solmix", _FINGERS)
-
-
-def _firm(timestep: float) -> float:
-    """Return the time constant of the finger contacts [s], which is MuJoCo's minimum of two time steps."""
-    return 2 * timestep
 
 
 def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
@@ -152,7 +150,7 @@ def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[L
     reason = "It uses the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
-        firm = 1000 * _firm(timestep)
+        firm = 1000 * _FIRM * timestep
         reason = (
             f"The contacts of its fingers have a time constant of {firm:g} ms instead of the value in its file; "
             "at MuJoCo's default of 20 ms, a grasped object creeps."

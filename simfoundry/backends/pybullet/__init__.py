@@ -178,10 +178,11 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
 def with_rotors(item: SceneObject) -> SceneObject:
     """Return a copy of the object with the armature of each rotating joint added to the inertia of its child link.
 
-    Geared motors contribute most of a finger's inertia, up to a thousand times that of its links. Bullet resolves
-    contacts with a few dozen impulses per step, each proportional to the inertia it acts on. Without rotors, fingers of
-    1e-5 kg m^2 would therefore press with only a hundredth of their motor's force. Each rotor is modeled as a thin disk
-    with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia as zero.
+    Geared motors contribute most of a finger's inertia, up to a thousand times the inertia of its links. Bullet
+    resolves contacts with a few dozen impulses per step, each proportional to the affected inertia. Without rotors,
+    fingers of 1e-5 kg m^2 would therefore press with only a hundredth of their motor's force. Each rotor is modeled as
+    a thin disk with half of its inertia about the transverse axes, because Bullet treats a physically impossible
+    inertia as zero.
     """
     links = {link.name: link for link in item.links}
     for joint in item.joints:
@@ -196,7 +197,7 @@ def camera_arguments(camera: Camera) -> dict[str, object]:
     """Return the image size, view matrix and projection matrix of a camera, with column-major matrices as in OpenGL."""
     view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.X_WC.inverse().matrix
     matrices = {"view": rounded_list(view.T), "projection": rounded_list(projection_matrix(camera).T)}
-    return {"width": camera.width, "height": camera.height} | matrices
+    return {"width": camera.width, "height": camera.height, **matrices}
 
 
 def projection_matrix(camera: Camera) -> Array:

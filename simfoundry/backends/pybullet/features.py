@@ -7,7 +7,7 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.features import Loss, approximate, drop, read_cells, splat_losses, variant_losses
-from simfoundry.backends.pybullet.surfaces import SKIN, Resistances, link_friction, link_restitution
+from simfoundry.backends.pybullet.surfaces import SKIN, Resistances, link_mean
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.urdf.features import joint_losses
 from simfoundry.geometry.shapes import Mesh
@@ -58,8 +58,8 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
 
 
 def _surface_losses(item: SceneObject, link: Link) -> Iterator[Loss]:
-    for field, value in (("friction", link_friction(link)), ("restitution", link_restitution(link))):
-        values = sorted({getattr(collider, field) for collider in link.colliders})
+    for field in ("friction", "restitution"):
+        value, values = link_mean(link, field), sorted({getattr(collider, field) for collider in link.colliders})
         if len(values) > 1:
             span = ", ".join(number(v) for v in values)
             reason = f"Bullet has one {field} per link: {number(round(value, 4))} replaces {span}."

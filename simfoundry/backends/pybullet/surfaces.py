@@ -46,17 +46,9 @@ class _BulletSurface(NamedTuple):
     resistance: float
 
 
-def link_friction(link: Link) -> float:
-    """Return the geometric mean of the friction coefficients of all colliders in a link."""
-    return _geometric_mean([collider.friction for collider in link.colliders])
-
-
-def link_restitution(link: Link) -> float:
-    """Return the geometric mean of the restitutions of all colliders in a link."""
-    return _geometric_mean([collider.restitution for collider in link.colliders])
-
-
-def _geometric_mean(values: list[float]) -> float:
+def link_mean(link: Link, field: str) -> float:
+    """Return the geometric mean of ``friction`` or ``restitution`` over all colliders in a link."""
+    values = [getattr(collider, field) for collider in link.colliders]
     if not values or min(values) <= 0:
         return 0.0
     return values[0] if len(set(values)) == 1 else math.exp(math.fsum(map(math.log, values)) / len(values))
@@ -68,8 +60,8 @@ def robot_friction(link: Link, scene: Scene) -> float:
     MuJoCo uses the larger friction of a pair, whereas Bullet multiplies this coefficient by the square root of the
     object's friction. The result is exact if all objects have the same friction, and an intermediate value otherwise.
     """
-    own = link_friction(link)
-    met = {link_friction(k) for item in scene.objects for k in item.links if k.colliders} - {0.0}
+    own = link_mean(link, "friction")
+    met = {link_mean(k, "friction") for item in scene.objects for k in item.links if k.colliders} - {0.0}
     wanted = [max(own, other) / math.sqrt(other) for other in met]
     return math.sqrt(min(wanted) * max(wanted)) if own and wanted else math.sqrt(own)
 
@@ -77,8 +69,8 @@ def robot_friction(link: Link, scene: Scene) -> float:
 def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dict[str, float]:
     """Return the ``changeDynamics`` arguments for a link."""
     surface = {
-        "lateral_friction": rounded(math.sqrt(link_friction(link))),
-        "restitution": rounded(math.sqrt(link_restitution(link))),
+        "lateral_friction": rounded(math.sqrt(link_mean(link, "friction"))),
+        "restitution": rounded(math.sqrt(link_mean(link, "restitution"))),
     }
     for field, found in resistances.items():  # Bullet calls torsional friction spinning friction
         if value := found.written.get(item.qualified(link.name)):
@@ -97,7 +89,7 @@ def _resistance(scene: Scene, field: str) -> Resistance:
     surfaces: dict[str, _BulletSurface] = {}
     for item, link in [(o, k) for o in scene.objects for k in o.links if k.colliders]:
         resistance = max(getattr(collider, field) for collider in link.colliders)
-        surface = _BulletSurface(math.sqrt(link_friction(link)), resistance)
+        surface = _BulletSurface(math.sqrt(link_mean(link, "friction")), resistance)
         surfaces[item.qualified(link.name)] = surface
         owners.setdefault(surface, set()).add(item.name)
     if not any(surface.resistance for surface in owners):

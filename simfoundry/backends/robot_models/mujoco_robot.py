@@ -10,7 +10,7 @@ import hashlib
 import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -37,14 +37,25 @@ _OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="f
 class RobotModelError(SimfoundryError):
     """Raised if a robot model cannot be used; the message names the robot and the problem."""
 
+    @classmethod
+    def missing(cls, where: str, kind: str, name: str, known: Iterable[str]) -> RobotModelError:
+        """Return the error for an unknown joint or link, which lists the available names."""
+        return cls(f"{where} has no {kind} `{name}`; available {kind}s: {', '.join(known)}")
+
 
 @dataclass(frozen=True, eq=False)
 class MujocoRobot:
     """A robot in MuJoCo.
 
-    All names in ``spec`` start with ``prefix``, and ``model`` is its compiled form. ``files`` contains the meshes and
-    textures by name. The initial state consists of ``qpos``, shape (nq,), and ``ctrl``, shape (nu,). ``servos`` names
-    the actuators that were added.
+    Attributes:
+        native: The model that was read.
+        prefix: The prefix of all names in ``spec``.
+        spec: The specification of the robot.
+        model: The compiled specification.
+        files: The meshes and textures by file name.
+        qpos: The initial positions, shape (nq,).
+        ctrl: The initial controls, shape (nu,).
+        servos: The names of the actuators that were added.
     """
 
     native: NativeModel
@@ -88,7 +99,7 @@ def _assemble(
 ) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
     """Return a single spec that combines the model with its attached models at the world origin.
 
-    Also returns the positions and controls in its keyframe ``home``, which are empty if there is no such keyframe.
+    Also returns the positions and controls in the keyframe ``home``, which are empty if there is no such keyframe.
     """
     import mujoco
 
@@ -204,9 +215,8 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
     for name, position in positions.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + name)
         if joint < 0:
-            there = ", ".join(model.joint(k).name.removeprefix(prefix) for k in range(model.njnt))
-            where = f"robot `{robot.name}`: {native.file.name}"
-            raise RobotModelError(f"{where} has no joint `{name}`; available joints: {there}")
+            known = (model.joint(k).name.removeprefix(prefix) for k in range(model.njnt))
+            raise RobotModelError.missing(f"robot `{robot.name}`: {native.file.name}", "joint", name, known)
         qpos[model.jnt_qposadr[joint]] = position
     return qpos
 
@@ -244,8 +254,8 @@ def body_name(read: MujocoRobot, frame: str) -> str:
     name = read.prefix + link
     bodies = [body.name for body in read.spec.bodies]
     if name not in bodies:
-        there = ", ".join(b.removeprefix(read.prefix) for b in bodies[1:])
-        raise RobotModelError(f"{read.native.file.name} has no link `{link}`; available links: {there}")
+        known = (body.removeprefix(read.prefix) for body in bodies[1:])
+        raise RobotModelError.missing(read.native.file.name, "link", link, known)
     return name
 
 

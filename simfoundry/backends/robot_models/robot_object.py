@@ -1,4 +1,4 @@
-"""Conversion of a robot to an articulated object or a URDF, for targets for which it has no model in their own format.
+"""Conversion of a robot to an articulated object or a URDF, for targets whose format the robot has no model in.
 
 The model read by MuJoCo is converted to the scene's representation: a tree of links with masses, shapes and joints.
 Closed loops are cut, and the robot's ``follow`` describes their effect on the joints.
@@ -37,10 +37,13 @@ _LIGHTEST, _LEAST = 1e-6, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RobotObject:
-    """A robot converted to an object, its ``item``.
+    """A robot that was converted to an object.
 
-    ``links`` and ``joints`` map the model's names to the item's names, which contain no dots. ``loops`` is the number
-    of closed loops that were cut.
+    Attributes:
+        item: The object.
+        links: The link names in the item, which contain no dots, by link name in the model.
+        joints: The joint names in the item by joint name in the model.
+        loops: The number of closed loops that were cut.
     """
 
     item: SceneObject
@@ -96,7 +99,7 @@ def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that become links, parents first, without the world if it does nothing but support the base."""
+    """Return the bodies that become links, parents first; the world is omitted if it only supports the base."""
     for b in range(model.nbody):
         if model.body_jntnum[b] > 1 or (model.body_jntnum[b] and int(model.jnt_type[model.body_jntadr[b]]) < 2):
             name = model.body(b).name
@@ -176,22 +179,13 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
     limited = bool(model.jnt_limited[j])
     kind = JointType.PRISMATIC if slides else JointType.REVOLUTE if limited else JointType.CONTINUOUS
     dof, at = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
-    joint = Joint(
-        name,
-        kind,
-        *ends,
-        X_PC,
-        frozen_array(model.jnt_axis[j]),
-        limits=(float(model.jnt_range[j][0]), float(model.jnt_range[j][1])) if limited else None,
-        damping=float(np.ravel(model.dof_damping[dof])[0]),
-        friction=float(model.dof_frictionloss[dof]),
-        armature=float(model.dof_armature[dof]),
-        position=float(qpos[at]),
-    )
+    low, high = model.jnt_range[j].tolist()
+    limits = (low, high) if limited else None
+    damping, friction = float(np.ravel(model.dof_damping[dof])[0]), float(model.dof_frictionloss[dof])
+    passive = (damping, friction, float(model.dof_armature[dof]))
+    joint = Joint(name, kind, *ends, X_PC, frozen_array(model.jnt_axis[j]), limits, *passive, float(qpos[at]))
     reference = float(model.qpos0[at])  # the joint position at which the model's poses are defined
-    if reference == 0.0:
-        return joint
-    return replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
+    return joint if reference == 0.0 else replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
@@ -250,8 +244,8 @@ class RobotUrdf:
     """A robot as URDF, with the file at ``path`` in ``files`` and the root link at ``X_WB``.
 
     ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` and ``servos`` are keyed by the URDF's joint names.
-    ``servos`` contains only those with known gains: the stiffness [N m/rad or N/m], and the damping, which includes
-    that of the joint itself. ``joints`` maps joint names in the scene to those in the URDF, and ``frames`` maps frames
+    ``servos`` contains the servos with known gains: the stiffness [N m/rad or N/m], and the damping, which includes the
+    joint's own damping. ``joints`` maps joint names in the scene to joint names in the URDF, and ``frames`` maps frames
     in the scene to links. ``item`` is the object from which the URDF was converted, if any.
     """
 
@@ -289,9 +283,7 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
     start = robot.start(native)
     for name in start:
         if name not in names:
-            there = ", ".join(names)
-            where = f"robot `{robot.name}`: {native.file.name}"
-            raise RobotModelError(f"{where} has no joint `{name}`; available joints: {there}")
+            raise RobotModelError.missing(f"robot `{robot.name}`: {native.file.name}", "joint", name, names)
     follow = dict(_stated_mimics(moving)) | (dict(native.gripper.follow) if native.gripper is not None else {})
     efforts = {name: native.effort.get(name, _effort(joint)) for name, joint in zip(names, moving, strict=True)}
     return RobotUrdf(

@@ -81,7 +81,7 @@ def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return a visual-only URDF with a single link in the world frame, and its assets except those in ``known``."""
+    """Return the files in ``known``, a visual-only URDF with a single link in the world frame, and its assets."""
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")

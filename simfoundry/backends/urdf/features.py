@@ -61,7 +61,7 @@ def joint_losses(item: SceneObject) -> Iterator[Loss]:
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:
-            reason = f"URDF requires limits for prismatic joints, so {number(UNBOUNDED_M)} m both ways are written."
+            reason = f"URDF requires limits for prismatic joints, so limits of ±{number(UNBOUNDED_M)} m are written."
             yield approximate("joint_limits", element, reason, UNBOUNDED_M, "m")
         if joint.armature > 0:
             yield _drop("armature", element)

@@ -1,4 +1,4 @@
-"""JSON files next to the URDFs: ``poses.json`` with object poses, and ``physics.json`` with the other properties."""
+"""The JSON files next to the URDFs: ``poses.json`` with poses, and ``physics.json`` with all other properties."""
 
 from __future__ import annotations
 

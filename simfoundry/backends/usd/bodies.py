@@ -23,7 +23,7 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Scopes:
-    """The prims of a stage that contain objects and shared materials."""
+    """The prims on a stage that contain the objects and the shared materials."""
 
     objects: Prim
     looks: Prim
@@ -93,8 +93,8 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
 def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
     """Define the joints and the articulation of a tree.
 
-    The articulation specifies if its links can collide with each other; filtered pairs exclude individual pairs. If a
-    fixed object also has a freely moving part, the articulation root of the fixed part is the joint that fixes it.
+    The articulation specifies whether its links can collide with each other; filtered pairs exclude individual pairs.
+    If a fixed object also has a freely moving part, the articulation root of the fixed part is its anchor joint.
     """
     root = links[tree.root.name]
     if tree.fixed:
@@ -112,7 +112,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact; a static link is represented by its colliders, as it has no rigid body."""
+    """Exclude pairs of links from contact. A static link has no rigid body, so its colliders represent the link."""
     every_mover, every_touched = defaultdict[str, list[Prim]](list), defaultdict[str, list[Prim]](list)
     found = defaultdict[Prim, list[Prim]](list)
 
@@ -139,7 +139,7 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
-    """Return the prim that contains the links of an object, which is the object's own prim or that of its variant."""
+    """Return the prim that contains the links of an object: the object's own prim, or the prim of its variant."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim
 
@@ -164,17 +164,14 @@ def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     # Readers may ignore such attributes.
     body.attribute("physics:centerOfMass", "point3f", vec3(link.com.tolist()))
     body.attribute("physics:diagonalInertia", "float3", vec3(moments.tolist()))
-    body.attribute("physics:mass", "float", rounded(link.mass))
+    body.floats(link.mass, "physics:mass")
     body.attribute("physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
         parent = body.define("Visuals", "Scope")
         for visual in link.visuals:
             define_visual(parent, scopes.looks, visual)
     if link.colliders:
-        _define_colliders(scopes, body.define("Colliders", "Scope"), link)
-
-
-def _define_colliders(scopes: Scopes, parent: Prim, link: Link) -> None:
+        parent = body.define("Colliders", "Scope")
     for collider in link.colliders:
         convex = isinstance(collider.geometry, Mesh)
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI", *(["PhysicsMeshCollisionAPI"] if convex else [])]

@@ -17,7 +17,10 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 
 
 class Attribute(NamedTuple):
-    """A prim attribute with its USD type name; the value is None if it is not authored or if ``source`` provides it."""
+    """A prim attribute with its USD type name.
+
+    The value is None if no value is authored, or if the attribute is connected to the property ``source``.
+    """
 
     type_name: str
     value: Any
@@ -34,21 +37,16 @@ class Asset(NamedTuple):
 class Targets(NamedTuple):
     """The targets of a relationship, as paths on the stage."""
 
-    paths: tuple[str, ...]
-
-    @property
-    def value(self) -> Targets:
-        """Return the targets themselves, for code that treats attributes and relationships the same way."""
-        return self
+    value: tuple[str, ...]
 
 
 @dataclass(eq=False, slots=True)
 class Prim:
     """A prim under construction.
 
-    ``path`` is its path on the stage, without variant selections; ``references`` are in USD syntax. A prim with
-    ``variants`` has one variant set named ``variant``, with one variant ``selected``; each variant is a prim with its
-    own name and type.
+    ``path`` is the prim's path on the stage, without variant selections; ``references`` are in USD syntax. A prim with
+    ``variants`` has one variant set named ``variant``, in which one variant is ``selected``; each variant is a prim
+    with its own name and type.
     """
 
     name: str
@@ -206,7 +204,7 @@ def _dictionary(name: str, entries: Mapping[str, Any], indent: str) -> Iterator[
 def _property(name: str, found: Attribute | Targets) -> str:
     custom = "custom " if name.startswith("simfoundry:") else ""
     if isinstance(found, Targets):
-        paths = [f"<{path}>" for path in found.paths]
+        paths = [f"<{path}>" for path in found.value]
         return f"{custom}rel {name} = {paths[0] if len(paths) == 1 else _list(paths)}"
     type_name, value, uniform, source = found
     declared = f"{custom}{'uniform ' if uniform else ''}{type_name} {name}"

@@ -67,8 +67,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
     for name in wanted:
         frame = source.frame(name) if name else LinkFrame(next(iter(made.links)))
         if frame.link not in made.links:
-            there = ", ".join(made.links)
-            raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; available links: {there}")
+            raise RobotModelError.missing(f"robot `{robot.name}`", "link", frame.link, made.links)
         found.frames[robot.name, name] = prim.children[made.links[frame.link]], frame.X_LF
 
 
@@ -171,7 +170,7 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """Yield the prim of the link with a mounted camera, in each variant that has it, and the pose in that link."""
+    """Yield the prim of the link on which a camera is mounted, in each variant with this link, and the frame's pose."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]

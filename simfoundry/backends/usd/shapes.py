@@ -52,7 +52,7 @@ def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, unif
 def crate_bytes(layer: Sdf.Layer) -> bytes:
     """Return the layer in the crate format; equal layers give equal bytes in every process and Python version.
 
-    USD can only write crates to files. It writes version 0.8.0, which all releases since 2020 can read.
+    USD can write crates only to files, in version 0.8.0, which all releases since 2020 can read.
     """
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         path = Path(folder) / "layer.usdc"
@@ -217,8 +217,8 @@ def _texture(material: Prim, color: Array, texture: str) -> Prim:
 def contact_material(scope: Prim, collider: Collider) -> Prim:
     """Return the contact material of ``collider``.
 
-    It contains √μ and √e with PhysX's combine mode ``multiply``, which yields geometric means. The surface's own
-    coefficients are stored in ``simfoundry:friction`` and ``simfoundry:restitution``.
+    The material contains √μ and √e with PhysX's combine mode ``multiply``, which yields geometric means. The surface's
+    own coefficients are stored in ``simfoundry:friction`` and ``simfoundry:restitution``.
     """
     name = f"friction_{_word(collider.friction)}_restitution_{_word(collider.restitution)}"
     resists = collider.torsional_friction > 0 or collider.rolling_friction > 0

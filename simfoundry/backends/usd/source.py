@@ -65,7 +65,7 @@ def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[
     said = observed(values)
     for binding, name in _BINDINGS.items():
         if binding in values:
-            said[name] = materials.get(values[binding].paths[0])
+            said[name] = materials.get(values[binding][0])
     if "xformOpOrder" in values:
         said["at"] = _transform(values)
     if said:

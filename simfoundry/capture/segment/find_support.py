@@ -1,4 +1,4 @@
-"""Find the surface that supports the objects: candidate planes by RANSAC, and the visible outline of each plane."""
+"""Find the surface that supports the objects, using RANSAC to find candidate planes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.geometry.frames import Array, Pose
 
 TALLEST = 0.35  # [m] maximum height of points that count as objects on a plane; tables are higher above the floor
-DENSE = 0.5  # minimum fraction of inliers in the neighborhood of an inlier; lower values occur by chance
+DENSE = 0.5  # minimum mean fraction of inliers within 2 px of an inlier; lower values occur by chance
 CROSSING = 0.6  # minimum cosine between surface and plane normals; below this, the surface crosses the plane
 SURVEY_WIDTH = 240  # [px] width of the image used for comparing candidates
 MIN_POINTS = 50  # minimum number of pixels in a plane
@@ -44,7 +44,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A depth image with points and normals in the camera frame; normals are NaN if the depth nearby is sparse."""
+    """A depth image with points and normals in the camera frame; normals are NaN where depth is sparse."""
 
     depth: Array
     K: Array
@@ -217,6 +217,8 @@ def _on_plane(view: _View, plane: Plane) -> Mask:
 
 def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
     """Find the visible surface of ``plane`` and compute its score as the support; return None if it has no surface."""
+    import cv2
+
     X_WC = world_on(plane)
     points_W = X_WC.apply(view.points)
     inliers = _on_plane(view, plane)
@@ -227,37 +229,19 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
         return None
     above = plan.contains(points_W[..., :2])
     inliers = inliers & above
-    if inliers.sum() < 10 or _density(inliers, view.depth) < DENSE:
+    of_plane, valid = (
+        cv2.blur(mask.astype(np.float32), (5, 5))[inliers] for mask in (inliers, np.isfinite(view.depth))
+    )
+    if inliers.sum() < 10 or float(np.mean(of_plane / valid)) < DENSE:
         return None
-    carried = above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)
-    return _Surface(plane, X_WC, inliers, plan, _score(int(carried.sum()), view.depth[inliers], plane))
-
-
-def _score(carried: int, depths: Array, plane: Plane) -> float:
-    """Return the score of a plane as the support.
-
-    Objects on the plane count most; its own area counts only in proportion to them, because a floor that fills the
-    image but has nothing on it is not a support. Near pixels have more weight because the subject of an image is
-    usually close to the camera.
-
-    Args:
-        carried: Number of pixels on objects above the plane.
-        depths: Depths of the plane's own pixels [m].
-        plane: The plane in the camera frame.
-    """
-    area = len(depths)
-    # The plane has full weight if an upright camera could see it as a floor rather than as a wall straight ahead.
+    # Objects on the plane count most. Its own area counts only in proportion to them, because a floor that fills the
+    # image but has nothing on it is not a support. Near pixels have more weight because the subject of an image is
+    # usually close to the camera. A plane that an upright camera would see as a wall straight ahead has less weight.
+    area = int(inliers.sum())
+    carried = int((above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)).sum())
     amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area
-    return amount / float(np.median(depths)) ** 2 * (1.0 if plane.normal[1] < -0.3 else 0.3)
-
-
-def _density(inliers: Mask, depth: Array) -> float:
-    """Return the mean fraction of inliers among the valid pixels within 2 px of an inlier."""
-    import cv2
-
-    of_plane = cv2.blur(inliers.astype(np.float32), (5, 5))[inliers]
-    valid = cv2.blur(np.isfinite(depth).astype(np.float32), (5, 5))[inliers]
-    return float(np.mean(of_plane / valid))
+    score = amount / float(np.median(view.depth[inliers])) ** 2 * (1.0 if plane.normal[1] < -0.3 else 0.3)
+    return _Surface(plane, X_WC, inliers, plan, score)
 
 
 def _measured(view: _View, found: _Surface) -> SupportSurface | None:

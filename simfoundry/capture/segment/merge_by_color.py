@@ -1,4 +1,4 @@
-"""Use color as evidence: merge parts of an object that geometry alone separates, and split two objects at a neck."""
+"""Use color to merge parts of the same object, and to split regions that contain two objects."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from simfoundry.capture.segment.support_graph import RegionPart, below, carriers
 VIVID = 80  # minimum saturation of a vivid pixel, out of 255
 BRIGHT = 50  # minimum value of a vivid pixel, out of 255
 COLORED = 0.25  # minimum fraction of vivid pixels in a region that has a hue
-SAME_HUE = 8.0  # maximum difference between matching hues; a full turn is 180
+SAME_HUE = 8.0  # maximum difference between matching hues, on a color wheel of 180
 VIVID_THROUGHOUT = 0.6  # minimum fraction of vivid pixels in a region that is colored throughout
-ONE_HUE = 4.0  # maximum difference between equal hues; a full turn is 180
+ONE_HUE = 4.0  # maximum difference between equal hues, on a color wheel of 180
 SEEN_UNDER = 0.8  # maximum hidden fraction of a lower edge; the rest shows that nothing else supports the part
 NEAR = 0.03  # [m] maximum gap between parts of the same object
 FLUSH = 0.02  # [m] maximum height difference between a lid and the rim around it
@@ -43,7 +43,7 @@ def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
 
 @dataclass(frozen=True)
 class Hue:
-    """The most common hue in a region (a full turn is 180), and the fraction of its pixels that are vivid."""
+    """The most common hue in a region, from 0 to 180, and the fraction of its pixels that are vivid."""
 
     hue: float
     vivid: float
@@ -53,7 +53,7 @@ class Hue:
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
-        """Return the angle between the two hues; a full turn is 180."""
+        """Return the difference between the two hues around the color wheel, from 0 to 90."""
         turn = abs(self.hue - other.hue)
         return min(turn, 180 - turn)
 
@@ -71,7 +71,7 @@ class Hue:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Evidence for and against two parts being the same object: hues, supports, hidden lower edges, and borders."""
+    """Evidence on whether two parts belong to the same object: hues, supports, hidden lower edges, and borders."""
 
     hues: dict[int, Hue]
     on: dict[int, int]
@@ -80,7 +80,7 @@ class _Family:
     adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: RegionPart, other: RegionPart) -> bool:
-        """Return True if ``part`` belongs to ``other``: a cap separated by missing depth, or a part with its hue."""
+        """Return True if ``part`` belongs to ``other``: a cap behind missing depth, or a part of the same hue."""
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True
@@ -109,7 +109,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """Return the labels of the smallest part that belongs to another part, and of that other part."""
+    """Return the label of the smallest part that belongs to another part, followed by the label of that other part."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
@@ -174,16 +174,14 @@ def split_necks(labels: Labels, crop: Crop) -> Labels:
         if _solidity(mask) > HOLLOW:
             continue
         bright, dull = (_largest(opened(mask & tone, kernel)) for tone in (vivid, ~vivid))
-        both_stand = all(half.sum() >= SHARE * mask.sum() and _stands(half, crop) for half in (bright, dull))
-        if both_stand and _neck(bright, dull, crop.reach) < NECK:
+        large = min(bright.sum(), dull.sum()) >= SHARE * mask.sum()
+        height = crop.points_W[..., 2]
+        stand = large and all(np.nanquantile(height[half], 0.02) < FOOT for half in (bright, dull))
+        if stand and _neck(bright, dull, crop.reach) < NECK:
             seeds = np.where(bright, 1, np.where(dull, 2, 0)).astype(np.int32)
             parted = flood(seeds, mask, np.zeros(mask.shape))
             out[mask] = np.where(parted[mask] == 2, int(out.max()) + 1, k)
     return compact(out)
-
-
-def _stands(half: Mask, crop: Crop) -> bool:
-    return bool(np.nanquantile(crop.points_W[..., 2][half], 0.02) < FOOT)
 
 
 def _neck(one: Mask, other: Mask, reach: int) -> float:

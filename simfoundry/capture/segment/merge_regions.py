@@ -1,4 +1,4 @@
-"""Merge regions into objects: across smooth or convex borders, behind occluders, across rims, and if they hang."""
+"""Merge regions into objects across smooth borders, behind occluders and across rims, and attach hanging parts."""
 
 from __future__ import annotations
 

@@ -165,9 +165,8 @@ def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
             bend, jump = _bend_and_jump(fits[a][where], fits[b][where], offset)
             scale = np.fmax(noise[a][where], noise[b][where])
             pair = np.sort(np.stack([one, other], axis=1), axis=1)
-            found.append(
-                (pair, bend / scale, np.where(one > other, -jump, jump) / scale, np.full(len(bend), r < reach))
-            )
+            signed = np.where(one > other, -jump, jump)
+            found.append((pair, bend / scale, signed / scale, np.full(len(bend), r < reach)))
     pairs, bends, jumps, near = (np.concatenate(column) for column in zip(*found, strict=True))
     if not len(pairs):
         return {}

@@ -1,4 +1,4 @@
-"""Extend object silhouettes over pixels that the cut missed: pixels without depth, and the bottoms of bowls."""
+"""Extend object silhouettes to pixels that segmentation missed: pixels without depth, and the bottoms of bowls."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int
 
 
 def _bottom(mask: Mask, free: Mask, points_W: Array) -> Mask:
-    """Return the ``free`` pixels inside a bowl: those within the footprint of an object whose wall surrounds them.
+    """Return a mask of the ``free`` pixels inside a bowl, which are surrounded by its wall.
 
     The near rim of a bowl is often too thin to be measured along its entire length, so the labeled pixels may not
     enclose the inside.

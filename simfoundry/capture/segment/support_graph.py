@@ -1,4 +1,4 @@
-"""The support graph: which parts stand on others, which parts occlude others, and which cannot be objects."""
+"""The support graph, which describes the parts that stand on other parts, and tests for hidden and sunken parts."""
 
 from __future__ import annotations
 
@@ -53,14 +53,17 @@ def carriers(parts: list[RegionPart]) -> dict[int, int]:
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the part whose top meets the bottom of ``part`` and whose footprint overlaps it most."""
+    """Return the part whose top meets the bottom of ``part`` and whose footprint overlaps it most, or 0."""
     others = [p for p in parts if p.label != part.label and -CONTACT < part.bottom - p.top < 1.5 * CONTACT]
     share, label = max(((shared_footprint(part, p), -p.label) for p in others), default=(0.0, 0))
     return -label if share > OVERLAP else 0
 
 
 def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the highest part right below ``part``; it may also extend up beside it, like the wall of a tray."""
+    """Return the label of the highest part right below ``part``, or 0.
+
+    The lower part may also extend up beside ``part``, like the wall of a tray.
+    """
     low = part.points_W[part.points_W[:, 2] < part.bottom + 0.02][:, :2]
     best, height = 0, 0.0
     for other in parts:

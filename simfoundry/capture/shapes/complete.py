@@ -1,9 +1,9 @@
-"""Complete shapes that are not primitives: visible surface and mirrored far side, carved by observed free space.
+"""Complete the shapes of objects that are not primitives from their visible surface and its mirror image.
 
 The solid is a stack of horizontal slices. In each slice, the near side is the visible surface, and the far side is its
-mirror image across a vertical plane along the object. The far side never extends into space that the camera observed
-to be free, and always extends at least as far as the surface seen higher up. Each slice is a star-shaped polygon about
-its own center, so the stack is closed and free of self-intersections by construction.
+mirror image across a vertical plane through the object. The far side does not extend into space that the camera
+observed to be free, but it extends at least as far as the visible surface above it. Each slice is star-shaped about its
+center, so the stack is a closed surface without self-intersections.
 """
 
 from __future__ import annotations

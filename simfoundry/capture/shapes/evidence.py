@@ -1,8 +1,8 @@
-"""Camera evidence about an object, ray casts against solids, and a measure of how well a solid explains the evidence.
+"""Measure how well a solid explains the camera's view of an object, using ray casts.
 
-Ray casts against primitives are analytic, so a fit can evaluate them many times. A ray cast returns the depth of the
-first hit along each ray (infinity for a miss), and the cosine between the ray and the surface normal multiplied by the
-length of the ray, so that ``(depth - observed) * slant`` is a distance perpendicular to the surface [m].
+Ray casts against primitives are analytic, so a fit can evaluate many of them. A ray cast returns the depth of the first
+hit along each ray (infinity for a miss), and the slant, which is the cosine between the ray and the surface normal
+multiplied by the length of the ray: ``(depth - observed) * slant`` is the distance perpendicular to the surface [m].
 """
 
 from __future__ import annotations
@@ -282,7 +282,8 @@ def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int3
         axis = unit(units[todo].mean(axis=0))
         if not (units[todo] @ axis > _IN_FRONT).any():
             axis = units[todo[0]]
-        R_EV = _frame_along(axis)
+        side = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis))
+        R_EV = np.column_stack([side, np.cross(axis, side), axis])
         local = turned(R_EV.T, units[todo])
         seen = local[:, 2] > _IN_FRONT
         x, y, z = local[seen].T
@@ -291,20 +292,16 @@ def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int3
     return out
 
 
-def _frame_along(axis: Array) -> Array:
-    """Return a rotation matrix whose third column is the unit vector ``axis``, shape (3, 3)."""
-    side = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis))
-    return np.column_stack([side, np.cross(axis, side), axis])
-
-
 @dataclass(frozen=True)
 class RayAgreement:
-    """The agreement between a solid and the rays.
+    """The agreement between a solid and the observations along the rays.
 
-    ``explained`` is the fraction of the object's measured rays that end within the noise scale of the solid.
-    ``intrusion`` is the number of rays on which the solid occupies space observed to be free, divided by the number of
-    the object's rays. ``fit`` [m] is the median distance over the object's measured rays that hit the solid. ``cost``,
-    roughly in [0, 2], is the value that fits minimize.
+    Attributes:
+        explained: Fraction of the object's measured rays that end within the noise scale of the solid.
+        intrusion: Number of rays on which the solid occupies space that was observed to be free, divided by the number
+            of the object's rays.
+        fit: Median distance between the observations and the solid [m], over the object's measured rays that hit it.
+        cost: Value that a fit minimizes, roughly in [0, 2].
     """
 
     explained: float

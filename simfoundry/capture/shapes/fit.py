@@ -26,11 +26,14 @@ GAIN = 0.03  # minimum fraction of the object that a completed shape must explai
 class FittedShape:
     """A solid fitted to one object.
 
-    ``geometry`` is a primitive or a closed mesh. ``X_WO`` is its pose in the world, with the origin at the center of
-    the bounding box for primitives, and at the center of the base (z up) for meshes. ``fit_m`` is the median distance
-    of the object's visible points from the surface [m]. ``confidence`` is in [0, 1]; see :func:`confidence`. ``hollow``
-    is True for an open container modeled with its cavity. ``profile`` contains (radius, height) [m], shape (k, 2), if
-    the mesh is a body of revolution.
+    Attributes:
+        geometry: A primitive or a closed mesh.
+        X_WO: Pose of the solid in the world. The origin is the center of the bounding box for a primitive, and the
+            center of the base (z up) for a mesh.
+        fit_m: Median distance of the object's visible points from the surface [m].
+        confidence: Confidence in the fit, in [0, 1]; see :func:`confidence`.
+        hollow: True for an open container that is modeled with its cavity.
+        profile: Pairs (radius, height) [m], shape (k, 2), if the mesh is a body of revolution, otherwise None.
     """
 
     geometry: Geometry

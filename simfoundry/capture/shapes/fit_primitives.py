@@ -178,14 +178,12 @@ def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Arra
     separates the object from the background: in that case, no small change to all parameters reduces the cost.
     """
     for step in _WALK:
-        moved = True
-        while moved:
-            moved = False
-            for trial in _moves(x, step):
-                better = cost(trial)
-                if better < lowest - _WORTH:
-                    lowest, x, moved = better, trial, True
-                    break
+        while True:
+            trials = ((cost(trial), trial) for trial in _moves(x, step))
+            better = next((found for found in trials if found[0] < lowest - _WORTH), None)
+            if better is None:
+                break
+            lowest, x = better
     return x
 
 

@@ -1,7 +1,7 @@
-"""Colors for captured objects: a single robust color, or a mesh with a texture baked from the image.
+"""Determine the colors of captured objects: a single robust color, or a texture baked from the image.
 
-The texture is baked in 3D: every texel corresponds to a point on the surface, whose color is looked up in the image.
-Points that the camera did not see get the color of the visible point on the opposite side.
+Every texel of the texture corresponds to a point on the surface, whose color is looked up in the image. Points that the
+camera did not see get the color of the visible point on the opposite side.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _borrow(key: Array, colors: Array, done: Mask) -> None:
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
-    """Return the texture; texels off the surface get the nearest color on it, so that filtering blends no black in."""
+    """Return the texture; texels off the surface get the nearest color, so that filtering does not blend in black."""
     picture = np.zeros((size, size, 3), dtype=np.float32)
     on_surface = np.zeros((size, size), dtype=bool)
     picture[texels.row, texels.col] = colors

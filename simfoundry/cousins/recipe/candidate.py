@@ -16,8 +16,8 @@ from simfoundry.errors import SimfoundryError
 class Reason:
     """A reason for rejection.
 
-    ``code`` identifies the kind of reason and is used for statistics, ``text`` is a message for users, and ``numbers``
-    are the quantities mentioned in the message, in SI units.
+    ``code`` identifies the kind of reason for statistics, ``text`` is a message for users, and ``numbers`` contains the
+    quantities in the message, in SI units.
     """
 
     code: str
@@ -37,7 +37,7 @@ class Rejected:
 
 
 class ImpossibleError(SimfoundryError):
-    """Raised for a request that can never be satisfied; all ``reasons`` are known before any sampling."""
+    """An error raised for a request that cannot be satisfied; all ``reasons`` are known before any sampling."""
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -66,7 +66,7 @@ class Candidate:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the candidate was accepted as a cousin."""
+        """True if the candidate was accepted as a cousin."""
         return not self.reasons
 
     def files(self) -> dict[str, str]:
@@ -86,7 +86,7 @@ class Candidate:
 
     @classmethod
     def of(cls, line: str | bytes) -> Candidate:
-        """Parse a serialized candidate; raise ValueError if the line is not one."""
+        """Parse a serialized candidate; raise ValueError if the line is invalid."""
         data = json.loads(line)
         try:
             reasons = tuple(Reason(r["code"], r["text"], r["numbers"]) for r in data.get("reasons", ()))

@@ -44,7 +44,7 @@ NOT_COUNTED = ("simfoundry", "extends", "name", "description", "allow", "conflic
 class Recipe:
     """A validated recipe.
 
-    ``scene`` is the document of the twin's scene. ``task`` is the twin's task document, or None if the twin is a scene.
+    ``scene`` is the twin's scene document. ``task`` is the twin's task document, or None if the twin is a scene.
     """
 
     loaded: Loaded
@@ -76,16 +76,12 @@ class Recipe:
 
     @property
     def distractors(self) -> tuple[LibraryItem, ...]:
-        """Objects that can be added as distractors.
-
-        Raises:
-            ImpossibleError: The recipe requests distractors, but no object passes its filters.
-        """
+        """Objects that can be added as distractors; raises ImpossibleError if no object passes the recipe's filters."""
         return self._choice[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return notes for the user about the choice of distractors."""
+        """Notes for the user about the choice of distractors."""
         return self._choice[1]
 
     @cached_property
@@ -93,8 +89,8 @@ class Recipe:
         axis = self.spec.distractors
         if axis is None:
             return (), ()
-        folders = [] if axis.library is None else [located(axis.library, self.loaded.path)]
-        folders += [default_folder()] if axis.builtin_library else []
+        own = [] if axis.library is None else [located(axis.library, self.loaded.path)]
+        folders = [*own, default_folder()] if axis.builtin_library else own
         library = united([read_library(folder) for folder in folders])
         objects = cache(lambda: lower(self.scene, Cache.default()).objects)
         items, steps = filtered(library, axis, self.kinds, objects)
@@ -142,7 +138,7 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
         seed: Overrides the recipe's seed unless None.
 
     Raises:
-        SpecError: The recipe or its twin is invalid; the error contains all findings.
+        SpecError: If the recipe or its twin is invalid; the error contains all findings.
     """
     loaded = load_kind(path, "cousins/1")
     spec = loaded.spec
@@ -157,13 +153,13 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
 
 
 def claim_project(recipe: Recipe, out: Path) -> Path | None:
-    """Ensure that a recipe and its cousins in ``out`` belong to one project; write a project marker if necessary.
+    """Ensure that a recipe and its cousins in ``out`` belong to the same project; write a project marker if necessary.
 
     Returns:
         The path of the marker that was written, or None if the project already exists.
 
     Raises:
-        OutputError: Documents in ``out`` cannot extend the twin because they would be in a different project.
+        OutputError: If documents in ``out`` cannot extend the twin because they would be in a different project.
     """
     try:
         project = common_project(recipe.loaded.path, recipe.scene.path, out / "cousin.scene.yaml")
@@ -209,19 +205,11 @@ def scene_overlay(
         relations: All relations that hold in the scene.
     """
     objects: dict[str, Data] = {}
-    for name in (*recipe.scene_spec.objects, *(n for n in changes if n not in recipe.scene_spec.objects)):
-        data = dict(changes.get(name, {}))
-        if name in poses:
-            data["pose"] = to_data(pose_spec(poses[name]))
-        if joints.get(name):
-            data["joints"] = dict(joints[name])
-        if data:
-            objects[name] = data
-    document: Data = {
-        "simfoundry": "scene/1",
-        "extends": relative(recipe.scene.path, out),
-        "name": named(recipe, index),
-    }
+    for name in dict.fromkeys((*recipe.scene_spec.objects, *changes)):
+        pose = {"pose": to_data(pose_spec(poses[name]))} if name in poses else {}
+        moved = {"joints": dict(joints[name])} if joints.get(name) else {}
+        objects |= {name: data} if (data := {**changes.get(name, {}), **pose, **moved}) else {}
+    document = _overlay("scene/1", recipe, recipe.scene, out, index)
     document |= {"objects": objects} if objects else {}
     document |= {"relations": relations} if relations != recipe.scene_spec.relations else {}
     document["origin"] = origin(recipe, index)
@@ -231,18 +219,13 @@ def scene_overlay(
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
     """Return the text of a task document that extends the twin's task and uses the scene cousin with the same index.
 
-    The twin's start conditions for ``moved`` objects are removed. Its start regions are also removed if one of their
-    objects moved, or if the scene is ``crowded`` (contains added objects), because the regions are guaranteed to be
-    free only in the twin's layout. Rollouts then start from the scene's layout.
+    The twin's start conditions for ``moved`` objects are removed. The twin's start regions are also removed if an
+    object with a region moved, or if the scene is ``crowded`` (contains added objects), because the regions are
+    guaranteed to be free only in the twin's layout. Rollouts then start from the layout of the scene.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
-    document: Data = {
-        "simfoundry": "task/1",
-        "extends": relative(recipe.task.path, out),
-        "name": named(recipe, index),
-        "scene": file_of(index, "scene"),
-    }
+    document = _overlay("task/1", recipe, recipe.task, out, index) | {"scene": file_of(index, "scene")}
     gone = {key: {name: None for name in getattr(spec.start, key) if name in moved} for key in ("place", "pose")}
     start = {key: names for key, names in gone.items() if names}
     document |= {"start": start} if start else {}
@@ -262,8 +245,7 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
     data = to_data(spec)
     if recipe.task_spec is not None:
         start = to_data(recipe.task_spec.start)
-        kept = {key: {n: v for n, v in start.get(key, {}).items() if n not in moved} for key in ("place", "pose")}
-        start |= kept
+        start |= {key: {n: v for n, v in start.get(key, {}).items() if n not in moved} for key in ("place", "pose")}
         data |= {"start": {key: value for key, value in start.items() if value}} if any(start.values()) else {}
     data["name"] = named(recipe, index)
     data["scene"] = file_of(index, "scene") if own_scene else relative(recipe.scene.path, out)
@@ -271,6 +253,11 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
         data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
     return write_tree(plain_tree(data), TaskSpec)
+
+
+def _overlay(kind: str, recipe: Recipe, twin: Loaded, out: Path, index: int) -> Data:
+    """Return the first entries of a document that extends one of the twin's documents."""
+    return {"simfoundry": kind, "extends": relative(twin.path, out), "name": named(recipe, index)}
 
 
 def named(recipe: Recipe, index: int) -> str:
@@ -299,16 +286,15 @@ def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     found, todo = set[str](), set(moved)
     while todo:
-        more = {name for name, place in places.items() if named_by(place) & todo} - found
-        found |= more
-        todo = more
+        todo = {name for name, place in places.items() if named_by(place) & todo} - found
+        found |= todo
     return found
 
 
 def named_by(place: Place) -> set[str]:
     """Return the names of the objects that a `place` refers to."""
-    keys = ("on", "inside", *SIDES, *DEPTHS)
-    return {str(getattr(place, key)).partition(".")[0] for key in keys if getattr(place, key) is not None}
+    values = (getattr(place, key) for key in ("on", "inside", *SIDES, *DEPTHS))
+    return {str(value).partition(".")[0] for value in values if value is not None}
 
 
 def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:

@@ -30,8 +30,8 @@ from simfoundry.spec.models.cousins import DistractorAxis, ValueRange
 # Version of the measured data; part of the cache key.
 VERSION = "library facts 2"
 
-# Assumed density [kg/m^3] of meshes, whose files do not specify a mass; solid household objects have densities around
-# that of water, and hollow ones float.
+# Assumed density [kg/m^3] of meshes, whose files do not specify a mass. Solid household objects are about as dense as
+# water, and hollow ones float.
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
 
 # Generic file name stems that are ignored; the object is named after its folder instead.
@@ -95,7 +95,7 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
     The objects are all asset documents, plus all meshes that no asset document refers to.
 
     Raises:
-        SimfoundryError: The folder does not exist.
+        SimfoundryError: If the folder does not exist.
     """
     if not folder.is_dir():
         raise SimfoundryError(
@@ -105,12 +105,10 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
     faults = []
     for file in _files(folder):
         try:
-            item = measured(file, cache or Cache.default())
+            _add(items, measured(file, cache or Cache.default()))
         except (SpecError, SimfoundryError) as error:
             why = error.diagnostics[0].message if isinstance(error, SpecError) else str(error)
             faults.append((file.relative_to(folder).as_posix(), why))
-            continue
-        _add(items, item)
     return Library(folder.name, tuple(items.values()), tuple(faults))
 
 
@@ -227,16 +225,16 @@ def volume(geometry: Any) -> float:
     from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 
     match geometry:
-        case Box():
-            return mass.box(geometry.size).volume
-        case Sphere():
-            return mass.sphere(geometry.radius).volume
-        case Cylinder():
-            return mass.cylinder(geometry.radius, geometry.height).volume
-        case Capsule():
-            return mass.capsule(geometry.radius, geometry.height).volume
-        case Mesh():
-            return abs(float(mass.mesh(geometry.vertices, geometry.faces).volume))
+        case Box(size):
+            return mass.box(size).volume
+        case Sphere(radius):
+            return mass.sphere(radius).volume
+        case Cylinder(radius, height):
+            return mass.cylinder(radius, height).volume
+        case Capsule(radius, height):
+            return mass.capsule(radius, height).volume
+        case Mesh(vertices, faces):
+            return abs(float(mass.mesh(vertices, faces).volume))
     raise TypeError(f"unknown geometry: {geometry!r}")
 
 
@@ -277,7 +275,7 @@ def filtered(
         twin: Function that returns the objects in the twin; called only if shapes must be compared.
 
     Raises:
-        ImpossibleError: Distractors are requested, but no object passes the filters.
+        ImpossibleError: If distractors are requested, but no object passes the filters.
     """
     left, steps = library.items, list[FilterStep]()
     for asks, passes in _filters(axis, tuple(own), twin):
@@ -307,23 +305,22 @@ def _filters(
 
 
 def _is_within(what: str, bounds: ValueRange, item: LibraryItem) -> bool:
-    low, high = bounds.min or 0.0, math.inf if bounds.max is None else bounds.max
-    return bool(low <= getattr(item, what) <= high)
+    return bool((bounds.min or 0.0) <= getattr(item, what) <= (math.inf if bounds.max is None else bounds.max))
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Return whether a word denotes the object's category or, if none is specified, its derived category or name."""
+    """Return True if a word denotes the object's category or, if none is specified, its derived category or name."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
 
 def _is_nameless(item: LibraryItem) -> bool:
-    """Return whether an object has no specified category and its name contains no known category word."""
+    """Return True if an object has no specified category and its name contains no known category word."""
     return not item.stated and category_prior(item.name) is None
 
 
 def _resembles(item: LibraryItem, others: Sequence[SceneObject]) -> bool:
-    """Return whether an object is similar in size and shape to one of the other objects, ignoring fixed ones."""
+    """Return True if an object is similar in size and shape to one of the other objects that are not fixed."""
     own = likeness(lowered(item.file))
     distances = (own.apart(likeness(other)) for other in others if not other.fixed)
     return any(d.size < math.log(LIKE_SIZE) and d.shape < LIKE_SHAPE for d in distances)
@@ -338,10 +335,8 @@ def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[Fil
     ]
     nameless = [item for item in chosen if not item.stated]
     if nameless:
-        found.append(
-            f"no `category` is set for {_few(nameless)} in {library.title}, so only names and shapes were compared; "
-            "set it in these assets so that no instruction can refer to them by accident"
-        )
+        reason = f"no `category` is set for {_few(nameless)} in {library.title}, so only names and shapes were compared"
+        found.append(f"{reason}; set it in these assets so that no instruction can refer to them by accident")
     return tuple(found)
 
 
@@ -355,10 +350,9 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep
     total = len(library.items)
     text = f"none of the {total} objects in {library.title} can be used as a distractor"
     numbers = {"library": float(total)}
-    for step in steps:
-        if step.taken:
-            numbers[f"taken by {step.asks}"] = float(len(step.taken))
-            text += f"; {step.asks}: {len(step.taken)} removed{_spread(step)}"
+    for step in (step for step in steps if step.taken):
+        numbers[f"taken by {step.asks}"] = float(len(step.taken))
+        text += f"; {step.asks}: {len(step.taken)} removed{_spread(step)}"
     known = sorted({item.category for item in library.items})
     unknown = [name for name in axis.categories if name not in known]
     if unknown and known:
@@ -371,10 +365,7 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep
 
 
 def _spread(step: FilterStep) -> str:
-    """Return a phrase with the range of the filtered quantity over the removed objects.
-
-    The phrase has the form `` (actual values 0.012 to 4.1)``; it is empty if the filter is not about a quantity.
-    """
+    """Return a phrase such as `` (actual values 0.012 to 4.1)`` for a filter by a quantity, or an empty string."""
     what = step.asks.split()[0]
     if what not in ("mass", "volume", "density"):
         return ""

@@ -87,9 +87,8 @@ class VariantPool:
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
     """Collect the alternatives for each axis; raise :class:`ImpossibleError` if an axis has no alternatives."""
     others, tasks = _choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
-    most = None
-    if recipe.spec.scene is None and recipe.spec.distractors is None:  # the layout does not vary
-        most = math.prod(map(len, others.values())) * max(1, len(tasks))
+    same_layout = recipe.spec.scene is None and recipe.spec.distractors is None
+    most = math.prod(map(len, others.values())) * max(1, len(tasks)) if same_layout else None
     return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
@@ -112,12 +111,12 @@ def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str,
 
     Files outside the project folder ``root`` are copied to the output folder first.
     """
-    found = {}
-    for item in items:
+
+    def local(item: LibraryItem) -> Path:
         inside = item.file.resolve().is_relative_to(root)
-        file = item.file if inside else copied(item.file, out / ASSETS / item.digest[:8] / item.name)
-        found[item.name] = relative(file, out)
-    return found
+        return item.file if inside else copied(item.file, out / ASSETS / item.digest[:8] / item.name)
+
+    return {item.name: relative(local(item), out) for item in items}
 
 
 def copied(file: Path, folder: Path) -> Path:
@@ -133,10 +132,8 @@ def copied(file: Path, folder: Path) -> Path:
         _copy_mesh(loaded.file(mesh), (folder / name).parent)
     data = to_data(loaded.spec)
     data.pop("extends", None)
-    for link in data["links"].values():
-        for part in link.get("parts", {}).values():
-            if "mesh" in part:
-                part["mesh"] = names[part["mesh"]]
+    for part in (part for link in data["links"].values() for part in link.get("parts", {}).values()):
+        part |= {"mesh": names[part["mesh"]]} if "mesh" in part else {}
     write_atomically(folder / file.name, write_tree(plain_tree(data), AssetSpec).encode())
     return folder / file.name
 
@@ -163,7 +160,7 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
         vlm: Name of the model to query, if the recipe uses a model.
 
     Raises:
-        ImpossibleError: No task is possible in the twin.
+        ImpossibleError: If no task is possible in the twin.
     """
     from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
     from simfoundry.robots.reach import hands_of
@@ -241,7 +238,8 @@ def prepare(
         path = folder / f"{name}.variants.json"
         record = _read(path, key, folder)
         if record is None:
-            origins = origins if origins is not None else sources() if sources is not None else {}
+            if origins is None:
+                origins = sources() if sources is not None else {}
             made = variants(item, wanted, needs, seed, origins, cache, progress)
             for variant in made.accepted:
                 write(variant, folder)
@@ -257,8 +255,8 @@ def made_for(
     """Return the paths of each object's variant documents, and generate the variants if they do not exist yet.
 
     Raises:
-        ImpossibleError: All candidates for an object were rejected, or a source is not configured.
-        SimfoundryError: A model does not respond.
+        ImpossibleError: If all candidates for an object were rejected, or if a source is not configured.
+        SimfoundryError: If a model does not respond.
     """
     cache, library = Cache.default(), given.library
     records = prepare(axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=library)
@@ -294,7 +292,7 @@ class VariantCount:
 
     @property
     def is_short(self) -> bool:
-        """Return whether fewer variants were generated than requested."""
+        """True if fewer variants were generated than requested."""
         return self.made < self.asked
 
     def to_json(self) -> dict[str, Any]:
@@ -315,9 +313,8 @@ def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
     found = []
     for name, wanted in axis.objects.items() if axis is not None else ():
         record = json.loads((folder / f"{name}.variants.json").read_bytes())
-        examples: dict[str, str] = {}
-        for reason in (reason for one in record["refused"] for reason in one["reasons"]):
-            examples.setdefault(reason["code"], reason["text"])
+        reasons = [reason for one in record["refused"] for reason in one["reasons"]]
+        examples = {reason["code"]: reason["text"] for reason in reversed(reasons)}
         made, refused = len(record["accepted"]), len(record["refused"])
         found.append(VariantCount(name, wanted.count, made, made + refused, record["reasons"], examples))
     return tuple(found)

@@ -5,7 +5,7 @@ All names in the goal must exist, the goal must require a change and be feasible
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,7 @@ MOST_PREDICATES = 16
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTask:
-    """A feasible task, identified by its name and goal.
+    """A feasible task with its name and goal.
 
     ``state`` is a state at rest in which the goal holds, or None if the goal requires a hand to hold an object.
     """
@@ -35,10 +35,9 @@ class AcceptedTask:
     state: SceneState | None = None
 
     def covers(self, goal: Any, setting: TaskContext) -> bool:
-        """Return whether completing this task also achieves another goal about the same objects."""
-        if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
-            return False
-        return setting.twin.judge(goal, self.state).value
+        """Return True if completing this task also achieves another goal about the same objects."""
+        same = set(objects_of(self.goal)) == set(objects_of(goal))
+        return self.state is not None and same and setting.twin.judge(goal, self.state).value
 
 
 def accept(
@@ -72,62 +71,55 @@ def accept(
 def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
     """Return the names of known tasks that are always completed along with a new, stricter task, with the reasons.
 
-    The reverse case does not need to be handled here, because :func:`accept` rejects new tasks that are completed along
-    with a known one.
+    In the reverse case, :func:`accept` has already rejected the new task.
     """
-    return [
-        (other.name, Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is"))
-        for other in known
-        if new.covers(other.goal, setting)
-    ]
+    reason = Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is")
+    return [(other.name, reason) for other in known if new.covers(other.goal, setting)]
 
 
 def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Return reasons for names that do not exist in the scene, and for predicates that are unknown or not allowed."""
-    found: list[Reason] = []
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
         text = f"a goal must have 1 to {MOST_PREDICATES} predicates, but this one has {len(every)}"
         return (Reason("bad_goal", text, {"predicates": len(every)}),)
-    for text in every:
-        try:
-            call = parse_call(text)
-        except ExpressionError as error:
-            hint = f"; {nearest(error.word, error.choices)}" if error.choices else ""
-            found.append(Reason("bad_goal", f"{error}{hint}"))
-            continue
-        if call.predicate not in (*ALLOWED, "Released"):
-            text = f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}"
-            found.append(Reason("not_allowed", text))
-        found += _unknown(call, setting)
-    return tuple({reason.text: reason for reason in found}.values())
+    return tuple({reason.text: reason for text in every for reason in _wrong(text, setting)}.values())
 
 
-def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
-    scene = setting.twin.scene
-    objects, robots = {o.name: o for o in scene.objects}, {hand.name for hand in setting.hands}
-    found = []
+def _wrong(text: str, setting: TaskContext) -> Iterator[Reason]:
+    """Yield the reasons why a predicate cannot be used in a goal."""
+    try:
+        call = parse_call(text)
+    except ExpressionError as error:
+        yield Reason("bad_goal", f"{error}; {nearest(error.word, error.choices)}" if error.choices else str(error))
+        return
+    if call.predicate not in (*ALLOWED, "Released"):
+        allowed = ", ".join(ALLOWED)
+        yield Reason("not_allowed", f"`{call.predicate}` is not allowed in a goal; allowed: {allowed}")
+    yield from _unknown(call, setting)
+
+
+def _unknown(call: Call, setting: TaskContext) -> Iterator[Reason]:
+    objects, robots = {o.name: o for o in setting.twin.scene.objects}, {hand.name for hand in setting.hands}
     for name, kind in zip(call.args, call.kinds, strict=True):
         owner, _, part = name.partition(".")
         if kind == "number" or (kind in ("robot", "body") and owner in robots):
             continue
-        there = robots if kind == "robot" else objects.keys()
+        what, there = ("robot", robots) if kind == "robot" else ("object", set(objects))
         if owner not in there:
-            what = "robot" if kind == "robot" else "object"
             hint = nearest(owner, there) or "the scene has none"
-            found.append(Reason("unknown_name", f"no {what} is called `{owner}`; {hint}"))
+            yield Reason("unknown_name", f"no {what} is called `{owner}`; {hint}")
         elif part:
             item = objects[owner]
             names = [*(link.name for link in item.links), *(joint.name for joint in item.joints)]
             if part not in names:
-                found.append(Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}"))
+                yield Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}")
     if len(call.args) == 2 and call.args[0] == call.args[1]:
-        found.append(Reason("bad_goal", f"{call} requires two different objects"))
-    return found
+        yield Reason("bad_goal", f"{call} requires two different objects")
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return a reason if the goal requires no change, because it already holds or contains only negated predicates."""
+    """Return a reason if a goal requires no change, because it already holds or all its predicates are negated."""
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)
@@ -142,17 +134,15 @@ def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Return a reason if no hand can reach an object in the goal at its current pose."""
-    names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
-    there = {o.name: o for o in setting.twin.scene.objects}
-    found: list[Reason] = []
-    for name in names:
-        item = there.get(name.partition(".")[0])
-        if item is not None and item.name != setting.twin.ground and not found:
+    there = {o.name for o in setting.twin.scene.objects} - {setting.twin.ground}
+    for name in dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args):
+        if name.partition(".")[0] in there:
             # Access to shelf levels from the sides was verified in the twin; an approach from above may be impossible.
             several = levels(setting, name, setting.twin.state)
             reach = setting.too_far if several else setting.cannot_reach
-            found += reach(name, *setting.bounds(name))
-    return tuple(found)
+            if found := reach(name, *setting.bounds(name)):
+                return found
+    return ()
 
 
 def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:

@@ -13,6 +13,7 @@ from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.cavity import Cavity, cavity, outside_part
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Sphere
 from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.predicates.relative import AXES, viewer_axis
 from simfoundry.scene.kinematics import link_poses
@@ -43,16 +44,14 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
     """Return the orientations of an object to try as quaternions (wxyz), starting with its standing orientation."""
     item = setting.twin.scene.object(name)
     standing = Pose.of(q=setting.twin.state.poses[name].q)
-    round_ = all(c.geometry.__class__.__name__ == "Sphere" for link in item.links for c in link.colliders)
-    found = []
-    for (roll, pitch), yaw in product(TILTS[:1] if round_ else TILTS, YAWS[:1] if round_ else YAWS):
-        tilt = Pose.of(q=quat_from_rpy(roll, pitch, 0.0))
-        found.append((Pose.of(q=quat_from_rpy(0.0, 0.0, yaw)) @ tilt @ standing).q)
-    return found
+    is_round = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
+    tilts = [Pose.of(q=quat_from_rpy(roll, pitch, 0.0)) for roll, pitch in TILTS]
+    yaws = [Pose.of(q=quat_from_rpy(0.0, 0.0, yaw)) for yaw in YAWS]
+    return [(yaw @ tilt @ standing).q for tilt, yaw in product(tilts, yaws)][: 1 if is_round else None]
 
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
-    """Return the positions of an object's center to try for a predicate, the most promising first.
+    """Return the positions of an object's center to try for a predicate, most promising first.
 
     The positions are x and y in the world [m].
     """
@@ -76,10 +75,9 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """Return the level surfaces of an object, highest first.
+    """Return the level surfaces of an object that has several of them, highest first.
 
-    The result is empty if there is only one level, if the object has moved from its pose in the twin, or if the target
-    is a link.
+    The result is empty for links, and if the object has moved from its pose in the twin.
     """
     X_WO = setting.twin.state.poses.get(target)  # None for links
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
@@ -115,15 +113,14 @@ def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
 
 
 def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
-    """Return whether a point in a link's frame [m], shape (3,), is outside all parts of the link."""
+    """Return True if a point in a link's frame [m], shape (3,), is outside all parts of the link."""
     body = Bodies(setting.twin.scene)[owner]
-    form = body.forms[body.index(link)]
-    parts = [] if form is None else range(len(form.parts.radius))
-    return all(float(outside_part(form.parts, k, point[None])[0]) > 0 for k in parts if form is not None)
+    parts = [form.parts for form in [body.forms[body.index(link)]] if form is not None]
+    return all(float(outside_part(p, k, point[None])[0]) > 0 for p in parts for k in range(len(p.radius)))
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """Return a phrase that describes the size of an object's cavity; empty without a cavity."""
+    """Return a phrase that describes the size of an object's cavity, or an empty string without a cavity."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""

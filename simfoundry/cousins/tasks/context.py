@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,8 +81,7 @@ def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Appr
     The result is empty if the object is enclosed.
     """
     low, high = setting.bounds(name, state)
-    own = {name, *setting.twin.riders(name)}
-    near = _obstacles(setting, own, low, high, state)
+    near = _obstacles(setting, {name, *setting.twin.riders(name)}, low, high, state)
     middle, half = (low + high) / 2, (high - low) / 2
     over = [np.array([middle[0] + a * half[0], middle[1] + b * half[1], high[2]]) for a, b in _CROSS]
     if _are_free(near, over, UP):
@@ -89,13 +89,10 @@ def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Appr
     found = []
     for turn in np.arange(TURNS) * (2 * math.pi / TURNS):
         way = np.array([math.cos(turn), math.sin(turn), 0.0])
-        if not _are_free(near, _outline(low, high, way), way):
-            continue
-        for tilt in TILTS:
-            side = math.cos(tilt) * way + math.sin(tilt) * UP
-            if _are_free(near, _back_of_hand(middle, half, side, way), side):
-                found.append(Approach(side, way))
-                break
+        if _are_free(near, _outline(low, high, way), way):
+            sides = [math.cos(tilt) * way + math.sin(tilt) * UP for tilt in TILTS]
+            free = (s for s in sides if _are_free(near, _back_of_hand(middle, half, s, way), s))
+            found += [Approach(side, way) for side in islice(free, 1)]
     return tuple(found)
 
 
@@ -125,19 +122,15 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 
 def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
     """Return the convex parts of other objects that are close enough to obstruct an approach."""
-    twin = setting.twin
-    found = []
-    for item in twin.scene.objects:
-        if item.name in own or item.name in twin.absent:
-            continue
-        moved = setting.joints(item.name) and state.joints != twin.state.joints
-        shape = hulls(object_at(item, state)) if moved else twin.shape(item.name, state.poses[item.name])
-        if not len(shape.corners):
-            continue
-        lowest, highest = shape.bounds()
-        if (lowest < high + ROOM + HALF_WIDE).all() and (highest > low - ROOM - HALF_WIDE).all():
-            found.append(shape)
-    return found
+    twin, far = setting.twin, ROOM + HALF_WIDE
+    others = [item for item in twin.scene.objects if item.name not in own | set(twin.absent)]
+    moved = {item.name for item in others if setting.joints(item.name) and state.joints != twin.state.joints}
+    shapes = [
+        hulls(object_at(item, state)) if item.name in moved else twin.shape(item.name, state.poses[item.name])
+        for item in others
+    ]
+    boxes = [(shape, *shape.bounds()) for shape in shapes if len(shape.corners)]
+    return [shape for shape, least, most in boxes if (least < high + far).all() and (most > low - far).all()]
 
 
 def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -> bool:
@@ -179,8 +172,8 @@ class TaskContext:
             engines: Engines in which a goal state must last.
 
         Raises:
-            SpecError: The document is invalid.
-            TwinError: The scene does not come to rest.
+            SpecError: If the document is invalid.
+            TwinError: If the scene does not come to rest.
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
@@ -189,10 +182,9 @@ class TaskContext:
     # -- object poses and joints ------------------------------------------------------------------------------------
 
     def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
-        """Return the minimum and maximum corners of an object's or link's bounding box in the world [m].
+        """Return the minimum and maximum corners of the bounding box of an object or link in the world [m], (3,) each.
 
-        The shape is (3,) each. A link is named ``object.link`` or ``object.joint``; ``state`` is by default the twin's
-        state.
+        A link is named ``object.link`` or ``object.joint``. The default ``state`` is the state of the twin.
         """
         owner, _, part = name.partition(".")
         state = state or self.twin.state
@@ -207,11 +199,8 @@ class TaskContext:
     def joints(self, argument: str) -> tuple[Joint, ...]:
         """Return the joints with limits that ``object``, ``object.joint`` or ``object.link`` refers to."""
         owner, _, part = argument.partition(".")
-        return tuple(
-            joint
-            for joint in self.twin.scene.object(owner).joints
-            if joint.has_axis and joint.limits is not None and (not part or part in (joint.name, joint.child))
-        )
+        limited = (j for j in self.twin.scene.object(owner).joints if j.has_axis and j.limits is not None)
+        return tuple(j for j in limited if not part or part in (j.name, j.child))
 
     # -- feasible actions ---------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -53,19 +54,10 @@ def task(
     """
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
-    return TaskSpec.model_validate(
-        {
-            "simfoundry": "task/1",
-            "name": name,
-            "scene": scene,
-            "instruction": instruction,
-            "goal": goal,
-            "subtasks": steps,
-            "reset": Reset(objects=regions(setting, tuple(about))),
-            "horizon": MINUTE_PART * count,
-            "origin": Origin(note=note[:200]),
-        }
-    )
+    document = {"simfoundry": "task/1", "name": name, "scene": scene, "instruction": instruction, "goal": goal}
+    document |= {"subtasks": steps, "reset": Reset(objects=regions(setting, tuple(about)))}
+    document |= {"horizon": MINUTE_PART * count, "origin": Origin(note=note[:200])}
+    return TaskSpec.model_validate(document)
 
 
 def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
@@ -79,7 +71,7 @@ def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the subtasks for grasping an object: touch it, then pick it up. Empty if there are no hands."""
+    """Return the subtasks for grasping an object (touching it, then picking it up), or nothing without a hand."""
     hands = [hand.name for hand in setting.hands]
     if not hands:
         return {}
@@ -92,9 +84,9 @@ def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
-    """Return start regions for those of the named objects that stand directly on the ground object.
+    """Return a start region for each of the named objects that stands directly on the ground object.
 
-    Each region is a square around the object's position that keeps it clear of all other objects.
+    The region is a square around the object's position, within which the object stays clear of all other objects.
     """
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
@@ -133,10 +125,8 @@ def free_name(wanted: str, taken: set[str]) -> str:
     """Convert the wanted name to a valid name, and append a number if it is already taken."""
     plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
     plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
-    name, k = plain, 2
-    while name in taken:
-        name, k = f"{plain[: NAME - 4]}_{k}", k + 1
-    return name
+    names = chain((plain,), (f"{plain[: NAME - 4]}_{k}" for k in count(2)))
+    return next(name for name in names if name not in taken)
 
 
 # Callback that receives the numbers of accepted and examined proposals.
@@ -161,7 +151,7 @@ class Proposal:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the task was accepted."""
+        """True if the task was accepted."""
         return not self.reasons
 
 
@@ -183,9 +173,8 @@ class Proposals:
             self.found.append(Proposal(name, goal, made, new))
             return
         less = dict(superseded(new, self.accepted, self.setting))
-        self.found = [
-            replace(p, reasons=(less[p.name],)) if p.accepted and p.name in less else p for p in self.found
-        ] + [Proposal(name, goal, made)]
+        known = (replace(p, reasons=(less[p.name],)) if p.accepted and p.name in less else p for p in self.found)
+        self.found = [*known, Proposal(name, goal, made)]
         self.accepted = [task for task in self.accepted if task.name not in less] + [new]
 
 
@@ -251,14 +240,14 @@ def scene_reference(scene: Path, out: Path) -> str:
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
     """Run ``simfoundry check`` on the accepted proposals as documents in ``out``; reject those with findings."""
-    found = list(proposals)
-    for k, proposal in enumerate(proposals):
+    found = []
+    for proposal in proposals:
         if proposal.accepted and proposal.task is not None:
             file = file_of(proposal, out)
             loaded = load(file, text=to_yaml(proposal.task))
             wrong = loaded.findings or [d for d in lint(loaded) if d.file == str(file)]
-            reasons = tuple(Reason("check", f"{d.code}: {d.message}") for d in wrong[:3])
-            found[k] = replace(proposal, reasons=reasons)
+            proposal = replace(proposal, reasons=tuple(Reason("check", f"{d.code}: {d.message}") for d in wrong[:3]))
+        found.append(proposal)
     return found
 
 

@@ -90,17 +90,15 @@ class Affordances:
     @classmethod
     def of(cls, setting: TaskContext) -> Affordances:
         """Determine the affordances of a scene's objects from their collision geometry."""
-        objects = setting.twin.scene.objects
-        names = [
-            o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
-        ]
+        present = (o for o in setting.twin.scene.objects if o.name not in setting.twin.absent)
+        names = [o.name for o in present if any(link.colliders for link in o.links)]
+        raised = [n for n in names if n != setting.twin.ground]
         parts = {n: [f"{n}.{j.child}" for j in setting.joints(n)] for n in names}
-        grounds = {setting.twin.ground}
-        hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
-        boards = {n: _boards(setting, n) for n in names if n not in grounds}
+        hollow = [t for n in raised for t in (n, *parts[n]) if _hollow(setting, t)]
+        boards = {n: _boards(setting, n) for n in raised}
         # Drawers and named shelf boards are listed instead of the cabinet or shelf that they belong to.
         own = [t for t in hollow if not ("." not in t and (boards[t] or any(p in hollow for p in parts[t])))]
-        level = [t for n in names if n not in grounds for t in boards[n] or [n] * _level(setting, n, hollow)]
+        level = [t for n in raised for t in boards[n] or [n] * _level(setting, n, hollow)]
         return cls(
             tuple(n for n in names if not setting.cannot_take(n)),
             tuple(own),
@@ -111,18 +109,17 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Return whether an object has a usable cavity, that is, one that is deep, wide, and free at its center."""
+    """Return True if an object has a usable cavity, that is, one that is deep, wide, and free at its center."""
     try:
         found = cavities(setting, name)
     except PredicateError:
         return False
-    owner = name.partition(".")[0]
     large = [(link, hole) for link, hole in found if hole.deep >= HOLLOW[0] and across(hole) >= HOLLOW[1]]
-    return any(is_free(setting, owner, link, hole.middle) for link, hole in large)
+    return any(is_free(setting, name.partition(".")[0], link, hole.middle) for link, hole in large)
 
 
 def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
-    """Return whether an object has a level top or floor, and is wide enough to support others."""
+    """Return True if an object has a level top or floor, and is wide enough to support others."""
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
@@ -131,19 +128,13 @@ def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
 def _boards(setting: TaskContext, name: str) -> list[str]:
     """Return the static links of an object that have a wide level surface; empty unless there are at least two."""
     own = setting.twin[name]
-    if len(own.still_links) < 2:
-        return []
-
-    def is_broad(link: int) -> bool:
-        spans = [np.subtract(*level.bounds[::-1]) for level in supports_of(name, own.placed, [link])]
-        return any(span.min() >= BROAD for span in spans)
-
-    found = [f"{name}.{own.item.links[k].name}" for k in own.still_links if is_broad(k)]
-    return found if len(found) > 1 else []
+    levels = {k: supports_of(name, own.placed, [k]) for k in own.still_links} if len(own.still_links) > 1 else {}
+    broad = [k for k in levels if any(np.subtract(*level.bounds[::-1]).min() >= BROAD for level in levels[k])]
+    return [f"{name}.{own.item.links[k].name}" for k in broad] if len(broad) > 1 else []
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return whether an object's highest level surface is a top rather than a floor, that is, in its upper half."""
+    """Return True if an object's highest level surface is a top rather than a floor, that is, in its upper half."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
@@ -152,17 +143,13 @@ def _has_top(setting: TaskContext, name: str) -> bool:
 def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
     """Yield all candidate tasks without verifying them."""
     for thing in there.things:
-        for target in there.containers:
-            if target.partition(".")[0] != thing and _fits(setting, (thing,), target):
-                yield _placed(setting, thing, "Inside", target, there)
-        for target in there.supports:
-            stays = setting.twin.carried.get(thing) == (target,)
+        ways = [*product(["Inside"], there.containers), *product(["OnTop"], there.supports)]
+        for word, target in ways:
+            stays = word == "OnTop" and setting.twin.carried.get(thing) == (target,)
             if target.partition(".")[0] != thing and not stays and _fits(setting, (thing,), target):
-                yield _placed(setting, thing, "OnTop", target, there)
-    for joint in there.joints:
-        for word in ("Open", "Closed"):
-            step = _moved(joint, word)
-            yield Idea(step.name, (step.goal,), (step,))
+                yield _placed(setting, thing, word, target, there)
+    for step in (_moved(joint, word) for joint, word in product(there.joints, ("Open", "Closed"))):
+        yield Idea(step.name, (step.goal,), (step,))
     yield from _stacks(setting, there)
     yield from _gathered(setting, there)
 
@@ -178,11 +165,11 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Return whether a joint moves the target part, or a part of the target object."""
+    """Return True if a joint moves the target part, or a part of the target object."""
     owner, _, part = target.partition(".")
-    if joint.partition(".")[0] != owner:
-        return False
-    return not part or any(j.child == part and f"{owner}.{j.name}" == joint for j in setting.joints(owner))
+    if not part:
+        return joint.partition(".")[0] == owner
+    return joint in {f"{owner}.{j.name}" for j in setting.joints(owner) if j.child == part}
 
 
 def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
@@ -208,9 +195,8 @@ def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
                 continue
-            relation = "Inside" if target in there.containers else "OnTop"
+            relation, side = ("Inside", "in") if target in there.containers else ("OnTop", "on")
             steps = tuple(_step(thing, relation, target) for thing in group)
-            side = "in" if relation == "Inside" else "on"
             yield Idea(f"all_{word}s_{side}_{_short(target)}", tuple(s.goal for s in steps), steps, 1)
 
 
@@ -225,22 +211,17 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Return whether objects are small enough for a target, based on bounding boxes only."""
-    low, high = setting.bounds(target)
-    room = np.sort((high - low)[:2])
-    if len(things) == 1:
-        own_low, own_high = setting.bounds(things[0])
-        return bool((np.sort(own_high - own_low)[:2] <= room).all())
-    taken = sum(float(np.prod(np.subtract(*setting.bounds(thing)[::-1])[:2])) for thing in things)
-    return taken <= ROOM * float(np.prod(room))
+    """Return True if objects are small enough for a target, based on bounding boxes only."""
+    room, *sizes = (np.subtract(*setting.bounds(name)[::-1]) for name in (target, *things))
+    if len(sizes) == 1:
+        return bool((np.sort(sizes[0])[:2] <= np.sort(room[:2])).all())
+    return sum(float(np.prod(size[:2])) for size in sizes) <= ROOM * float(np.prod(np.sort(room[:2])))
 
 
 def _step(thing: str, word: str, target: str) -> IdeaStep:
-    side = "in" if word == "Inside" else "on"
-    said = f"{'inside' if word == 'Inside' else 'on'} the {_said(target)}"
-    return IdeaStep(
-        f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
-    )
+    side, preposition = ("in", "inside") if word == "Inside" else ("on", "on")
+    words = f"put the {_said(thing)} {preposition} the {_said(target)}"
+    return IdeaStep(f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", words, thing)
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
@@ -269,15 +250,12 @@ def step_of(call: Call) -> IdeaStep:
         return _step(thing, call.predicate, call.args[1])
     if call.predicate in ("Open", "Closed"):
         return _moved(thing, call.predicate)
-    name = "_".join(
-        [_short(thing), call.predicate.lower(), *(_short(a) for a in call.args[1:2] if call.kinds[1] == "thing")]
-    )
-    if call.predicate in WORDS:
-        return IdeaStep(
-            name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing
-        )
+    others = [_short(a) for a in call.args[1:2] if call.kinds[1] == "thing"]
     verb = {"Lifted": "lift", "Grasped": "take", "Upright": "stand up"}.get(call.predicate, "move")
-    return IdeaStep(name, str(call), f"{verb} the {_said(thing)}", thing)
+    words = f"{verb} the {_said(thing)}"
+    if call.predicate in WORDS:
+        words = f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}"
+    return IdeaStep("_".join([_short(thing), call.predicate.lower(), *others]), str(call), words, thing)
 
 
 def _short(name: str) -> str:

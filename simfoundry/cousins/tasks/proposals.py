@@ -37,6 +37,7 @@ from simfoundry.spec.yaml.text import parse
 if TYPE_CHECKING:
     from simfoundry.cousins.layout.twin import Twin
     from simfoundry.models.vlm import Vlm
+    from simfoundry.scene.model import SceneObject
     from simfoundry.scene.state import SceneState
     from simfoundry.spec.models.scene import SceneSpec
 
@@ -67,7 +68,7 @@ def propose_tasks(
         exclude: Objects that tasks must not involve.
 
     Raises:
-        VlmError: The model does not respond.
+        VlmError: If the model does not respond.
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
@@ -91,9 +92,7 @@ def prompt(
         robot_type=_robots(setting),
         robot_constraint=_robot_constraint(setting),
         object_constraints=_object_constraints(include, exclude),
-        object_list="\n".join(
-            f"- {o.name} -> {o.category or o.name}, {o.name}{_parts(setting, o.name)}" for o in objects
-        ),
+        object_list="\n".join(f"- {o.name} -> {o.category or o.name}, {o.name}{_parts(setting, o)}" for o in objects),
         states=", ".join(state for state in ALLOWED if state != "At"),
     )
 
@@ -120,9 +119,9 @@ def _object_constraints(include: Sequence[str], exclude: Sequence[str]) -> str:
     return "\n".join(lines) or "- None."
 
 
-def _parts(setting: TaskContext, name: str) -> str:
-    parts = [joint.child for joint in setting.joints(name)]
-    return f" (parts: {', '.join(f'{name}.{part}' for part in parts)})" if parts else ""
+def _parts(setting: TaskContext, item: SceneObject) -> str:
+    parts = ", ".join(f"{item.name}.{joint.child}" for joint in setting.joints(item.name))
+    return f" (parts: {parts})" if parts else ""
 
 
 def judged(
@@ -264,18 +263,14 @@ def goal_of(told: Told) -> tuple[Any, str]:
     Returns:
         The condition, and an error message if the goal is invalid, or an empty string.
     """
-    names, wrong = {}, ""
-    for group, members in told.semantic_group_mapping.items():
-        if len(members) != 1:
-            wrong = wrong or f"group `{group[:40]}` must have exactly one member, not {len(members)}"
-        else:
-            names[group] = members[0]
+    groups, either = told.semantic_group_mapping, told.goal_predicates_any or []
+    names = {group: members[0] for group, members in groups.items() if len(members) == 1}
+    wrong = [f"group `{g[:40]}` must have exactly one member, not {len(m)}" for g, m in groups.items() if len(m) != 1]
+    if any(asked.state_kwargs for asked in (*told.goal_predicates_all, *either)):
+        wrong.append("`state_kwargs` must be null")
     terms = [_term(asked, names) for asked in told.goal_predicates_all]
-    if told.goal_predicates_any:
-        terms.append({"any": tuple(_term(asked, names) for asked in told.goal_predicates_any)})
-    if any(asked.state_kwargs for asked in (*told.goal_predicates_all, *(told.goal_predicates_any or []))):
-        wrong = wrong or "`state_kwargs` must be null"
-    return {"all": tuple(terms)}, wrong
+    terms += [{"any": tuple(_term(asked, names) for asked in either)}] if either else []
+    return {"all": tuple(terms)}, next(iter(wrong), "")
 
 
 def _term(asked: AskedTask, names: dict[str, str]) -> Any:
@@ -326,7 +321,7 @@ def task_cousins(
     vlm: Vlm | None = None,
     picture: bytes = b"",
 ) -> tuple[tuple[TaskCousin, ...], tuple[Proposal, ...]]:
-    """Return the feasible tasks for a recipe's task axis, and all proposals that were examined.
+    """Return the feasible tasks for the task axis of a recipe, and all proposals that were examined.
 
     Args:
         twin: The twin.
@@ -338,22 +333,19 @@ def task_cousins(
         picture: Image of the scene for the model.
 
     Raises:
-        ImpossibleError: No task is feasible, or the axis requires a model but none is given.
+        ImpossibleError: If no task is feasible, or if the axis requires a model but ``vlm`` is None.
     """
     setting = TaskContext(twin, hands_of(scene.robots), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
             why = "`proposals: model` requires a model; specify one, or use `affordances`"
             raise ImpossibleError((Reason("no_model", why),))
-        every = sorted({o.name for o in twin.scene.objects} - set(axis.objects)) if axis.objects else []
-        found: Sequence[Proposal] = propose_tasks(
-            vlm, setting, picture, axis.count, scene=reference, include=axis.objects, exclude=every
-        )
+        rest = sorted({o.name for o in twin.scene.objects} - set(axis.objects)) if axis.objects else []
+        found = propose_tasks(vlm, setting, picture, axis.count, "typed", reference, axis.objects, rest)
     else:
         found = enumerate_tasks(setting, axis.count, seed, reference, axis.objects)
-    good = tuple(
-        TaskCousin(p.task, p.goal, setting.hands, axis.engines) for p in found if p.accepted and p.task is not None
-    )
+    tasks = [(p.task, p.goal) for p in found if p.accepted and p.task is not None]
+    good = tuple(TaskCousin(spec, goal, setting.hands, axis.engines) for spec, goal in tasks)
     if not good:
         said = "; ".join(f"{p.name}: {p.reasons[0].text}" for p in found[:3] if p.reasons)
         text = f"none of the {len(found)} proposed tasks is possible" + (f": {said}" if said else "")

@@ -28,8 +28,8 @@ DISTURBED = 0.02
 # Duration of the simulations in other engines [s] that test whether a state lasts.
 LASTS = 2.0
 
-# Offset [m] added to each placement, because hands are inexact; it prevents, for example, balancing balls on each
-# other.
+# Offset [m] that is added to each placement, because hands are inexact. For example, it prevents balls from being
+# balanced on each other.
 ASTRAY = (0.0023, 0.0017)
 
 
@@ -55,19 +55,15 @@ def dropped(
         state: State of the scene.
 
     Raises:
-        PlaceError: The object misses the target or does not fit.
+        PlaceError: If the object misses the target or does not fit.
     """
     twin = setting.twin
     shape = twin.shape(name, Pose.of(q=q))
     middle = [sum(shape.extent(axis)) / 2 for axis in np.eye(3)[:2]]
     roll, pitch, yaw = np.degrees(rpy_from_quat(q)).tolist()
-    within = target if inside and "." in target else None
-    place = Place(
-        on=None if within else target,
-        inside=within,
-        xy=(xy[0] - middle[0] + ASTRAY[0], xy[1] - middle[1] + ASTRAY[1]),
-        rpy_deg=(roll, pitch, yaw),
-    )
+    on, within = (None, target) if inside and "." in target else (target, None)
+    at = (xy[0] - middle[0] + ASTRAY[0], xy[1] - middle[1] + ASTRAY[1])
+    place = Place(on=on, inside=within, xy=at, rpy_deg=(roll, pitch, yaw))
     owner = target.partition(".")[0]
     found = solve(twin[name].item, place, {owner: object_at(twin.scene.object(owner), state)}, twin.scene.viewer)
     return Pose.of(found.p, q)
@@ -84,13 +80,13 @@ def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, f
         q: Orientation of the object (wxyz).
 
     Raises:
-        PlaceError: The object would overhang the surface or collide with the object that the surface belongs to.
+        PlaceError: If the object would overhang the surface, or collide with the object that the surface belongs to.
     """
     twin = setting.twin
     turned = twin.shape(name, Pose.of(q=q))
     outline = Outline.of(turned)
     middle = complex(*xy)
-    if not level.holds(np.array([[middle.real, middle.imag]]), np.array([1.0 + 0.0j]), outline.spread)[0]:
+    if not level.holds(np.array([xy]), np.array([1.0 + 0.0j]), outline.spread)[0]:
         raise PlaceError(f"`{name}` would overhang the level of `{level.name}` at {level.height:.3f} m")
     at = middle - outline.middle
     X_WO = Pose.of((at.real, at.imag, level.height - outline.low + CLEARANCE), q)
@@ -153,11 +149,9 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
     result.
 
     Raises:
-        MissingEngineError: An engine is not installed.
+        MissingEngineError: If an engine is not installed.
     """
-    for engine in setting.engines:
-        if engine == "mujoco":
-            continue
+    for engine in (name for name in setting.engines if name != "mujoco"):
         with open_world(bare(setting.twin.scene), engine) as world:
             world.reset(state)
             world.step(round(LASTS / world.timestep))

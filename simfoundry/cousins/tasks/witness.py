@@ -38,7 +38,7 @@ HELD = ("Grasped", "Lifted")
 # Predicates allowed in a goal; `Released` may be combined with them.
 ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
 
-# Margin [m] by which a predicate may be violated at first contact, because the object may still satisfy it after
+# Margin [m] by which an object may violate a predicate at first contact, because it may satisfy the predicate after
 # settling.
 NEAR = 0.03
 
@@ -79,7 +79,7 @@ class _Attempt:
 
 
 def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
-    """Find a witness of a goal, or return the reasons why the search failed. Names and predicates must be valid."""
+    """Find a witness of a goal with valid names and predicates, or return the reasons why the search failed."""
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
         try:
@@ -131,10 +131,9 @@ def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
 
 def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
     """Yield the objects to place, containers and supports first, each with its predicates."""
-    groups: dict[str, list[Call]] = {}
+    waiting: dict[str, list[Call]] = {}
     for call in calls:
-        groups.setdefault(call.args[0].partition(".")[0], []).append(call)
-    waiting = dict(groups)
+        waiting.setdefault(call.args[0].partition(".")[0], []).append(call)
     while waiting:
         free = [n for n, asked in waiting.items() if not {_owner(c) for c in asked} & (waiting.keys() - {n})]
         for name in free or list(waiting)[:1]:
@@ -166,10 +165,8 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
         return (Reason("impossible", f"{call} cannot be achieved: {settled.why}"),)
     attempt.state = settled.state
     verdict = setting.twin.judge(str(call), attempt.state)
-    if not verdict.value:
-        text = f"{call} does not last: {verdict.why}"
-        return (Reason("impossible", text, {"margin": verdict.margin}),)
-    return ()
+    text = f"{call} does not last: {verdict.why}"
+    return () if verdict.value else (Reason("impossible", text, {"margin": verdict.margin}),)
 
 
 # -- objects ----------------------------------------------------------------------------------------------------------
@@ -191,24 +188,19 @@ def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) 
     lacks = _tried(setting, attempt, name, calls) if not (shut and within) else ()
     if not shut or not (lacks or within):
         return lacks
-    before = attempt.state
-    for owner, joint in dict.fromkeys(shut):
-        if closed := _set(setting, attempt, Call("Open", (f"{owner}.{joint}",))):
-            attempt.state = before
-            return lacks or closed
-    again = _tried(setting, attempt, name, calls)
-    if again:
+    before, shut = attempt.state, list(dict.fromkeys(shut))
+    failed = next(filter(None, (_set(setting, attempt, Call("Open", (joint,))) for joint in shut)), ())
+    if failed := failed or _tried(setting, attempt, name, calls):
         attempt.state = before
-        return lacks or again
-    attempt.opened += [f"{owner}.{joint}" for owner, joint in dict.fromkeys(shut)]
+        return lacks or failed
+    attempt.opened += shut
     return ()
 
 
-def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
-    """Return the closed joints of the target part or object, as pairs of object and joint names."""
-    owner = target.partition(".")[0]
-    judge, state = setting.twin.judge, attempt.state
-    return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
+def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[str]:
+    """Return the closed joints of the target part or object, as ``object.joint``."""
+    joints = [f"{target.partition('.')[0]}.{joint.name}" for joint in setting.joints(target)]
+    return [joint for joint in joints if not setting.twin.judge(f"Open({joint})", attempt.state).value]
 
 
 def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
@@ -226,13 +218,13 @@ def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]
         for state, verdict in _touchdowns(setting, attempt, name, calls, tried):
             if not verdict.value:
                 nearly.append((verdict.margin, state))
-            elif (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
-                return found
+            elif _settled(setting, attempt, name, calls, state, tried):
+                return ()
         for state in _unlike(nearly, name):
             if tried.settles >= SETTLES:
                 break
-            if (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
-                return found
+            if _settled(setting, attempt, name, calls, state, tried):
+                return ()
     except PredicateError as error:
         return (Reason("impossible", str(error)),)
     return tried.far or (_cannot(setting, name, calls, tried),)
@@ -294,37 +286,31 @@ def _touchdowns(
 
 def _settled(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
-) -> tuple[Reason, ...] | None:
-    """Settle an object and store the resulting state in the attempt if its predicates hold.
-
-    Returns:
-        An empty tuple on success, or None on failure.
-    """
+) -> bool:
+    """Settle an object; if its predicates hold, store the resulting state in the attempt and return True."""
     spot = tuple(np.round(state.poses[name].p, 2).tolist())
     if spot in tried.unreached:
-        return None
+        return False
     if lacks := setting.cannot_hold(name, state):
         tried.unreached.add(spot)
         tried.far = tried.far or lacks
-        return None
+        return False
     tried.settles += 1
     asked = attempt.asked(name, calls)
     settled = rest(setting, state, {name, *setting.twin.riders(name)})
     verdict = setting.twin.judge(asked, settled.state)
-    if not verdict.value or settled.why:
-        tried.why = settled.why or f"at rest, {verdict.why}"
-        return None
-    if gone := lost(setting, asked, settled.state):
-        tried.why = gone
-        return None
+    why = settled.why or ("" if verdict.value else f"at rest, {verdict.why}")
+    if why := why or lost(setting, asked, settled.state):
+        tried.why = why
+        return False
     if lacks := setting.cannot_hold(name, settled.state):
         tried.far = tried.far or lacks
-        return None
+        return False
     attempt.state = settled.state
     bodies = Bodies(setting.twin.scene)
     for thing in (bodies.thing(call.args[1]) for call in calls if call.predicate in ON):
         attempt.held[name] = f"{thing.owner}.{bodies[thing.owner].item.links[thing.links[0]].name}"
-    return ()
+    return True
 
 
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:

@@ -110,7 +110,7 @@ def _map_to_array(found: dict[Any, Any]) -> Any:
         try:
             return kind.type(value)
         except (OverflowError, ValueError):
-            raise CodecError(f"it contains a number out of range for `{kind}`") from None
+            raise CodecError(f"it contains a number that is out of range for `{kind}`") from None
     return found
 
 
@@ -147,14 +147,13 @@ def _npy_map_to_value(found: dict[Any, Any]) -> Any:
 def from_npy(data: Any) -> np.ndarray[Any, Any]:
     """Parse an array from a NumPy file; raises :class:`CodecError` if the file is invalid.
 
-    ``numpy.load`` allocates the size declared in the header before it checks how much data is available. This function
-    first verifies that the two agree.
+    Unlike ``numpy.load``, this function compares the size declared in the header with the amount of available data
+    before it allocates any memory.
     """
     if not isinstance(data, bytes) or not data.startswith(b"\x93NUMPY") or data[6:7] not in (b"\x01", b"\x02"):
         raise CodecError("it contains an array that is not a NumPy file")
-    wide = 2 if data[6] == 1 else 4
-    length = int.from_bytes(data[8 : 8 + wide], "little")
-    start = 8 + wide
+    start = 10 if data[6] == 1 else 12  # the length of the header has two bytes in version 1, and four in version 2
+    length = int.from_bytes(data[8:start], "little")
     if length > HEADER or start + length > len(data):
         raise CodecError("it contains an array whose header is too long")
     try:

@@ -41,7 +41,7 @@ class Modality:
 
 
 def modality(found: Any, name: str) -> Modality:
-    """Parse one modality from the response to ``get_modality_config``; raises :class:`PolicyError` if it is invalid."""
+    """Parse a modality from the response to ``get_modality_config``; raises :class:`PolicyError` if it is invalid."""
     described = found.get(name) if isinstance(found, dict) else None
     if not isinstance(described, dict):
         raise PolicyError(f"the server does not describe its `{name}`")
@@ -54,10 +54,10 @@ def modality(found: Any, name: str) -> Modality:
 
 
 def eef_9d(X_BH: Pose) -> Array:
-    """Encode a hand pose in the base frame as in GR00T's training on DROID.
+    """Encode a hand pose in the base frame as in GR00T's training data from DROID.
 
-    The result contains the position [m] followed by the first two rows of the rotation matrix, shape (9,). The rotation
-    is that of the hand multiplied by the constant rotation :data:`DROID_HAND`.
+    The result contains the position [m], followed by the first two rows of a rotation matrix, shape (9,). This matrix
+    is the rotation of the hand multiplied by :data:`DROID_HAND`.
     """
     rotation = X_BH.rotation @ DROID_HAND
     return np.concatenate([X_BH.p, rotation[0], rotation[1]])
@@ -70,10 +70,10 @@ PING_S = 5.0
 
 
 class Requests(ServerConnection):
-    """A REQ socket that is replaced after a missing response, because it can no longer be used then.
+    """A REQ socket, which must be replaced if there is no response to a request.
 
-    ZeroMQ connects in the background and does not report missing servers, so a short ``ping`` before each rollout
-    detects them. Each exchange consists of one request and one response.
+    ZeroMQ connects in the background and does not report unavailable servers, so each rollout starts with a short
+    ``ping``. Each exchange consists of one request and one response.
     """
 
     codec = GROOT_CODEC
@@ -102,7 +102,7 @@ class Requests(ServerConnection):
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
         """Return the response from an endpoint; raises :class:`PolicyError` on failure.
 
-        A request is never repeated, because the rollout state of the server would then differ from the actual rollout.
+        A request is never repeated, because the server's rollout state would then differ from the actual rollout.
         """
         with self.timed():
             return self._sound(self._exchange(endpoint, data, self.patience))
@@ -133,13 +133,8 @@ class Requests(ServerConnection):
 
     def _exchange(self, endpoint: str, data: Mapping[str, Any] | None, patience: float) -> bytes:
         zmq = needed("zmq", "the protocol of groot")
-        request: dict[str, Any] = {"endpoint": endpoint}
-        if data is not None:
-            request["data"] = data
-        key = self.secret()
-        if key is not None:
-            request["api_token"] = key
-        packed = self.packed(request)
+        request = {"endpoint": endpoint, "data": data, "api_token": self.secret()}
+        packed = self.packed({key: value for key, value in request.items() if value is not None})
         socket = self._opened(zmq)
         try:
             while self._monitor.poll(0):  # lost since the last query, and reconnected by ZeroMQ itself
@@ -199,7 +194,7 @@ def _event(monitor: Any) -> int:
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)
 
 
-# Mapping from the server's names for parts of the robot state to those of a policy document; ``eef_9d`` is handled
+# Mapping from the server's names for parts of the robot state to the names in a policy document; ``eef_9d`` is handled
 # separately.
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
 # Parts of a response that are executed.
@@ -209,8 +204,8 @@ ACTION = ("joint_position", "gripper_position")
 class GrootPolicy(RemotePolicy):
     """A client of GR00T's ``PolicyServer`` for a single arm.
 
-    The server describes its inputs (``get_modality_config``). If it needs images of earlier steps, as N1.7 does, the
-    images of earlier requests are used, so the number of steps it looks back must be divisible by ``horizon``.
+    The server describes its inputs (``get_modality_config``). If the server needs images from earlier steps, as N1.7
+    does, the images of earlier requests are sent again, so the number of steps must be divisible by ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -260,15 +255,12 @@ class GrootPolicy(RemotePolicy):
 
     def _seen(self, observation: Observation) -> Mapping[str, Mapping[str, Any]]:
         """Collect all inputs that the server needs at the current time."""
-        images = pictures(self.spec, observation)
-        (robot,) = observation.robots.values()
-        senses = {
-            key: eef_9d(robot.X_BH)
-            if key == "eef_9d"
-            else reading(READINGS[key], observation.robots, self.spec.gripper)
-            for key in self._takes["state"].keys
-        }
-        return {"video": {k: images[k] for k in self._takes["video"].keys}, "state": senses}
+        images, robots = pictures(self.spec, observation), observation.robots
+        (robot,) = robots.values()
+        known = {key: reading(name, robots, self.spec.gripper) for key, name in READINGS.items()}
+        known["eef_9d"] = eef_9d(robot.X_BH)
+        senses: dict[str, Mapping[str, Any]] = {"video": images, "state": known}
+        return {kind: {key: every[key] for key in self._takes[kind].keys} for kind, every in senses.items()}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
         """Return the values at the time steps that the server requests, shape (1, T, ...).
@@ -289,19 +281,15 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
         if key not in READINGS and key != "eef_9d":
             known = ", ".join([*READINGS, "eef_9d"])
             raise PolicyError(f"the server needs the state `{key}`; this client supports {known}")
-    missing = [key for key in ACTION if key not in takes["action"].keys]
-    if missing:
-        raise PolicyError(
-            f"the server's actions do not contain `{missing[0]}`, only {', '.join(takes['action'].keys)[:200]}"
-        )
-    for kind in ("video", "state"):
-        for step in takes[kind].steps:
-            if step > 0 or -step % spec.horizon:
-                fits = [n for n in range(1, -step + 1) if -step % n == 0]
-                raise PolicyError(
-                    f"the server looks {-step} steps back, but with `horizon: {spec.horizon}` there is no request at "
-                    f"that step; set `horizon` to {', '.join(map(str, fits))}"
-                )
+    for key in ACTION:
+        if key not in takes["action"].keys:
+            there = ", ".join(takes["action"].keys)[:200]
+            raise PolicyError(f"the server's actions do not contain `{key}`, only {there}")
+    for step in (*takes["video"].steps, *takes["state"].steps):
+        if step > 0 or -step % spec.horizon:
+            fits = ", ".join(str(n) for n in range(1, -step + 1) if -step % n == 0)
+            reason = f"with `horizon: {spec.horizon}` there is no request at that step"
+            raise PolicyError(f"the server looks {-step} steps back, but {reason}; set `horizon` to {fits}")
 
 
 def _joined(answer: Any) -> Array:
@@ -313,7 +301,7 @@ def _joined(answer: Any) -> Array:
     for key in ACTION:
         part = parts.get(key, parts.get(f"action.{key}"))
         if not isinstance(part, np.ndarray) or part.ndim != 3 or part.shape[0] != 1:
-            what = f"of shape {part.shape}" if isinstance(part, np.ndarray) else f"a `{type(part).__name__}`"
+            what = f"an array of shape {part.shape}" if isinstance(part, np.ndarray) else f"a `{type(part).__name__}`"
             raise PolicyError(f"`{key}` is {what}, but must be an array of shape (1, steps, numbers)")
         if part.dtype.kind not in "fiu":
             raise PolicyError(f"`{key}` is an array of `{part.dtype}`, not of numbers")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -84,9 +85,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve a checkpoint until the process is stopped."""
     parser = argparse.ArgumentParser(prog="python -m simfoundry.evaluate.policies.lerobot", description=__doc__)
     parser.add_argument("checkpoint", help="folder that contains config.json and weights, or a repository on the Hub")
-    parser.add_argument(
-        "--host", default="127.0.0.1", help="network address to bind; 0.0.0.0 accepts connections from every network"
-    )
+    hosts = "network address to bind; 0.0.0.0 accepts connections from every network"
+    parser.add_argument("--host", default="127.0.0.1", help=hosts)
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--device", help="cuda or cpu; defaults to cuda if it is available")
     chosen = parser.parse_args(arguments)
@@ -103,11 +103,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"takes {name} {shape}")
     print(f"serving {chosen.checkpoint} ({metadata['policy']}) at ws://{chosen.host}:{server.socket.getsockname()[1]}")
     sys.stdout.flush()
-    with server:
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            return 0
+    with server, suppress(KeyboardInterrupt):
+        server.serve_forever()
     return 0
 
 

@@ -1,9 +1,8 @@
-"""Open-loop policies: a random walk that serves as a baseline, and the replay of a recorded rollout."""
+"""Open-loop policies: a random walk, which serves as a baseline, and the replay of a recorded rollout."""
 
 from __future__ import annotations
 
 import json
-import math
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -72,9 +71,8 @@ class ReplayPolicy(Policy):
 
     def infer(self, observation: Observation) -> Array:
         """Return all actions on the first call and the last action on every later call, shape (steps, action size)."""
-        width = action_size(observation.robots)
-        if self._actions.shape[1] != width:
-            recorded = self._actions.shape[1]
+        recorded, width = self._actions.shape[1], action_size(observation.robots)
+        if recorded != width:
             raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots need {width}")
         chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
         if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
@@ -89,8 +87,8 @@ class ReplayPolicy(Policy):
 def load_replay(path: Path) -> ReplayPolicy:
     """Load a recording as a policy; raises :class:`PolicyError` if the file is invalid.
 
-    A ``.npy`` file contains only the actions, shape (steps, action size). ``.npz`` and ``.json`` files store them under
-    ``actions``, optionally with an ``action_space``, which defaults to joint positions.
+    A ``.npy`` file contains only the actions, shape (steps, action size). A ``.npz`` or ``.json`` file contains the
+    entry ``actions`` and optionally the entry ``action_space``, which defaults to joint positions.
     """
     try:
         if path.stat().st_size > LARGEST:
@@ -117,17 +115,15 @@ def _read(path: Path) -> tuple[Array, str]:
             return _numbers(np.lib.format.open_memmap(path, mode="r")), default
         case ".npz":
             with zipfile.ZipFile(path) as files:
-                total = math.fsum(file.file_size for file in files.infolist())
-            if total > LARGEST:
-                raise ValueError(f"its uncompressed size exceeds {LARGEST // 2**20} MiB")
+                if sum(file.file_size for file in files.infolist()) > LARGEST:
+                    raise ValueError(f"its uncompressed size exceeds {LARGEST // 2**20} MiB")
             with np.load(path, allow_pickle=False) as stored:
                 space = str(stored["action_space"]) if "action_space" in stored else default
                 return _numbers(stored["actions"]), space
         case ".json":
             found = json.loads(path.read_text(encoding="utf-8"))
-            actions = found["actions"] if isinstance(found, dict) else found
-            space = found.get("action_space", default) if isinstance(found, dict) else default
-            return _numbers(np.array(actions)), str(space)
+            found = found if isinstance(found, dict) else {"actions": found}
+            return _numbers(np.array(found["actions"])), str(found.get("action_space", default))
     raise ValueError("the name of a recording must end with .npy, .npz or .json")
 
 

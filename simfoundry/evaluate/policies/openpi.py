@@ -48,25 +48,21 @@ class OpenpiPolicy(RemotePolicy):
         return answer["actions"]
 
     def _message(self, observation: Observation) -> dict[str, Any]:
-        seen, told = pictures(self.spec, observation), state(self.spec, self.state_keys, observation)
-        return {**seen, **told, "prompt": self._instruction}
+        measured = state(self.spec, self.state_keys, observation)
+        return {**pictures(self.spec, observation), **measured, "prompt": self._instruction}
 
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
 
 
+_DROID_VIEWS = {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"}
+
 OPENPI = PolicyProtocol(
     open=OpenpiPolicy,
     schemes=("ws", "wss"),
     port=8000,
-    short_form={
-        "cameras": droid_cameras(
-            {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"},
-            size=(224, 224),
-            render=(448, 252),
-        )
-    },
+    short_form={"cameras": droid_cameras(_DROID_VIEWS, size=(224, 224), render=(448, 252))},
 )
 
 
@@ -101,8 +97,8 @@ class RoboarenaPolicy(OpenpiPolicy):
 
     def ask(self, observation: Observation) -> object:
         """Return the response, or its ``actions`` entry if it has one; servers use both forms."""
-        about = {"session_id": self._session, "endpoint": "infer"}
-        answer = self._connection.ask(self._message(observation) | about, again=False)
+        message = self._message(observation) | {"session_id": self._session, "endpoint": "infer"}
+        answer = self._connection.ask(message, again=False)
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
 
 
@@ -130,19 +126,15 @@ def _wanted_cameras(wishes: Mapping[str, Any]) -> Iterator[str]:
         yield from (f"observation/wrist_image_{side}" for side in sides)
 
 
+_ROBOARENA_VIEWS = {
+    "observation/exterior_image_0_left": "exterior",
+    "observation/exterior_image_1_left": "exterior_2",
+    "observation/wrist_image_left": "wrist",
+}
+
 ROBOARENA = PolicyProtocol(
     open=RoboarenaPolicy,
     schemes=("ws", "wss"),
     port=8000,
-    short_form={
-        "cameras": droid_cameras(
-            {
-                "observation/exterior_image_0_left": "exterior",
-                "observation/exterior_image_1_left": "exterior_2",
-                "observation/wrist_image_left": "wrist",
-            },
-            size=(320, 180),
-            render=(320, 180),
-        )
-    },
+    short_form={"cameras": droid_cameras(_ROBOARENA_VIEWS, size=(320, 180), render=(320, 180))},
 )

@@ -1,4 +1,4 @@
-"""User-defined policies that run in this process: Python classes, selected by their module or file."""
+"""User-defined policies that run in this process: Python classes that are selected by their module or file."""
 
 from __future__ import annotations
 
@@ -126,11 +126,8 @@ class PythonPolicy:
 def _module(module: str) -> ModuleType:
     source = _source(module)
     if source is None:
-        where = (
-            f"file {module} does not exist"
-            if _is_file(module)
-            else f"module `{module}` was found neither in the current folder nor among installed packages"
-        )
+        where = f"module `{module}` was found neither in the current folder nor among installed packages"
+        where = f"file {module} does not exist" if _is_file(module) else where
         raise PolicyError(f"{where}; specify your own policy as `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
     try:
         with redirect_stdout(sys.stderr):
@@ -152,11 +149,11 @@ def _source(module: str) -> Path | None:
 
     Installed packages take precedence, so a local file never shadows a package.
     """
+    file = Path(module).resolve()
+    folder = str(file.parent if _is_file(module) else Path.cwd())
+    sys.path += [] if folder in sys.path else [folder]
     if _is_file(module):
-        file = Path(module).resolve()
-        _searched(file.parent)
         return file if file.is_file() else None
-    _searched(Path.cwd())
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError, AttributeError):
@@ -168,14 +165,9 @@ def _is_file(module: str) -> bool:
     return module.endswith(".py")
 
 
-def _searched(folder: Path) -> None:
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
-
-
 def _told(error: BaseException) -> str:
     """Format an exception from user code as one line that includes its source location."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     words = " ".join(str(error).split())[:300]
-    return f"{type(error).__name__}: {words}{where}" if words else f"{type(error).__name__}{where}"
+    return f"{type(error).__name__}{': ' if words else ''}{words}{where}"

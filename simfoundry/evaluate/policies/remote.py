@@ -68,10 +68,8 @@ class PolicyRecord:
         """Return counts and messages for a report, with the median and maximum response times [s]."""
         ordered = sorted(self.seconds)
         counts = {key: value for key, value in asdict(self).items() if key != "seconds"}
-        return counts | {
-            "median_s": ordered[len(ordered) // 2] if ordered else None,
-            "longest_s": ordered[-1] if ordered else None,
-        }
+        median, longest = (ordered[len(ordered) // 2], ordered[-1]) if ordered else (None, None)
+        return counts | {"median_s": median, "longest_s": longest}
 
 
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
@@ -79,13 +77,9 @@ def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
 
     If two keys refer to the same camera with different sizes, the larger size is rendered.
     """
-    found: dict[str, ImageSize] = {}
-    for view in spec.cameras.values():
-        size = ImageSize(*(view.render or view.size))
-        known = found.get(view.camera)
-        if known is None or known.width * known.height < size.width * size.height:
-            found[view.camera] = size
-    return found
+    sizes = [(view.camera, ImageSize(*(view.render or view.size))) for view in spec.cameras.values()]
+    cameras = dict.fromkeys(camera for camera, _ in sizes)
+    return {c: max((s for name, s in sizes if name == c), key=lambda s: s.width * s.height) for c in cameras}
 
 
 def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
@@ -106,12 +100,8 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
     rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
-        known = {
-            "joints": robot.joints,
-            "gripper": [closed],
-            "joints_gripper": [*robot.joints, closed],
-            "hand": [*robot.X_BH.p, *rpy_from_quat(robot.X_BH.q)],
-        }
+        hand = [*robot.X_BH.p, *rpy_from_quat(robot.X_BH.q)]
+        known = {"joints": robot.joints, "gripper": [closed], "joints_gripper": [*robot.joints, closed], "hand": hand}
         rows.append(known[what])
     return np.concatenate(rows)
 
@@ -208,7 +198,7 @@ class ServerConnection(ABC):
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
         self.spec, self.record = spec, record
         self.uri = address_uri(spec.protocol, spec.address)
-        self.answered = False  # true once the server has responded to a request and has therefore warmed up
+        self.answered = False  # True once the server has responded to a request, which means that it has warmed up
 
     @abstractmethod
     def begin(self) -> None:
@@ -270,15 +260,11 @@ class ServerConnection(ABC):
             return None
         key = os.environ.get(spec.api_key, "").strip()
         if not key:
-            raise PolicyError(
-                f"{spec.name} reads the API key of its server from the environment variable {spec.api_key}, "
-                "which is not set"
-            )
+            where = f"the environment variable {spec.api_key}, which is not set"
+            raise PolicyError(f"{spec.name} reads the API key of its server from {where}")
         if not key.isascii() or not key.isprintable():
-            raise PolicyError(
-                f"the value of {spec.api_key} is not a valid key: it contains characters that are not allowed in a "
-                "header"
-            )
+            reason = "it contains characters that are not allowed in a header"
+            raise PolicyError(f"the value of {spec.api_key} is not a valid key: {reason}")
         return key
 
 
@@ -290,7 +276,7 @@ def last_line(text: str, most: int = 300) -> str:
 
 
 class RemotePolicy(Policy, ABC):
-    """A policy behind a server, configured by its document; ``record`` contains statistics of its requests.
+    """A policy behind a server, configured by its document; ``record`` contains statistics about its requests.
 
     Subclasses implement the protocol: ``begin`` is called before each rollout, ``ask`` sends a request, and ``close``
     closes the connection.
@@ -308,9 +294,8 @@ class RemotePolicy(Policy, ABC):
         self._instruction = instruction
         try:
             self.begin()
-        except (
-            InvalidAnswerError
-        ) as error:  # no action has been requested yet, so the rollout counts as missing, not as failed
+        except InvalidAnswerError as error:
+            # No action has been requested yet, so the rollout counts as missing rather than as failed.
             raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:

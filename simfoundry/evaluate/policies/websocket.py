@@ -9,8 +9,8 @@ both projects).
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -125,9 +125,8 @@ class Connection(ServerConnection):
         greeting = self._received(None)
         if not isinstance(greeting, dict):
             self.close()
-            raise self.fail(
-                f"the first message from the server at {self.uri} must be a mapping, not a `{type(greeting).__name__}`"
-            )
+            first = f"the first message from the server at {self.uri}"
+            raise self.fail(f"{first} must be a mapping, not a `{type(greeting).__name__}`")
         self.greeting = greeting
 
     def _refused(self, error: Exception) -> PolicyError:
@@ -139,36 +138,35 @@ class Connection(ServerConnection):
         return self.fail(f"the server at {self.uri} is not a policy server ({what})")
 
     def _ask(self, data: bytes, expect_text: str | None) -> Any:
+        with self._connected() as socket:
+            socket.send(data)
+        answer = self._received(expect_text)
+        self.answered = True
+        return answer
+
+    @contextmanager
+    def _connected(self) -> Iterator[ClientConnection]:
+        """Provide the socket, and convert the exceptions that it raises if the connection is lost."""
         from websockets.exceptions import ConnectionClosed
 
         assert self._socket is not None
         try:
-            self._socket.send(data)
+            yield self._socket
         except ConnectionClosed as closed:
             raise self._closed(closed) from None
+        except TimeoutError:
+            self.close()
+            raise self.silent(self.patience) from None
         except OSError as error:
             raise LostError(f"the connection to {self.uri} was lost ({_reason(error)})") from None
-        answer = self._received(expect_text)
-        self.answered = True
-        return answer
 
     def _received(self, expect_text: str | None) -> Any:
         """Receive one message.
 
         The connection is closed after an invalid message, because later responses would no longer match their requests.
         """
-        from websockets.exceptions import ConnectionClosed
-
-        assert self._socket is not None
-        try:
-            data = self._socket.recv(timeout=self.patience)
-        except TimeoutError:
-            self.close()
-            raise self.silent(self.patience) from None
-        except ConnectionClosed as closed:
-            raise self._closed(closed) from None
-        except OSError as error:
-            raise LostError(f"the connection to {self.uri} was lost ({_reason(error)})") from None
+        with self._connected() as socket:
+            data = socket.recv(timeout=self.patience)
         if isinstance(data, str):
             if expect_text is not None and data == expect_text:
                 return data

@@ -20,8 +20,13 @@ from simfoundry.worlds.base import World, WorldRobot
 def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:
     """Check that the scene has all requested cameras and that every requested image has at least one pixel.
 
+    Args:
+        scene: The scene.
+        wanted: The requested image sizes, by camera.
+        who: A description of the requester for error messages.
+
     Raises:
-        SimfoundryError: If it does not; ``who`` is the part of the message that names the requester.
+        SimfoundryError: If a camera does not exist or an image has no pixels.
     """
     known = [c.name for c in scene.cameras] + [m.camera.name for m in scene.mounted]
     lost = {left.path.removeprefix("cameras."): left.reason for left in scene.left_out}
@@ -52,7 +57,7 @@ def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}
 
 
-# Maximum distance between a joint and its target when velocities are integrated [rad or m]; equals DROID's largest
+# Maximum distance [rad or m] between a joint and its target when velocities are integrated, equal to DROID's largest
 # step.
 FARTHEST = 0.2
 

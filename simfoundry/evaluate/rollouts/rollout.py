@@ -26,6 +26,7 @@ from simfoundry.evaluate.policies.base import (
     checked_actions,
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
+from simfoundry.evaluate.rollouts.clearance import Clearances
 from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
@@ -49,10 +50,11 @@ class Progress:
     """
 
     def __init__(self, task: Task, judge: Judge, start: SceneState) -> None:
-        self._task, self._judge = task, judge
+        self._task, self._judge, self._clearances = task, judge, Clearances(task.scene, judge)
         self._held = 0
         self._waiting = {name for name, step in task.subtasks.items() if judge(step.goal, start).value}
-        self.done: dict[str, int | None] = dict.fromkeys(task.subtasks)
+        # The control step at which each sub-task was completed, counted from 1, or None if it was not completed.
+        self.subtasks: dict[str, int | None] = dict.fromkeys(task.subtasks)
 
     def see(self, step: int, state: SceneState) -> bool:
         """Evaluate the state after control step ``step``, counted from 1; return True if the task is now completed."""
@@ -64,27 +66,23 @@ class Progress:
         ``step`` is the control step after which the first state was reached, counted from 1. All states are evaluated
         in one batch, which takes hardly longer than a single state. States after completion are ignored.
         """
-        batch = StateBatch.of(self._task.scene, states)
-        open_ = [name for name, done in self.done.items() if done is None]
-        holds = self._judge.holds(
-            {name: self._task.subtasks[name].goal for name in open_} | {"": self._task.goal}, batch
-        )
-        goal = holds[""]
+        goals = {name: self._task.subtasks[name].goal for name, done in self.subtasks.items() if done is None}
+        goals[""] = self._task.goal
+        holds = {name: np.zeros(len(states), bool) for name in goals}
+        if len(states) == 1:  # for many states, bounds would take longer than the batch
+            goals = {name: goal for name, goal in goals.items() if not self._clearances.excludes(goal, states[0])}
+        if goals:
+            holds |= self._judge.holds(goals, StateBatch.of(self._task.scene, states))
         for k in range(len(states)):
-            for name in open_:
+            for name in holds.keys() - {""}:
                 if not holds[name][k]:
                     self._waiting.discard(name)
-                elif name not in self._waiting and self.done[name] is None:
-                    self.done[name] = step + k
-            self._held = self._held + 1 if goal[k] else 0
+                elif name not in self._waiting and self.subtasks[name] is None:
+                    self.subtasks[name] = step + k
+            self._held = self._held + 1 if holds[""][k] else 0
             if self._held >= HOLD:
                 return k
         return None
-
-    @property
-    def subtasks(self) -> Mapping[str, int | None]:
-        """The control step at which each sub-task was completed, counted from 1, or None if it was not completed."""
-        return dict(self.done)
 
 
 # Distance [m] below the lowest point of the initial scene at which an object counts as fallen; it is less than the
@@ -187,9 +185,9 @@ def rollout(
         SimfoundryError: If robots or cameras are missing.
     """
     need_robots(task)
+    video = video or Video({})
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
-    if video is not None:
-        check_cameras(task.scene, video.cameras, "the video")
+    check_cameras(task.scene, video.cameras, "the video")
     run = _Run(task, start, policy, world, judge or Judge(task.scene), video)
     return run.result(*run.play())
 
@@ -217,7 +215,7 @@ class _Run:
     """A rollout in progress."""
 
     def __init__(
-        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video | None
+        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video
     ) -> None:
         self.task, self.start, self.policy, self.world, self.video = task, start, policy, world, video
         self.clock = _Clock()
@@ -235,7 +233,7 @@ class _Run:
         self.judged = [item.name for item in objects if item.name in named and not item.fixed]
         self.actions: list[Array] = []
         self.chunks = 0
-        self.frames: dict[str, list[Image]] = {name: [] for name in (video.cameras if video is not None else ())}
+        self.frames: dict[str, list[Image]] = {name: [] for name in video.cameras}
         self.hash = hashlib.sha256()
         self._note()
 
@@ -313,8 +311,8 @@ class _Run:
         for name in self.judged:
             below = self.floor - float(self.state.poses[name].p[2])
             if below > 0:
-                below += FALLEN
-                return RolloutEnd.FELL, f"`{name}` fell to {below:.2f} m below the lowest point of the initial scene"
+                text = f"`{name}` fell to {below + FALLEN:.2f} m below the lowest point of the initial scene"
+                return RolloutEnd.FELL, text
         return None
 
     def _note(self) -> None:
@@ -326,7 +324,7 @@ class _Run:
         self.hash.update(np.concatenate(parts).tobytes())
 
     def _film(self) -> None:
-        if self.video is not None and (len(self.actions) - 1) % self.video.every == 0:
+        if (len(self.actions) - 1) % self.video.every == 0:
             with self.clock("render"):
                 for name, picture in pictures(self.world, self.video.cameras).items():
                     self.frames[name].append(picture)
@@ -342,7 +340,7 @@ class _Run:
             seed=self.start.seed,
             success=end is RolloutEnd.SUCCESS,
             steps=len(self.actions),
-            subtasks=MappingProxyType(dict(self.progress.subtasks)),
+            subtasks=self.progress.subtasks,
             end=end,
             reason=reason,
             actions=actions,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
@@ -41,13 +42,11 @@ class BddlProblem:
     ``robosuite`` for LIBERO and ``omnigibson`` (or ``igibson`` in older files) for BEHAVIOR.
     """
 
-    file: Path
     name: str
     domain: str
     language: str
     kinds: Mapping[str, str]
     regions: Mapping[str, BddlRegion]
-    interest: tuple[str, ...]
     init: tuple[BddlGroup, ...]
     goal: BddlGroup
 
@@ -57,7 +56,7 @@ def read_problem(path: Path) -> BddlProblem:
     whole = read_group(path)
     if whole.head != "define":
         raise ImportRefusedError(path, "the file must begin with `(define`", whole.line)
-    sections: dict[str, BddlGroup] = {}
+    sections: defaultdict[str, BddlGroup] = defaultdict(lambda: BddlGroup((), whole.line))
     for group in whole.groups:
         if group.head in sections:
             raise ImportRefusedError(path, f"there is more than one `{group.head}` section", group.line)
@@ -70,72 +69,62 @@ def read_problem(path: Path) -> BddlProblem:
         raise ImportRefusedError(path, "the goal must be a single condition", goal.line)
     kinds: dict[str, str] = {}
     for key in (":fixtures", ":objects"):
-        if key in sections:
-            _read_things(path, sections[key], kinds)
+        _read_things(path, sections[key], kinds)
     return BddlProblem(
-        file=path,
-        name=_text(sections["problem"]) or path.stem,
-        domain=_text(sections.get(":domain")).lower(),
-        language=_text(sections.get(":language")),
+        name=sections["problem"].text or path.stem,
+        domain=sections[":domain"].text.lower(),
+        language=sections[":language"].text,
         kinds=kinds,
-        regions=_regions(path, sections.get(":regions")),
-        interest=tuple(w.text for w in sections[":obj_of_interest"].words) if ":obj_of_interest" in sections else (),
-        init=sections[":init"].groups if ":init" in sections else (),
+        regions=_regions(path, sections[":regions"]),
+        init=sections[":init"].groups,
         goal=goal.groups[0],
     )
-
-
-def _text(group: BddlGroup | None) -> str:
-    return " ".join(word.text for word in group.words) if group is not None else ""
 
 
 def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
     """Read a typed PDDL list, such as ``a b - kind c - other``, into ``kinds``."""
     waiting: list[BddlWord] = []
-    words = list(group.words)
-    while words:
-        word = words.pop(0)
+    words = iter(group.words)
+    for word in words:
         if word.text != "-":
             waiting.append(word)
             continue
-        if not words or not waiting:
+        kind = next(words, None)
+        if kind is None or not waiting:
             raise ImportRefusedError(path, "`-` must be placed between names and their type", word.line)
-        kind = words.pop(0).text
         for name in waiting:
             if name.text in kinds:
                 raise ImportRefusedError(path, f"`{name.text}` is listed twice", name.line)
-            kinds[name.text] = kind
+            kinds[name.text] = kind.text
         waiting = []
     for name in waiting:
         kinds.setdefault(name.text, name.text)
 
 
-def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
-    """Return the regions by their qualified names ``TARGET_NAME``, which conditions use."""
+def _regions(path: Path, group: BddlGroup) -> dict[str, BddlRegion]:
+    """Return the regions by the names ``TARGET_NAME`` that conditions use."""
     found: dict[str, BddlRegion] = {}
-    for region in group.groups if group is not None else ():
+    for region in group.groups:
         parts = {part.head: part for part in region.groups}
         if ":target" not in parts or not parts[":target"].words:
             raise ImportRefusedError(path, f"region `{region.head}` has no target", region.line)
         target = parts[":target"].words[0].text
-        ranges = _numbers(path, parts.get(":ranges"), 4)
-        yaw = _numbers(path, parts.get(":yaw_rotation"), 2)
+        ranges, yaw = _numbers(path, parts.get(":ranges"), 4), _numbers(path, parts.get(":yaw_rotation"), 2)
         name = region.items[0].text if isinstance(region.items[0], BddlWord) else region.head
-        box = (ranges[0], ranges[1], ranges[2], ranges[3]) if ranges else None
-        found[f"{target}_{name}"] = BddlRegion(name, target, box, (yaw[0], yaw[1]) if yaw else None)
+        found[f"{target}_{name}"] = BddlRegion(name, target, ranges, yaw)
     return found
 
 
-def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | None:
+def _numbers(path: Path, group: BddlGroup | None, count: int) -> Any:
     """Return the numbers in ``(:key ((1 2 3 4)))``; if there are several rectangles, return the first."""
     while group is not None and group.groups:
         group = group.groups[0]
     if group is None:
         return None
     try:
-        numbers = [float(item.text) for item in group.items if isinstance(item, BddlWord)]
+        numbers = tuple(float(item.text) for item in group.items if isinstance(item, BddlWord))
     except ValueError:
-        numbers = []
+        numbers = ()
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise ImportRefusedError(path, f"expected {count} numbers here", group.line)
     return numbers
@@ -184,6 +173,11 @@ class BddlGroup:
     def words(self) -> tuple[BddlWord, ...]:
         """Return all words except the first."""
         return tuple(item for item in self.items[1:] if isinstance(item, BddlWord))
+
+    @property
+    def text(self) -> str:
+        """Return all words except the first, separated by spaces."""
+        return " ".join(word.text for word in self.words)
 
 
 def read_group(path: Path) -> BddlGroup:
@@ -234,6 +228,16 @@ Condition = Any
 Scope = Mapping[str, str]
 
 
+class Missing(list[str]):
+    """The problems that prevent a conversion, without duplicates."""
+
+    def add(self, group: BddlGroup, what: str) -> None:
+        """Record a problem at the line of ``group`` unless it has already been recorded."""
+        text = f"line {group.line}: {what}"
+        if text not in self:
+            self.append(text)
+
+
 @dataclass
 class ConditionReader:
     """Converts BDDL conditions to conditions as in documents.
@@ -243,7 +247,7 @@ class ConditionReader:
 
     atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     objects: Mapping[str, Sequence[str]]
-    missing: list[str] = field(default_factory=list)
+    missing: Missing = field(default_factory=Missing)
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
@@ -269,14 +273,13 @@ class ConditionReader:
         parts = list(group.groups)
         number = parts.pop(0).head if numbered and parts else "0"
         if len(parts) != (3 if pairs else 2) or not number.isdigit() or len(number) > 5:
-            self._lack(group, f"`{group.head}` is incomplete")
+            self.missing.add(group, f"`{group.head}` is incomplete")
             return None
         *ranges, body = parts
         each = [self._members(r) for r in ranges]
-        empty = [part for part, (_, names) in zip(ranges, each, strict=True) if not names]
-        for part in empty:
-            self._lack(part, "no object has the type of this variable")
-        if empty:
+        for part in (part for part, (_, names) in zip(ranges, each, strict=True) if not names):
+            self.missing.add(part, "no object has the type of this variable")
+        if not all(names for _, names in each):
             return None
         if not pairs:
             variable, names = each[0]
@@ -285,21 +288,15 @@ class ConditionReader:
                 return self._exactly(group, int(number), found)
             return self._joined("all" if group.head == "forall" else "any", found)
         (first, rows), (second, columns) = each
-        table = [
-            [self.condition(body, {**scope, first: a, second: b}) if a != b else None for b in columns] for a in rows
-        ]
+        choices = [(a, b) for a, b in product(rows, columns) if a != b]
+        cells = {(a, b): self.condition(body, {**scope, first: a, second: b}) for a, b in choices}
         if group.head == "fornpairs":
-            cells = [table[i][j] for (i, a), (j, b) in product(enumerate(rows), enumerate(columns)) if a != b]
-            return self._exactly(group, int(number), cells)
-        return self._paired(group, table, rows, columns)
-
-    def _paired(
-        self, group: BddlGroup, table: list[list[Condition | None]], rows: Sequence[str], columns: Sequence[str]
-    ) -> Condition | None:
-        least = min(len(rows), len(columns))
-        lines = [[cell for k, cell in enumerate(line) if rows[i] != columns[k]] for i, line in enumerate(table)]
-        turned = [[line[k] for i, line in enumerate(table) if rows[i] != columns[k]] for k in range(len(columns))]
-        sides = [self._at_least(group, least, [self._joined("any", one) for one in side]) for side in (lines, turned)]
+            return self._exactly(group, int(number), list(cells.values()))
+        sides = []
+        for k, names in enumerate((rows, columns)):
+            partners = [[cell for pair, cell in cells.items() if pair[k] == name] for name in names]
+            found = [self._joined("any", one) for one in partners]
+            sides.append(self._at_least(group, min(len(rows), len(columns)), found))
         return self._joined("all", sides)
 
     def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
@@ -313,7 +310,7 @@ class ConditionReader:
     def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
         """Return a condition that is true if exactly ``count`` of the conditions are true."""
         if count > len(found):
-            self._lack(group, f"exactly {count} conditions must be true, but there are only {len(found)}")
+            self.missing.add(group, f"exactly {count} conditions must be true, but there are only {len(found)}")
             return None
         if not self._affordable(group, len(found), count):
             return None
@@ -326,7 +323,7 @@ class ConditionReader:
     def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
-            self._lack(group, f"it expands to more than {MOST_TERMS} predicates")
+            self.missing.add(group, f"it expands to more than {MOST_TERMS} predicates")
         return self.terms <= MOST_TERMS
 
     def _joined(self, key: str, found: list[Condition | None]) -> Condition | None:
@@ -340,12 +337,6 @@ class ConditionReader:
         if len(words) != 3 or words[1].text != "-":
             return "", ()
         return words[0].plain, self.objects.get(words[2].plain, ())
-
-    def _lack(self, group: BddlGroup, what: str) -> None:
-        """Record a problem at a line unless it has already been recorded."""
-        text = f"line {group.line}: {what}"
-        if text not in self.missing:
-            self.missing.append(text)
 
 
 def negated(condition: Condition | None) -> Condition | None:

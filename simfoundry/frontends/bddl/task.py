@@ -9,14 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.bddl.problem import (
-    BddlGroup,
-    BddlProblem,
-    BddlRegion,
-    Condition,
-    ConditionReader,
-    read_problem,
-)
+from simfoundry.frontends.bddl.problem import BddlGroup, BddlProblem, BddlRegion, ConditionReader, read_problem
 from simfoundry.frontends.documents import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
@@ -56,16 +49,15 @@ def read_bddl_task(
     goal = task.goal()
     start, reset = task.start()
     if task.missing:
-        raise ImportRefusedError(
-            path,
-            f"{_counted(task.missing)}: {'; '.join(task.missing)}",
-            hint="add the missing items to the scene, or assign objects to names with `--bind NAME=OBJECT`",
-        )
-    instruction = problem.language or _sentence(problem.name)
+        count = "one item is missing" if len(task.missing) == 1 else f"{len(task.missing)} items are missing"
+        hint = "add the missing items to the scene, or assign objects to names with `--bind NAME=OBJECT`"
+        raise ImportRefusedError(path, f"{count}: {'; '.join(task.missing)}", hint=hint)
+    unnumbered = re.sub(r"-\d+\Z", "", problem.name)
+    instruction = problem.language or f"{unnumbered.replace('_', ' ').capitalize()}."
     if not problem.language:
         draft.assumed("instruction", "the file specifies none; derived from the name of the problem")
     assert options.scene is not None
-    name = plain_name(path.stem if problem.domain == "robosuite" else re.sub(r"-\d+\Z", "", problem.name), "task")
+    name = plain_name(path.stem if problem.domain == "robosuite" else unnumbered, "task")
     data: dict[str, Any] = {
         "simfoundry": "task/1", "name": name, "scene": relative_path(options.scene, out),
         "instruction": instruction[:500],
@@ -82,19 +74,23 @@ class _TaskReader:
     scene: Scene
     bound: Mapping[str, str]
     draft: ModelDraft
-    missing: list[str] = field(default_factory=list)
     unbound: set[str] = field(default_factory=set)
 
-    def goal(self) -> Condition | None:
+    def __post_init__(self) -> None:
         kinds: dict[str, list[str]] = {}
         for name, kind in self.problem.kinds.items():
             kinds.setdefault(kind.lower(), []).append(name)
-        found = ConditionReader(self._atom, kinds, self.missing).condition(self.problem.goal, {})
+        self.conditions = ConditionReader(self._atom, kinds)
+        self.missing = self.conditions.missing
+
+    def goal(self) -> Any:
+        """Return the condition for the goal, or None if it could not be resolved for the reasons in ``missing``."""
+        found = self.conditions.condition(self.problem.goal, {})
         if found is None and not self.missing:
-            self._lack(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
+            self.missing.add(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
         return found
 
-    def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Condition | None:
+    def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Any:
         """Convert a predicate in the goal; return None if one of its parts cannot be resolved."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
@@ -105,10 +101,10 @@ class _TaskReader:
         if name in UNARY and len(words) == 1:
             item_name = self._object(group, words[0])
             return None if item_name is None else f"{UNARY[name]}({item_name})"
-        self._lack(group, f"the predicate `{name}` is not supported")
+        self.missing.add(group, f"the predicate `{name}` is not supported")
         return None
 
-    def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Condition | None:
+    def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Any:
         item_name = self._object(group, first)
         region = self.problem.regions.get(second)
         if region is not None and region.ranges is not None:
@@ -129,13 +125,12 @@ class _TaskReader:
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
-    def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Condition | None:
+    def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Any:
         """Convert a goal region on a table to an `At` condition for its center."""
-        box = self._rectangle(group, region)
-        if box is None:
+        if (box := self._rectangle(group, region)) is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
-        why = "a goal region becomes `At` its center, with the tolerance of `At`"
+        why = "a goal region is converted to `At` its center, with the tolerance of `At`"
         self.draft.changed(f"region `{region.name}`", why, size)
         return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
@@ -146,7 +141,7 @@ class _TaskReader:
             self.unbound.add(name)
             kind = self.problem.kinds.get(name)
             what = f" (a {_type(kind)})" if kind and kind != name else ""
-            self._lack(group, f"the scene has no object `{name}`{what}")
+            self.missing.add(group, f"the scene has no object `{name}`{what}")
         return found
 
     def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
@@ -174,7 +169,7 @@ class _TaskReader:
         joints = {j.name: f"{j.name} {j.child}" for j in self.scene.object(owner).joints if j.has_axis}
         found = list(joints) if region is None or len(joints) < 2 else _alike(region, joints)
         if not joints:
-            self._lack(group, f"`{owner}` has no joint that can be opened")
+            self.missing.add(group, f"`{owner}` has no joint that can be opened")
         elif region is not None and len(found) != 1:
             self._unclear(group, region, owner, list(joints), found)
             return []
@@ -182,7 +177,7 @@ class _TaskReader:
 
     def _unclear(self, group: BddlGroup, region: BddlRegion, owner: str, there: list[str], found: list[str]) -> None:
         which = f"both {' and '.join(found)} match" if found else f"none of {', '.join(there)} matches"
-        self._lack(group, f"{which} the region `{region.name}` of `{owner}`")
+        self.missing.add(group, f"{which} the region `{region.name}` of `{owner}`")
 
     def _rectangle(self, group: BddlGroup, region: BddlRegion) -> tuple[float, float, float, float] | None:
         """Return the axis-aligned bounding rectangle (min x, min y, max x, max y) [m] of a region in the world."""
@@ -203,8 +198,7 @@ class _TaskReader:
             words = [word.text for word in group.words]
             region = self.problem.regions.get(words[-1]) if words else None
             if group.head in OPEN and len(words) == 1:
-                for name in self._joints(group, words[0]):
-                    owner, _, joint = name.partition(".")
+                for owner, _, joint in (name.partition(".") for name in self._joints(group, words[0])):
                     joints.setdefault(owner, {})[joint] = _opened(self.scene.object(owner), joint)
             elif group.head in ("on", "ontop") and len(words) == 2 and region is not None and region.ranges:
                 self._region(group, words[0], region, regions)
@@ -228,11 +222,6 @@ class _TaskReader:
             if abs(low - turns) > 1e-6 or abs(high - turns) > 1e-6:
                 found["yaw_deg"] = (low - turns, high - turns)
         regions[item_name] = found
-
-    def _lack(self, group: BddlGroup, what: str) -> None:
-        text = f"line {group.line}: {what}"
-        if text not in self.missing:
-            self.missing.append(text)
 
 
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
@@ -280,11 +269,3 @@ def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
 def _words(name: str) -> set[str]:
     """Return the words in a name that help distinguish parts from each other."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
-
-
-def _sentence(name: str) -> str:
-    return re.sub(r"-\d+\Z", "", name).replace("_", " ").capitalize() + "."
-
-
-def _counted(missing: list[str]) -> str:
-    return "one item is missing" if len(missing) == 1 else f"{len(missing)} items are missing"

@@ -133,10 +133,9 @@ def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: Cust
             camera.mount = place(camera.mount)
     pairs = [(place(a), place(b)) for a, b in draft.no_contact]
     draft.no_contact = [(a, b) for a, b in pairs if a[0] != b[0]]
-    for a, b in pairs:
-        if a[0] == b[0]:
-            within = next(body for body in draft.bodies if body.name == a[0])
-            within.no_contact.append((a[1], b[1]))
+    for (owner, a), (other, b) in pairs:
+        if owner == other:
+            owners[owner].no_contact.append((a, b))
 
 
 def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:

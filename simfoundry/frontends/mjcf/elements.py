@@ -74,9 +74,8 @@ def _add_drives(source: MjcfSource) -> None:
         gear = float(model.actuator_gear[k, 0])
         limit = float(np.abs(model.actuator_forcerange[k]).max()) * abs(gear) if model.actuator_forcelimited[k] else 0
         target = float(source.data.ctrl[k]) / gear if stiffness > 0 and model.nkey and gear else None
-        driven.drive = DriveSpec(
-            stiffness=stiffness * gear**2, damping=damping * gear**2, target=target, force_limit=limit or None
-        )
+        stiffness, damping = stiffness * gear**2, damping * gear**2
+        driven.drive = DriveSpec(stiffness=stiffness, damping=damping, target=target, force_limit=limit or None)
     for joint, (_, driven) in joints.items():
         stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
         what = f"spring of joint `{driven.name}`"
@@ -117,8 +116,7 @@ def _add_masks(source: MjcfSource) -> None:
     for one, two in combinations(sorted(by_body), 2):
         a, b = np.array(by_body[one])[:, None], np.array(by_body[two])
         meets = ((types[a] & affinities[b]) | (types[b] & affinities[a])).astype(bool)
-        is_linked = two == int(model.body_parentid[one]) or one == int(model.body_parentid[two])
-        if meets.all() or is_linked:
+        if meets.all() or two == int(model.body_parentid[one]) or one == int(model.body_parentid[two]):
             continue
         same = one in owners and two in owners and owners[one][0] is owners[two][0]
         if meets.any() or not same:
@@ -126,9 +124,8 @@ def _add_masks(source: MjcfSource) -> None:
         else:
             _exclude(source, one, two, "contact masks")
     if divided:
-        draft.dropped(
-            "contact masks", "contact can be excluded only between entire links", f"{divided} pairs of bodies"
-        )
+        why = "contact can be excluded only between entire links"
+        draft.dropped("contact masks", why, f"{divided} pairs of bodies")
 
 
 def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
@@ -148,8 +145,7 @@ def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
 def _add_cameras(source: MjcfSource) -> None:
     """Add the cameras that are fixed to the world or to a body."""
     for k, body in enumerate(source.model.cam_bodyid.tolist()):
-        camera = read_camera(source, k)
-        if camera is None:
+        if (camera := read_camera(source, k)) is None:
             continue
         if body != 0:
             owner, link, X_BL = source.owners[body]
@@ -163,11 +159,11 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
-        draft.changed(f"camera `{name}`", "it tracks a target in MuJoCo; here it keeps its pose in its body")
+        draft.changed(f"camera `{name}`", "it tracks a target in MuJoCo, but the imported camera is fixed to its body")
     # MuJoCo 3.5 replaced the flag with an enum of projections, in which 1 is orthographic.
     projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
     if projections[k] == 1:
-        draft.dropped(f"camera `{name}`", "it is orthographic, and only pinhole cameras are supported")
+        draft.dropped(f"camera `{name}`", "it is orthographic, but only pinhole cameras are supported")
         return None
     X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
     width, height = model.cam_resolution[k].tolist()
@@ -191,7 +187,7 @@ def _add_lights(source: MjcfSource) -> None:
     for k in range(model.nlight):
         light, name = model.light(k), source.name("light", k) or f"light_{k + 1}"
         if model.light_bodyid[k] != 0:
-            draft.dropped(f"light `{name}`", "it is attached to a body, and only static lights are supported")
+            draft.dropped(f"light `{name}`", "it is attached to a body, but only static lights are supported")
             continue
         if not model.light_active[k]:
             continue

@@ -90,8 +90,7 @@ class MjcfGeoms:
         """Return how a geom is used: `visual` if it never collides, `collision` if viewers hide it, or `both`."""
         if not self.model.geom_contype[geom] and not self.model.geom_conaffinity[geom]:
             return "visual"
-        hidden = int(self.model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0
-        return "collision" if hidden else "both"
+        return "collision" if int(self.model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0 else "both"
 
     def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
         """Add the contact parameters and the color of a geom to its part, and return the part."""
@@ -106,8 +105,7 @@ class MjcfGeoms:
                 part.contact["torsional_friction"] = spinning
             if dimensions >= 6:
                 part.contact["rolling_friction"] = rolling
-        material = int(model.geom_matid[geom])
-        if self.texture(material) >= 0 and not isinstance(part.geometry, MeshDraft):
+        if self.texture(int(model.geom_matid[geom])) >= 0 and not isinstance(part.geometry, MeshDraft):
             self.draft.dropped(f"texture of geom `{part.name}`", "only meshes can have textures")
         color = self.rgba(geom)
         if color != UNSET and part.use != "collision":
@@ -136,8 +134,7 @@ class MjcfGeoms:
         texture = self.texture(int(model.geom_matid[geom]))
         if (mesh, texture) not in self.meshes:
             name = self.source.name("mesh", mesh) or f"mesh_{mesh}"
-            parts = [self.mesh_part(mesh, texture, X_FM)]
-            self.meshes[mesh, texture] = mesh_of_parts(parts, plain_name(name, "mesh"))
+            self.meshes[mesh, texture] = mesh_of_parts([self.mesh_part(mesh, texture, X_FM)], plain_name(name, "mesh"))
         return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
     def baked(self, geom: int) -> MeshPart:
@@ -161,7 +158,9 @@ class MjcfGeoms:
             uv = np.array(model.mesh_texcoord[at + chosen], dtype=np.float64) * (1, -1) + (0, 1)
             vertices, corners = vertices[corners.reshape(-1)], np.arange(3 * faces).reshape(-1, 3)
             png = self.png(texture)
-        return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
+        # Rounding to MuJoCo's single precision removes the noise that the rotation introduced.
+        vertices = np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))
+        return MeshPart(vertices, corners.astype(np.int32), uv, png)
 
     def png(self, texture: int) -> bytes:
         """Encode a texture as PNG."""
@@ -184,8 +183,3 @@ class MjcfGeoms:
         self.draft.changed(f"ellipsoid `{name}`", "it is represented by a mesh with 1280 triangles")
         part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
         return mesh_of_parts([part], plain_name(name, "ellipsoid"))
-
-
-def _shortened(vertices: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Round coordinates to MuJoCo's single precision, which removes noise introduced by rotations."""
-    return np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))

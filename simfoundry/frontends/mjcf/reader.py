@@ -19,7 +19,7 @@ from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restor
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.frontends.names import free_name
-from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import IDENTITY, Pose
 
 # Maximum number of included files, which stops infinite chains; public models include at most a tenth of that.
 MAX_INCLUDES = 100
@@ -143,8 +143,7 @@ class _MjcfReader:
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
-        self.free_joints: dict[str, str] = {}
-        """Names of free joints, by body name."""
+        self.free_joints: dict[str, str] = {}  # names of free joints, by body name
         self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
 
@@ -189,8 +188,7 @@ class _MjcfReader:
             if self.own is not None and name.startswith(BACKGROUND):
                 background.append(self.geoms.baked(geom))
                 continue
-            part = self.geoms.part(geom)
-            if part is None:
+            if (part := self.geoms.part(geom)) is None:
                 continue
             X_WG, part.X_LG = part.X_LG, Pose.of()
             name = name or part.name
@@ -210,8 +208,7 @@ class _MjcfReader:
             if free:
                 self.free_joints[name] = self.names["joint"][joints[0]]
                 self.note_free_dynamics(joints[0])
-            draft.links[name] = self.new_link(body, name, Pose.of())
-            self.source.owners[body] = (draft, name, Pose.of())
+            self.add_link(draft, body)
             if int(model.body_mocapid[body]) >= 0:
                 self.draft.changed(f"mocap body `{name}`", "mocap bodies are not supported, so the body is fixed")
             return
@@ -238,9 +235,8 @@ class _MjcfReader:
         """Convert a body and its joints; if it has several joints, insert links with negligible mass between them."""
         model, name = self.model, self.names["body"][body]
         if not joints:
-            draft.links[name] = self.new_link(body, name, Pose.of())
+            self.add_link(draft, body)
             draft.joints.append(JointDraft(self.new_name("joint", f"{name}_mount"), "fixed", parent, name, X_PB))
-            self.source.owners[body] = (draft, name, Pose.of())
             return
         anchor = np.zeros(3)
         for k, joint in enumerate(joints):
@@ -255,9 +251,7 @@ class _MjcfReader:
                 draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
                 why = "a link can have only one parent joint, so a link with negligible mass was inserted"
                 self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
-        X_BL = Pose.of(model.jnt_pos[joints[-1]])
-        draft.links[name] = self.new_link(body, name, X_BL)
-        self.source.owners[body] = (draft, name, X_BL)
+        self.add_link(draft, body, Pose.of(model.jnt_pos[joints[-1]]))
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
         """Convert a joint and preserve its coordinate: positions mean the same as in MuJoCo, regardless of `ref`."""
@@ -293,17 +287,16 @@ class _MjcfReader:
     def body_pose(self, body: int) -> Pose:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
-    def new_link(self, body: int, name: str, X_BL: Pose) -> LinkDraft:
-        """Create and return the link for a body; ``X_BL`` is the pose of the link frame in the body frame."""
-        model, X_LB = self.model, X_BL.inverse()
-        link = LinkDraft(name, mass=float(model.body_mass[body]))
+    def add_link(self, draft: BodyDraft, body: int, X_BL: Pose = IDENTITY) -> None:
+        """Add the link for a body to ``draft``; ``X_BL`` is the pose of the link frame in the body frame."""
+        model, X_LB, name = self.model, X_BL.inverse(), self.names["body"][body]
+        link = draft.links[name] = LinkDraft(name, mass=float(model.body_mass[body]))
+        self.source.owners[body] = (draft, name, X_BL)
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-            part = self.geoms.part(geom)
-            if part is not None:
+            if (part := self.geoms.part(geom)) is not None:
                 part.X_LG = X_LB @ part.X_LG
                 link.parts.append(part)
         if link.mass:
             link.com = X_LB.apply(np.array(model.body_ipos[body]))
             axes = (X_LB @ Pose.of(q=model.body_iquat[body])).rotation
             link.inertia = inertia_of_moments(model.body_inertia[body], axes, NOISE)
-        return link

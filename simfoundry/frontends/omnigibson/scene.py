@@ -16,9 +16,10 @@ from simfoundry.frontends.draft import BodyDraft, ImportOptions, LinkDraft, Mesh
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_json
 from simfoundry.frontends.mass_repair import repair_masses
+from simfoundry.frontends.shapes import primitive
 from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
 
 # Size [m] of the box whose top represents the ground plane; it is larger than a robot's reach.
 TABLE = (4.0, 4.0, 0.04)
@@ -107,8 +108,7 @@ class _SceneReader:
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
         body = draft.bodies[0]
         self.draft.notes += draft.notes
-        generic = name.startswith("iter_") and name[5:].isdigit()
-        body.name = self.draft.free_name(category if generic else name)
+        body.name = self.draft.free_name(category if name.startswith("iter_") and name[5:].isdigit() else name)
         body.category, body.note = category, f"`{name}` of the release"
         body.fixed = bool(args.get("fixed_base"))
         body.X_WO = self.pose(name, state)
@@ -126,8 +126,7 @@ class _SceneReader:
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
         """Find the URDF of an object in the folders of the release."""
-        usd = str(args.get("usd_path") or "")
-        parts = Path(usd).parts
+        parts = Path(str(args.get("usd_path") or "")).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
             k = parts.index("objects")
             category, model = parts[k + 1], parts[k + 2]
@@ -166,8 +165,8 @@ class _SceneReader:
     def friction(self, body: BodyDraft, entry: dict[str, Any], args: dict[str, Any]) -> None:
         own, materials = entry.get("friction"), args.get("link_physics_materials") or {}
         for link in body.links.values():
-            material = materials.get(link.name)
-            material = material if isinstance(material, dict) else {}
+            found = materials.get(link.name)
+            material = found if isinstance(found, dict) else {}
             for friction in (own, material.get("dynamic_friction", material.get("static_friction"))):
                 if isinstance(friction, int | float) and friction >= 0:
                     link.contact["friction"] = float(friction)
@@ -193,16 +192,14 @@ class _SceneReader:
             self.draft.assumed(f"joint positions of `{name}`", why)
 
     def robot(self, name: str, kind: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        model = ROBOTS.get(kind)
-        if model is None:
+        if (model := ROBOTS.get(kind)) is None:
             self.draft.dropped(f"robot `{name}`", "this robot model is unknown", kind)
             return
         if model == "franka_panda" and "robotiq" in str(args.get("end_effector", "")):
             model = "franka_robotiq"
         if state.get("joint_pos"):
-            self.draft.changed(
-                f"posture of robot `{name}`", "its joint positions have no names, so it starts in its home posture"
-            )
+            why = "its joint positions have no names, so the robot starts in its home posture"
+            self.draft.changed(f"posture of robot `{name}`", why)
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
     def plane(self) -> None:
@@ -213,7 +210,7 @@ class _SceneReader:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            why = "the table is placed at that height, which OmniGibson itself does not restore"
+            why = "the table is placed at this height, which OmniGibson itself does not restore"
             self.draft.changed("`ground_plane_info`", why)
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
@@ -228,12 +225,11 @@ def _scaled(part: PartDraft, s: float) -> PartDraft:
         case MeshDraft():
             part.geometry = replace(part.geometry, scale=part.geometry.scale * s)
         case BoxShape():
-            x, y, z = (v * s for v in part.geometry.box)
-            part.geometry = BoxShape(box=(x, y, z))
+            part.geometry = primitive("box", *(v * s for v in part.geometry.box))
         case SphereShape():
-            part.geometry = SphereShape(sphere=part.geometry.sphere * s)
+            part.geometry = primitive("sphere", part.geometry.sphere * s)
         case CylinderShape(cylinder=size):
-            part.geometry = CylinderShape(cylinder=Round(radius=size.radius * s, height=size.height * s))
+            part.geometry = primitive("cylinder", size.radius * s, size.height * s)
         case CapsuleShape(capsule=size):
-            part.geometry = CapsuleShape(capsule=Round(radius=size.radius * s, height=size.height * s))
+            part.geometry = primitive("capsule", size.radius * s, size.height * s)
     return part

@@ -30,23 +30,6 @@ CONTROL_HZ = 15.0
 # Default number of steps of a task in the release.
 HORIZON = 1000
 
-_DROPPED = {
-    "robot_pose": "the scene specifies robots",
-    "robot_xyz_randomization": "robots are not randomized",
-    "robot_z_rot_randomization": "robots are not randomized",
-    "robot_joint_randomization": "robots start in their home posture",
-    "ground_plane_z_offset": "the scene specifies the table",
-    "ground_plane_z_randomization": "the table is not randomized",
-    "camera_look_at_point": "the scene specifies cameras",
-    "camera_randomization": "cameras are not randomized",
-    "group_init_relative_poses": "the scene specifies object poses",
-    "group_predicate_placement": "reset ranges determine initial poses",
-    "workspace_bounds": "reset ranges determine initial poses",
-    "additional_objects": "cousins add distractors",
-    "reward_config": "only success is evaluated",
-    "hdr_background_name": "the scene specifies the background",
-}  # fmt: skip
-
 
 def read_task(
     path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
@@ -88,13 +71,14 @@ class _TaskReader:
         reset = self.reset()
         optional = {"subtasks": self.subtasks(), "start": self.start(), "reset": {"objects": reset} if reset else {}}
         data |= {key: value for key, value in optional.items() if value}
-        for key, why in _DROPPED.items():
+        unsupported: dict[str, str] = read_yaml(Path(__file__).with_name("unsupported.yaml")).data
+        for key, why in unsupported.items():
             if self.config.get(key):
                 self.draft.dropped(f"`{key}`", why)
-        for text, _ in texts(goal) if " in " in f" {str(instruction).lower()} " else ():
-            if text.startswith("OnTop("):
-                why = "the instruction says `in`, but the goal requires `OnTop`; the goal is kept unchanged"
-                self.draft.assumed(f"`{text}`", why)
+        on_top = [text for text, _ in texts(goal) if text.startswith("OnTop(")]
+        for text in on_top if " in " in f" {str(instruction).lower()} " else ():
+            why = "the instruction says `in`, but the goal requires `OnTop`; the goal is kept unchanged"
+            self.draft.assumed(f"`{text}`", why)
         return TaskSpec.model_validate(rounded(data))
 
     def members(self, group: Any) -> list[str]:
@@ -153,9 +137,8 @@ class _TaskReader:
             why = "predicates use SimFoundry's thresholds instead"
             self.draft.changed(f"parameters of {state}", why, str(predicate["state_kwargs"])[:80])
         if len(others) > 1:
-            raise self.refused(
-                f"`{predicate.get('other_group')}` must match exactly one object, but matches {len(others)}"
-            )
+            group = predicate.get("other_group")
+            raise self.refused(f"`{group}` must match exactly one object, but it matches {len(others)}")
         if state == "Touching" and "agent" in (name, *others):
             return self.touched_by_robot(name if name != "agent" else (others or [""])[0], is_wanted)
         if state == "IsGrasping" and name == "agent" and others:
@@ -197,13 +180,12 @@ class _TaskReader:
         keys = ("init_predicates_all", "init_predicates_any", "init_predicates_specific")
         for key, predicate in ((k, p) for k in keys for p in self.predicates(k)):
             if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
-                why = "only `PlaceOnTop` is supported"
-                self.draft.dropped(f"`{key}`: {predicate.get('state')}", why)
+                self.draft.dropped(f"`{key}`: {predicate.get('state')}", "only `PlaceOnTop` is supported")
                 continue
             below, members = self.members(predicate.get("other_group")), self.members(predicate.get("group"))
             if len(members) > 1:
-                why = "only the last object is placed, as in the release"
-                self.draft.changed(f"`{key}` of `{predicate.get('group')}`", why)
+                what = f"`{key}` of `{predicate.get('group')}`"
+                self.draft.changed(what, "only the last object is placed, as in the release")
             place[members[-1]] = {"on": below[0]}
         joints: dict[str, Any] = {}
         for group, positions in (self.config.get("group_init_joint_positions") or {}).items():
@@ -219,8 +201,7 @@ class _TaskReader:
             half = [abs(float(v)) for v in widths.get(group) or (0, 0, 0)]
             turn = math.degrees(abs(float(turns.get(group) or 0.0)))
             if half[2]:
-                why = "objects start at their height in the scene"
-                self.draft.dropped(f"height range of `{group}`", why)
+                self.draft.dropped(f"height range of `{group}`", "objects start at their height in the scene")
             for name in self.members(group):
                 p = self.scene.object(name).X_WO.p.tolist()
                 region: dict[str, Any] = {k: (p[i] - half[i], p[i] + half[i]) for i, k in enumerate("xy")}

@@ -43,8 +43,7 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
     for name, entry in read_json(path).items():
         try:
             if "robot" in entry:
-                X_WB = Pose.of(entry["p"], entry["q_wxyz"])
-                draft.robots.append(robot_draft(path, name, entry["robot"], X_WB))
+                draft.robots.append(robot_draft(path, name, entry["robot"], Pose.of(entry["p"], entry["q_wxyz"])))
                 continue
             body = _body(draft, path, name, entry, options)
         except (KeyError, TypeError, ValueError) as error:

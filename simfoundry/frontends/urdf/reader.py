@@ -37,10 +37,8 @@ CONTACT = {
 }  # fmt: skip
 
 # Attributes with the size of each primitive, and the number of values in each attribute.
-_SIZES = {
-    "box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-}  # fmt: skip
+_TUBE = {"radius": 1, "length": 1}
+_SIZES = {"box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": _TUBE, "capsule": _TUBE}
 
 # Supported child elements by parent element; all others are counted and reported.
 _READ = {
@@ -145,8 +143,7 @@ class _UrdfReader:
         X_LG = _origin(inertial)
         link.com = X_LG.p.copy()
         if inertia is not None:
-            names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-            xx, yy, zz, xy, xz, yz = (inertia.number(name, 0.0) for name in names)
+            xx, yy, zz, xy, xz, yz = (inertia.number(name, 0.0) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
             tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
@@ -223,8 +220,7 @@ class _UrdfReader:
     def joint(self, element: Element, links: dict[str, LinkDraft]) -> JointDraft:
         name, kind, ends = element.need("name"), element.need("type"), []
         for tag in ("parent", "child"):
-            end = element.first(tag)
-            if end is None:
+            if (end := element.first(tag)) is None:
                 raise element.refused(f"joint `{name}` has no `<{tag}>`")
             if end.need("link") not in links:
                 raise end.refused(f"joint `{name}` refers to link `{end.need('link')}`, which does not exist")
@@ -232,13 +228,11 @@ class _UrdfReader:
         joint = JointDraft(name, kind, ends[0], ends[1], _origin(element))
         axis, x_axis = element.first("axis"), (1.0, 0.0, 0.0)
         joint.axis = np.array(axis.numbers("xyz", 3, x_axis) if axis is not None else x_axis)
-        dynamics = element.first("dynamics")
-        if dynamics is not None:
+        if (dynamics := element.first("dynamics")) is not None:
             joint.damping = max(0.0, dynamics.number("damping", 0.0))
             joint.friction = max(0.0, dynamics.number("friction", 0.0))
         self.set_type_and_limits(joint, element)
-        turns_or_slides = joint.type in ("revolute", "continuous", "prismatic")
-        if turns_or_slides and float(np.linalg.norm(joint.axis)) < LEAST_AXIS:
+        if joint.type in ("revolute", "continuous", "prismatic") and float(np.linalg.norm(joint.axis)) < LEAST_AXIS:
             raise element.refused(f"the axis of joint `{name}` is zero")
         return joint
 
@@ -306,8 +300,7 @@ class _UrdfReader:
 
 
 def _origin(element: Element) -> Pose:
-    origin = element.first("origin")
-    if origin is None:
+    if (origin := element.first("origin")) is None:
         return Pose.of()
     roll, pitch, yaw = origin.numbers("rpy", 3, (0.0, 0.0, 0.0))
     return Pose.of(origin.numbers("xyz", 3, (0.0, 0.0, 0.0)), quat_from_rpy(roll, pitch, yaw))

@@ -33,7 +33,7 @@ AXES = {
 
 
 class UsdGprims:
-    """Converts gprims in a stage to parts; ``to_kg`` and ``to_m`` are the stage units in kilograms and meters."""
+    """Converts the gprims in a stage to parts; the units of the stage are ``to_kg`` [kg] and ``to_m`` [m]."""
 
     def __init__(self, pxr: Any, draft: ModelDraft, to_kg: float, to_m: float) -> None:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
@@ -43,8 +43,7 @@ class UsdGprims:
 
         ``X_LG``, shape (4, 4), is the transform from the gprim's frame and units to the link frame, including scale.
         """
-        found = self.geometry(prim, X_LG)
-        if found is None:
+        if (found := self.geometry(prim, X_LG)) is None:
             return None
         geometry, X_LP = found
         part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP, contact=self.surface(prim)[0])
@@ -76,11 +75,10 @@ class UsdGprims:
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
         if is_orthogonal and np.linalg.det(R_LG) < 0:  # all primitives are mirror-symmetric
             R_LG = R_LG @ np.diag([1.0, 1.0, -1.0])
-        if is_orthogonal:
-            primitive = self.primitive(prim, kind, scales)
-            if primitive is not None:
-                shape, X_GS = primitive
-                return shape, _pose(R_LG, X_LG[:3, 3]) @ X_GS
+        found = self.primitive(prim, kind, scales) if is_orthogonal else None
+        if found is not None:
+            shape, X_GS = found
+            return shape, _pose(R_LG, X_LG[:3, 3]) @ X_GS
         mesh = self.mesh(prim) if kind == "Mesh" else self.tessellated(prim, kind)
         return None if mesh is None else self.baked(prim, mesh, X_LG, R_LG if is_orthogonal else None)
 
@@ -130,15 +128,13 @@ class UsdGprims:
         faces = indices[corners]
         if mesh.GetOrientationAttr().Get() == "leftHanded":
             corners, faces = corners[:, ::-1], faces[:, ::-1]
-        uv = self.coordinates(prim, corners, faces)
-        if uv is None:
+        if (uv := self.coordinates(prim, corners, faces)) is None:
             return MeshPart(points, np.ascontiguousarray(faces, dtype=np.int32))
         return MeshPart(points[faces.reshape(-1)], np.arange(faces.size, dtype=np.int32).reshape(-1, 3), uv)
 
     def coordinates(self, prim: Any, corners: Any, faces: Any) -> Array | None:
         """Return the texture coordinates of each face corner, shape (3 m, 2), v up."""
-        api = self.pxr.UsdGeom.PrimvarsAPI(prim)
-        found = (api.FindPrimvarWithInheritance(name) for name in COORDINATES)
+        found = (self.pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name) for name in COORDINATES)
         primvar = next((v for v in found if v and v.HasValue()), None)
         if primvar is None or primvar.GetInterpolation() == "constant":
             return None
@@ -219,9 +215,8 @@ class UsdGprims:
 
 def is_collider(pxr: Any, prim: Any) -> bool:
     """Return True if a gprim is collision geometry."""
-    if not prim.HasAPI(pxr.UsdPhysics.CollisionAPI):
-        return False
-    return pxr.UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
+    api = pxr.UsdPhysics.CollisionAPI
+    return prim.HasAPI(api) and api(prim).GetCollisionEnabledAttr().Get() is not False
 
 
 def _pose(rotation: Array, p: Array | tuple[float, ...] = (0.0, 0.0, 0.0)) -> Pose:

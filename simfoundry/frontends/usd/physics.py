@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import JointDraft, LinkDraft, ModelDraft
+from simfoundry.frontends.draft import JointDraft, LinkDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density, inertia_of_moments
+from simfoundry.frontends.mass_repair import assume_density, inertia_of_moments
 from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.spec.models.asset import DriveSpec
@@ -54,22 +54,23 @@ class UsdJoint:
         return self.X_0 if body == self.parent else self.X_1
 
 
-def read_joint(
-    draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], JointEnd], to_m: float, to_kg: float
-) -> UsdJoint:
-    """Read a joint and record its unsupported features in the draft.
+def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims) -> UsdJoint:
+    """Read a joint and record its unsupported features.
 
-    ``end`` resolves the targets of one end of the joint. ``to_m`` [m] and ``to_kg`` [kg] are the units of the stage.
+    Args:
+        prim: Prim of the joint.
+        end: Function that resolves the targets of one end of the joint.
+        geoms: The draft and the units of the stage.
     """
-    joint = pxr.UsdPhysics.Joint(prim)
+    joint = geoms.pxr.UsdPhysics.Joint(prim)
     ends = (end(list(relation.GetTargets())) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()))
     (parent, X_P, scale_0), (child, X_C, scale_1) = ends
     X_0 = X_P @ attribute_pose(prim, joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
     X_1 = X_C @ attribute_pose(prim, joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
     path = str(prim.GetPath())
-    reader = _JointReader(draft, pxr, prim, JointDraft(path, "fixed", parent, child, axis=AXES["X"]), to_m, to_kg)
-    reader.read()
-    return UsdJoint(path, parent, child, X_0, X_1, reader.joint)
+    draft = JointDraft(path, "fixed", parent, child, axis=AXES["X"])
+    _JointReader(prim, draft, geoms).read()
+    return UsdJoint(path, parent, child, X_0, X_1, draft)
 
 
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
@@ -85,20 +86,12 @@ def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float
     return Pose.of(p, q if math.hypot(*q) > NO_LENGTH else (1.0, 0.0, 0.0, 0.0))
 
 
-@dataclass
 class _JointReader:
     """Reads the type, limits and dynamics of a joint."""
 
-    draft: ModelDraft
-    pxr: Any
-    prim: Any
-    joint: JointDraft
-    to_m: float
-    to_kg: float
-
-    @property
-    def label(self) -> str:
-        return f"joint `{self.joint.name}`"
+    def __init__(self, prim: Any, joint: JointDraft, geoms: UsdGprims) -> None:
+        self.prim, self.joint, self.label = prim, joint, f"joint `{joint.name}`"
+        self.pxr, self.draft, self.to_m, self.to_kg = geoms.pxr, geoms.draft, geoms.to_m, geoms.to_kg
 
     def read(self) -> None:
         physics, prim, kind = self.pxr.UsdPhysics, self.prim, self.prim.GetTypeName()
@@ -219,13 +212,13 @@ class UsdBody:
     X_BL: Pose = IDENTITY
 
 
-def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
+def add_mass(body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
     """Set the mass properties of a body.
 
     As in UsdPhysics, the body's mass takes precedence, followed by its density, the masses of its colliders, and the
-    densities of its materials. ``geoms`` provides the units of the stage.
+    densities of its materials. ``geoms`` provides the draft and the units of the stage.
     """
-    physics, link, to_m, to_kg = pxr.UsdPhysics, body.link, geoms.to_m, geoms.to_kg
+    physics, link, draft, to_m, to_kg = geoms.pxr.UsdPhysics, body.link, geoms.draft, geoms.to_m, geoms.to_kg
     api = physics.MassAPI(body.prim)
     mass, density = api.GetMassAttr().Get(), api.GetDensityAttr().Get()
     masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]
@@ -242,7 +235,7 @@ def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], g
     elif len(densities) == 1 and None not in densities:
         link.density = densities.pop()
     elif link.colliders:
-        assume_density(draft, link, f"computed from its shapes at {WATER_DENSITY:g} kg/m^3, as in UsdPhysics")
+        assume_density(draft, link, "UsdPhysics")
     else:
         link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
         why = "the stage specifies neither a mass nor colliders; 1 kg is assumed, as in PhysX"

@@ -18,9 +18,10 @@ from simfoundry.frontends.files import FileSearch
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.names import free_name
 from simfoundry.frontends.usd.compiled.stage import error_text
+from simfoundry.frontends.usd.compiled.stage_frame import Y_TO_Z
 from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
 from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_joint
-from simfoundry.frontends.usd.views import add_cameras, add_lights
+from simfoundry.frontends.usd.views import Mounts, add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 # Path that represents the world, for use where a body path is expected.
@@ -69,19 +70,16 @@ class _UsdReader:
         self.path, self.pxr, self.stage = path, pxr, stage
         usd, physics = pxr.UsdGeom, pxr.UsdPhysics
         self.to_m = float(usd.GetStageMetersPerUnit(stage)) or 1.0
-        self.to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
+        to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
         default = stage.GetDefaultPrim()
         self.draft = ModelDraft(default.GetName() if default else path.stem, "USD", density=density)
         self.W = np.eye(4)
-        self.W[:3, :3] *= self.to_m
-        if usd.GetStageUpAxis(stage) == "Y":
-            self.W[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) @ self.W[:3, :3]
+        self.W[:3, :3] = self.to_m * (Y_TO_Z if usd.GetStageUpAxis(stage) == "Y" else np.eye(3))
         self.transforms = usd.XformCache()
-        self.geoms = UsdGprims(pxr, self.draft, self.to_kg, self.to_m)
+        self.geoms = UsdGprims(pxr, self.draft, to_kg, self.to_m)
         self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
-        self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
-        """The body draft and link of each rigid body, by path."""
+        self.mounts: Mounts = {}
 
     def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
@@ -94,8 +92,7 @@ class _UsdReader:
         statics: dict[str, list[Any]] = {}
         for prim in prims:
             if prim.IsA(self.pxr.UsdGeom.Gprim):
-                owner = self.owner(prim)
-                if owner is not None:
+                if (owner := self.owner(prim)) is not None:
                     self.add_part(owner, prim)
                 else:
                     statics.setdefault(self.group(prim), []).append(prim)
@@ -104,8 +101,8 @@ class _UsdReader:
         self.static_objects(statics)
         self.trees(list(self.joints(prims)))
         for body in self.bodies.values():
-            add_mass(self.pxr, self.draft, body, self.colliders(body), self.geoms)
-        add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
+            add_mass(body, self.colliders(body), self.geoms)
+        add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts)
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
             self.draft.inexpressible(f"prims of type {kind}", f"{count}")
@@ -199,7 +196,7 @@ class _UsdReader:
         schema = self.pxr.UsdPhysics.Joint
         for prim in prims:
             if prim.IsA(schema) and schema(prim).GetJointEnabledAttr().Get() is not False:
-                yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
+                yield read_joint(prim, self.end, self.geoms)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
         """Return the body (or the world) at one end of a joint, the target's pose in that body, and its scale."""
@@ -224,8 +221,7 @@ class _UsdReader:
         used: set[int] = set()
         root_api = self.pxr.UsdPhysics.ArticulationRootAPI
         grounded = [j.child if j.parent == WORLD else j.parent for j in at.get(WORLD, ())]
-        roots = [p for p in grounded if p] + [p for p in left if self.bodies[p].prim.HasAPI(root_api)] + list(left)
-        for root in roots:
+        for root in [p for p in grounded if p] + [p for p in left if self.bodies[p].prim.HasAPI(root_api)] + list(left):
             if root in left:
                 self.tree(root, left, at, used)
         for joint in joints:
@@ -235,11 +231,9 @@ class _UsdReader:
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """Add an object that consists of a root body and all of its descendants."""
         body = self.bodies[root]
-        draft = BodyDraft("", root, {}, X_WO=body.X_WB)
+        draft = BodyDraft("", root, {root: body.link}, X_WO=body.X_WB)
         self.draft.bodies.append(draft)
         ground = next((j for j in at.get(root, ()) if WORLD in (j.parent, j.child)), None)
-        kinematic = self.pxr.UsdPhysics.RigidBodyAPI(body.prim).GetKinematicEnabledAttr().Get() is True
-        draft.links[root] = body.link
         if ground is not None:
             used.add(id(ground))
             if ground.draft.type == "fixed":
@@ -248,7 +242,7 @@ class _UsdReader:
                 draft.root, draft.fixed, draft.X_WO = "base", True, ground.frame(WORLD)
                 draft.links = {"base": LinkDraft("base", mass=0.0), root: body.link}
                 self.fasten(draft, ground, "base", root, Pose.of())
-        elif kinematic:
+        elif self.pxr.UsdPhysics.RigidBodyAPI(body.prim).GetKinematicEnabledAttr().Get() is True:
             draft.fixed = True
             self.draft.changed(f"kinematic body `{root}`", "kinematic bodies are not supported, so the body is fixed")
         del left[root]
@@ -304,21 +298,14 @@ class _UsdReader:
         draft.name = self.draft.free_name(self.object_name(bodies))
         for path, link in draft.links.items():
             link.name = names[path]
-            if path in self.bodies:
-                self.placed_links[path] = (draft, link.name)
+            if (body := self.bodies.get(path)) is not None:
+                self.mounts[path] = (draft, link.name, body.X_WB @ body.X_BL)
         draft.links, draft.root = {link.name: link for link in draft.links.values()}, names[draft.root]
         taken: set[str] = set()
         for joint in draft.joints:
             joint.parent, joint.child = names[joint.parent], names[joint.child]
             joint.name = free_name(joint.name.rpartition("/")[2], taken)
             taken.add(joint.name)
-
-    def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
-        """Return the body draft, the link, and the pose of the link frame in the world for each body path."""
-        return {
-            path: (draft, link, self.bodies[path].X_WB @ self.bodies[path].X_BL)
-            for path, (draft, link) in self.placed_links.items()
-        }
 
     def object_name(self, paths: list[str]) -> str:
         """Return a name for an object: the name of its bodies' common parent prim unless that is the stage root."""

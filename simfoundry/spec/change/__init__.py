@@ -1,1 +1,1 @@
-"""Changes of documents: differences, three-way merges, migration and formatting."""
+"""Changes to documents: differences, three-way merges, migration and formatting."""

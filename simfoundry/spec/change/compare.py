@@ -1,4 +1,4 @@
-"""Compare two states of a document: changes as data and as text, and the errors of each state."""
+"""Compare two states of a document, as data and as text, and collect the errors in each state."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """Comparison of two states of the document ``name``; a side is None if the document does not exist there."""
+    """A comparison of two states of the document ``name``; a side is None if the document did not exist."""
 
     name: str
     old: Side | None
@@ -60,17 +60,17 @@ class DocumentComparison:
 
     @property
     def differs(self) -> bool:
-        """Return True unless the two states differ only in layout."""
+        """Return True unless the two states are equal or differ only in formatting."""
         return bool(self.changes or self.entries or self.obstacle or self.old is None or self.new is None)
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
-        """Return the errors of both sides."""
+        """Return the errors on both sides."""
         return tuple(d for side in (self.old, self.new) if side is not None for d in side.findings)
 
     @property
     def along(self) -> tuple[str, ...]:
-        """Return the objects that moved only because an object that their `place` refers to has moved."""
+        """Return the objects that moved only because their `place` refers to another object that moved."""
         if self.new is None or not isinstance(self.new.spec, SceneSpec):
             return ()
         named = {e.name for e in self.entries if e.section == "objects"}
@@ -97,7 +97,7 @@ class DocumentComparison:
 
 
 def _anchors(place: Place) -> set[str]:
-    """Return the objects that determine the horizontal position of a place."""
+    """Return the names of the objects that determine the horizontal position of a place."""
     if place.xy is not None:
         return set()
     beside = {n for n in (place.left_of, place.right_of, place.in_front_of, place.behind) if n is not None}
@@ -105,7 +105,7 @@ def _anchors(place: Place) -> set[str]:
 
 
 def side(path: Path, label: str, root: Path | None = None) -> Side:
-    """Read one state of a document from a file; findings use ``label`` and its revision as file names."""
+    """Read one state of a document from a file; findings refer to the file by the display name ``label``."""
     loaded = load(path, root)
     spec = loaded.spec or _sound(loaded)
     text_ = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
@@ -147,7 +147,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a finding in which the file name is replaced with the display name of the side."""
+    """Return a finding with the file name replaced by its display name."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -169,7 +169,7 @@ def _content(side: Side | None) -> str:
 
 
 def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
-    """Return the units of the joint positions of a scene's objects, from their asset documents."""
+    """Return the unit of each joint position in a scene, by object and joint name."""
     if not isinstance(side.spec, SceneSpec):
         return {}
     found: dict[tuple[str, str], str] = {}
@@ -181,7 +181,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
 
 
 def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
-    """Return the objects whose text is unchanged but whose asset or mesh file differs."""
+    """Return an entry for each object that refers to a file with the same name but different content."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
     entries = []

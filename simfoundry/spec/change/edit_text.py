@@ -2,8 +2,8 @@
 
 The changes from the current data to the target data are applied one at a time. Values are replaced in place, members
 are removed together with the comments above them, and new members are inserted after their neighbor in canonical form.
-If a change cannot be applied in place, for example because it edits an anchor that has aliases, the entire text is
-rewritten in canonical form; comments are kept.
+If a change cannot be applied in place, for example because it affects an anchor that has aliases, the entire text is
+rewritten in canonical form, with its comments.
 """
 
 from __future__ import annotations
@@ -51,11 +51,15 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
 
 
 def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
-    """Return the data that a document must contain so that joining it with its base changes ``before`` to ``after``.
+    """Return the data that a document must contain for its merged content to change from ``before`` to ``after``.
 
-    ``own`` is the document's current data, and ``base`` is the data of the document that it extends, both at the same
-    path; either may be :data:`ABSENT`. Members of the base that ``after`` does not contain are set to null, which
-    removes them.
+    Members of the base document that ``after`` does not contain are set to null, which removes them.
+
+    Args:
+        own: The document's current data, or :data:`ABSENT`.
+        before: The current data after merging with the base document.
+        after: The desired data after merging with the base document.
+        base: The data of the base document, or :data:`ABSENT`.
     """
     if before is not ABSENT and after is not ABSENT and same(before, after):
         return own
@@ -140,12 +144,12 @@ def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
     return _Span(start, end)
 
 
-# The start and end (exclusive) of a part of a text, and the new text that replaces this part.
+# The start and end (exclusive) of a part of a text, and the new text for this part.
 Splice = tuple[int, int, str]
 
 
 class _Round:
-    """One pass over a text, which applies either renames, value changes, or the removal or addition of one member."""
+    """One pass over a text, which applies renames, value changes, or the removal or addition of one member."""
 
     def __init__(self, document: Document, data: Any, model: type[Model] | None) -> None:
         self.document, self.data, self.model = document, data, model
@@ -153,7 +157,7 @@ class _Round:
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
     def splices(self) -> list[Splice]:
-        """Return the next replacements, or an empty list if the changes cannot be applied in place."""
+        """Return the next edits, or an empty list if the changes cannot be applied in place."""
         changes = diff(self.document.data, self.data)
         renames = [c for c in changes if isinstance(c, Rename)]
         values = {self._place(c.path) for c in changes if isinstance(c, Set)}
@@ -195,7 +199,7 @@ class _Round:
         return spans
 
     def _place(self, path: Path_) -> Path_:
-        """Return the longest part of a path, from its start, that exists in the text."""
+        """Return the longest prefix of a path that exists in the text."""
         return path[: len(self._steps(path)) - 1]
 
     def _tree(self, path: Path_) -> YamlTree:
@@ -253,7 +257,7 @@ class _Round:
         return (key, key + len(rename.old), rename.new) if same_text else None
 
     def _value(self, path: Path_) -> Splice | None:
-        """Return the splice that replaces the value at a path with the target value."""
+        """Return the edit that sets the value at a path to the target value."""
         steps, wanted = self._steps(path), self._wanted(path)
         if not path or wanted is ABSENT:
             return None
@@ -332,7 +336,7 @@ class _Round:
         return self._new_entry(path, value, parent.children, before)
 
     def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice | None:
-        """Insert a new entry of a block mapping after its neighbor."""
+        """Insert a new entry into a block mapping, after its neighbor."""
         anchor = before or next(iter(siblings.values()))
         column = anchor.key - self._line(anchor.key)
         lines = entry_lines(plain_tree(value), path, self.model, column)
@@ -350,7 +354,7 @@ class _Round:
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
     def _neighbor(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
-        """Return the entry after which a new entry is inserted, i.e. its predecessor in canonical order."""
+        """Return the entry that precedes a new entry in canonical order, or None if the new entry comes first."""
         slot: KeyOrder = key_order(self.model)
         for part in path[:-1]:
             slot = slot.member(part)

@@ -1,4 +1,4 @@
-"""Flatten a document: join it with the documents that it extends, and write out every default."""
+"""Flatten documents: merge a document with the documents that it extends, and write out all default values."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from simfoundry.spec.yaml.write import write_tree
 
 
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
-    """Return the canonical text of a composed document with all default values written out.
+    """Return the canonical text of a document, including all default values.
 
     Fields with derived values, such as a friction coefficient defined by the material, are omitted. Flattening is
     idempotent.
 
     Args:
-        spec: The composed document.
-        folder: The document's folder.
-        into: The folder that file references become relative to, by default ``folder``.
+        spec: The document, merged with the documents that it extends.
+        folder: The folder that file references in the document are relative to.
+        into: The folder that file references in the result are relative to, which is ``folder`` by default.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -33,7 +33,7 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
 
 
 def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
-    """Return the data of a document in ``folder`` with file references relative to ``into``."""
+    """Return the data of a document with file references relative to ``into`` instead of ``folder``."""
     if folder.resolve() != into.resolve():
         step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
         for pattern in file_patterns(model):
@@ -60,7 +60,7 @@ def full(spec: Model) -> dict[str, Any]:
 
 
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """Rewrite the file references at ``pattern`` to be relative to another folder."""
+    """Return the data with the file references at ``pattern`` relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)

@@ -24,7 +24,7 @@ _MODELINE = re.compile(r"#\s*yaml-language-server:\s*\$schema=(\S+)\s*\Z")
 
 @dataclass(frozen=True)
 class Formatted:
-    """Text before and after formatting."""
+    """The text of a document before and after formatting."""
 
     before: str
     after: str
@@ -38,19 +38,19 @@ class Formatted:
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
     """Return the canonical form of a document; raises :class:`SpecError` if the text could not be parsed.
 
-    If ``schema`` (a relative path or a URL) is given, the first line refers editors to it; otherwise, an existing
-    schema line is kept.
+    If ``schema`` (a relative path or a URL) is specified, the first line of the result refers editors to this schema.
+    Otherwise, an existing schema line is kept.
     """
     document = _parsed(file, text)
     return _formatted(document, _model(document), schema)
 
 
 def format_file(path: Path) -> Formatted:
-    """Format a document without writing it. Raises :class:`SpecError` if the document could not be read.
+    """Format a document without writing the result; raises :class:`SpecError` if the document could not be read.
 
     If a parent folder within the project contains the schema for the document's kind in ``schemas/`` or
-    ``.simfoundry/schemas/``, the first line refers editors to that schema. An existing reference to a different schema
-    is kept if that schema exists or is a URL.
+    ``.simfoundry/schemas/``, the first line of the result refers editors to that schema. An existing reference to a
+    different schema is kept if that schema exists or is a URL.
     """
     document = _parsed(str(path))
     model = _model(document)
@@ -60,8 +60,8 @@ def format_file(path: Path) -> Formatted:
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
     """Return the schema path to write in the first line, or None if the line does not need to change.
 
-    Schemas are searched for in the document's folder and its parents up to ``root``, which is the root of the
-    document's project by default.
+    This function looks for schemas in the document's folder and in its parents up to ``root``, by default the root of
+    the document's project.
     """
     named = next((m[1] for m in map(_MODELINE.match, _top_comments(document.text)) if m), None)
     folder = path.resolve().parent
@@ -102,7 +102,7 @@ def _formatted(document: Document, model: type[Model], schema: str | None) -> st
 
 @dataclass(frozen=True)
 class Migration:
-    """A step that converts a document from one version of its kind to version ``to``."""
+    """A function ``change`` that converts documents of an older version to version ``to``."""
 
     to: str
     change: Callable[[YamlTree], YamlTree]
@@ -121,8 +121,8 @@ _LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
     """Return the text of a document in the latest version of its kind, with current key names.
 
-    A text that is already up to date is returned unchanged. If the version changes, the result is in canonical form.
-    Raises :class:`SpecError` if the kind is unknown.
+    If the text is already up to date, it is returned unchanged. If the version changes, the result is in canonical
+    form. Raises :class:`SpecError` if the kind is unknown.
     """
     document = _parsed(file, text)
     kind = _kind(document, steps)
@@ -141,7 +141,7 @@ def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> st
 
 
 def _parsed(file: str, text: str | None = None) -> Document:
-    """Parse a text, or by default the content of the file."""
+    """Parse a text, or the content of the file if no text is passed."""
     try:
         return read(Path(file)) if text is None else parse(text, file)
     except YamlError as error:
@@ -149,7 +149,7 @@ def _parsed(file: str, text: str | None = None) -> Document:
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """Return the kind of a document; raises :class:`SpecError` if the kind is unknown, even as an older version."""
+    """Return the kind and version of a document; raises :class:`SpecError` if no such version ever existed."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):

@@ -128,27 +128,25 @@ def render_github(report: CheckReport) -> str:
 
     https://docs.github.com/actions/reference/workflow-commands-for-github-actions
     """
-    folder = checkout()
-    return "\n".join(_command(d, folder) for d in report.findings)
+    return "\n".join(_command(d, checkout()) for d in report.findings)
+
+
+# Escape sequences for the message of a workflow command, and for its properties, which are separated by commas.
+_DATA = str.maketrans({"%": "%25", "\r": "%0D", "\n": "%0A"})
+_PROPERTY = _DATA | str.maketrans({":": "%3A", ",": "%2C"})
 
 
 def _command(d: Diagnostic, folder: Path) -> str:
     path = absolute(d.document)
     file = (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
     place = {"line": str(d.line), "col": str(d.column)} if d.line else {}
-    properties = ",".join(f"{k}={_property(v)}" for k, v in {"file": file, **place, "title": d.code}.items())
-    message = f"{d.message}\n{d.hint}" if d.hint else d.message
-    return f"::{d.severity} {properties}::{_data(message)}"
+    fields = {"file": file, **place, "title": d.code}
+    properties = ",".join(f"{key}={value.translate(_PROPERTY)}" for key, value in fields.items())
+    return f"::{d.severity} {properties}::{_with_hint(d).translate(_DATA)}"
 
 
-def _data(text: str) -> str:
-    """Escape a text for use after the second ``::``."""
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    """Escape a text for use as a property value, between commas."""
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
+def _with_hint(d: Diagnostic) -> str:
+    return f"{d.message}\n{d.hint}" if d.hint else d.message
 
 
 SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
@@ -159,20 +157,13 @@ def render_sarif(report: CheckReport) -> str:
     """Return a SARIF run with one result per finding; files are relative to the checkout, columns count characters."""
     from simfoundry.spec.check.pages import pages
 
-    folder = checkout()
-    explained = pages()
-    rules = [page.code for page in explained]
+    rules = [page.code for page in pages()]
+    driver = {"name": "SimFoundry", "semanticVersion": __version__, "rules": [_rule(page) for page in pages()]}
     run = {
-        "tool": {
-            "driver": {
-                "name": "SimFoundry",
-                "semanticVersion": __version__,
-                "rules": [_rule(page) for page in explained],
-            }
-        },
+        "tool": {"driver": driver},
         "columnKind": "unicodeCodePoints",
         "originalUriBaseIds": {_ROOT: {"description": {"text": "The CI checkout, or the current folder outside CI."}}},
-        "results": [_result(d, rules, folder) for d in report.findings],
+        "results": [_result(d, rules, checkout()) for d in report.findings],
     }
     return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
 
@@ -198,7 +189,7 @@ def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
         "ruleId": d.code,
         "ruleIndex": rules.index(d.code),
         "level": str(d.severity),
-        "message": {"text": _plain(f"{d.message}\n{d.hint}" if d.hint else d.message)},
+        "message": {"text": _plain(_with_hint(d))},
         "locations": [location],
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
@@ -46,23 +47,20 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
     """Check the names in a goal, and that the goal is not empty: an empty goal succeeds immediately."""
     if names is not None:
         names.check_condition(c, goal, path)
-    empty = [at for at, (tag, below) in _groups(goal, path) if tag in ("all", "any") and not below]
+    empty = [*_empty_groups(goal, path)]
     for at in empty or ([path] if not any(True for _ in texts(goal)) else []):
         never = at[-1] == "any"
         message = "a goal without predicates " + ("never succeeds" if never else "succeeds immediately")
         c.warn("SF404", at, message, "add the condition that must hold, such as `Inside(cup, bowl)`")
 
 
-def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
-    """Return all groups (`all`, `any` and `not`) in a condition, each with the path of its list."""
+def _empty_groups(condition: Any, path: Path_) -> Iterator[Path_]:
+    """Yield the path of each `all` and `any` without conditions."""
     tag, below = parts(condition)
-    if tag == "text":
-        return []
-    found = [((*path, tag), (tag, below))]
-    for k, item in enumerate(below):
-        at = (*path, tag) if tag == "not" else (*path, tag, k)
-        found += _groups(item, at)
-    return found
+    if not below:
+        yield (*path, tag)
+    for k, item in enumerate(below if tag != "text" else ()):
+        yield from _empty_groups(item, (*path, tag) if tag == "not" else (*path, tag, k))
 
 
 def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -13,7 +14,7 @@ from simfoundry.spec.diagnostics import Diagnostic, nearest
 from simfoundry.spec.models.base import PATTERNS, SHAPE_KEYS, WIRE_KEY, Model
 from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
-from simfoundry.spec.yaml.text import Document, Path_
+from simfoundry.spec.yaml.text import Document, Path_, read
 
 _CODES = {
     "missing": "SF102",
@@ -23,16 +24,7 @@ _CODES = {
     **dict.fromkeys(("literal_error", "string_pattern_mismatch"), "SF106"),
 }
 
-# Prefixes of pydantic error types and the corresponding terms for document values.
-_EXPECTED = {
-    "model": "a mapping",
-    "dict": "a mapping",
-    "tuple": "a list",
-    "string": "a string",
-    "bool": "`true` or `false`",
-    "int": "an integer",
-    "float": "a number",
-}
+_TABLES = read(Path(__file__).with_name("wording.yaml")).data
 
 # Keys of a condition mapping; each condition has exactly one of them.
 _JOINED = {"all", "any", "not"}
@@ -43,13 +35,6 @@ _ALTERNATIVES = _JOINED.union(SHAPE_KEYS)
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 # Number with a unit.
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
-
-# Factor that converts each unit to the unit used in documents, by the hint that names that unit.
-_UNITS = {
-    "lengths are in m": {"mm": 0.001, "cm": 0.01, "m": 1.0},
-    "masses are in kg": {"g": 0.001, "kg": 1.0},
-    "angles are in degrees": {"deg": 1.0, "°": 1.0},
-}
 
 
 def worded(model: type[Model], document: Document, error: ValidationError) -> list[Diagnostic]:
@@ -141,7 +126,9 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
     if kind == "float_type" and isinstance(given, str) and _NUMBER.fullmatch(given):
         description = "remove the quotes"
     elif kind == "float_type" and (measured := _MEASURED.match(str(given))):
-        rule, factor = next((rule, units[measured[2]]) for rule, units in _UNITS.items() if measured[2] in units)
+        rule, factor = next(
+            (rule, units[measured[2]]) for rule, units in _TABLES["units"].items() if measured[2] in units
+        )
         description = f"{rule}, without the unit: `{number(float(measured[1]) * factor)}`"
     elif kind == "string_type" and isinstance(given, int | float):
         description = "put it in double quotes"
@@ -173,7 +160,7 @@ def _expected(error: Any) -> str:
     words: str = error["msg"].removeprefix("Input should be ")
     if error["type"].startswith(("greater", "less")):
         return f"a number {words}"
-    return next((name for kind, name in _EXPECTED.items() if error["type"].startswith(kind)), words)
+    return next((str(name) for kind, name in _TABLES["expected"].items() if error["type"].startswith(kind)), words)
 
 
 def _shown(value: Any) -> str:

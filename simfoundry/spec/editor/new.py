@@ -1,4 +1,4 @@
-"""Create new files from templates, which contain a valid document of each kind that introduces its keys."""
+"""Create documents from templates, which introduce the keys of each kind of document."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ REGION = 0.05
 
 
 class NewError(SimfoundryError):
-    """Raised if a file cannot be created; the message is one sentence with the reason."""
+    """Raised if a file cannot be created; the message states the reason."""
 
 
 @dataclass(frozen=True)
 class New:
-    """A file to write, together with the schemas and the marker file that are missing from its project."""
+    """A new file, with the schemas and the marker file that must also be written because the project lacks them."""
 
     path: Path
     text: str
@@ -67,7 +67,7 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
-    """Return a new file; raises :class:`NewError`, or :class:`SpecError` if the source document is invalid."""
+    """Return a new file; raises :class:`NewError`, or :class:`SpecError` if a document that it refers to is invalid."""
     try:
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
@@ -94,7 +94,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
 
 
 def _name(path: Path, name: str | None) -> str:
-    """Return the given document name, or a name derived from the file (for a capture, from the folder)."""
+    """Return the document name, which is derived from the file name (for a capture, the folder name) by default."""
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
             rule = "a name must start with a letter and contain only lower-case letters, digits and `_`"
@@ -123,7 +123,7 @@ def _comment(text: str) -> str:
 
 
 def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
-    """Return the given source document, or the only candidate in the folder of the new file."""
+    """Load the source document, which by default is the only candidate in the folder of the new file."""
     if source is None:
         folder = path.parent
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
@@ -143,7 +143,7 @@ def _valid(path: Path, root: Path) -> Loaded:
 
 
 def _scene(loaded: Loaded) -> SceneSpec:
-    """Return the scene of a document: the document itself, or the scene that it refers to."""
+    """Return a document if it is a scene, or the scene that a task refers to."""
     spec = loaded.spec
     if isinstance(spec, TaskSpec):
         used = loaded.used(spec.scene)
@@ -163,7 +163,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a task: put the first free object that does not roll onto another object, or otherwise lift it."""
+    """Return the template variables for a task, which is to put one object onto another, or to lift the only object."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
@@ -185,12 +185,12 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _carrier(item: ObjectSpec) -> str:
-    """Return the support of an object if its place names one."""
+    """Return the name of the object that another object is placed on or inside, or an empty string."""
     return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
 
 
 def _where(item: ObjectSpec) -> tuple[float, float] | None:
-    """Return the horizontal position [m] of an object in the world if its document specifies it."""
+    """Return the x and y coordinates [m] of an object in the world, if they are specified."""
     return (item.pose.xyz[0], item.pose.xyz[1]) if item.place is None else item.place.xy
 
 
@@ -200,7 +200,7 @@ def _region(x: float, y: float) -> str:
 
 
 def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a recipe that places the first free object around another object."""
+    """Return the template variables for a recipe that places the first free object around another object."""
     loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
@@ -210,7 +210,7 @@ def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
-    """Fill in an overlay that rotates the first free object."""
+    """Return the template variables for an overlay that rotates the first free object."""
     loaded = _valid(base, root)
     if getattr(loaded.spec, "simfoundry", None) != f"{kind}/1":
         raise NewError(f"a {kind} can only extend another {kind}, and {base} is not one")

@@ -1,4 +1,4 @@
-"""Generate ``docs/reference.md`` from the models: all keys and an example for each document kind."""
+"""Generate ``docs/reference.md`` from the models; the page lists all keys, with an example for each document kind."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def reference() -> str:
 
 
 def _sections(parts: dict[str, Schema]) -> Iterator[str]:
-    """Yield a heading and a table for each part, sorted by title; shapes share a table, because each has one key."""
+    """Yield a heading and a table for each part, sorted by title; shapes share a table because each has one key."""
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)
@@ -73,7 +73,7 @@ def _title(name: str) -> str:
 
 
 def _type(field: Schema) -> str:
-    """Describe the type of a value, with links to the tables of mappings."""
+    """Describe the type of a value, with a link to the table if the value is a mapping."""
     match field:
         case {"anyOf": options} | {"oneOf": options}:
             return " or ".join(dict.fromkeys(_type(o) for o in options if o.get("type") != "null"))

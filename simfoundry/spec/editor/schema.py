@@ -1,9 +1,9 @@
 """Generate JSON Schemas for documents, which editors use for completion, hover texts, and error messages.
 
-The schemas are generated from the models and rewritten for display in editors. Alternatives of different types (such as
-a number or a mapping with a range) are combined into one schema, so that editors report an error at its location and
-not as "no match". Each key has a description with its unit, and an initial value to fill in. ``null`` is allowed only
-in overlays, where it removes a value.
+The schemas are generated from the models and adapted for editors. Alternatives of different types, such as a number or
+a mapping with a range, are combined into one schema, so that editors can show the location of an error instead of "no
+match". Each key has a description with its unit, and an initial value. ``null`` is allowed only in documents that
+extend another document, where it removes a value.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from simfoundry.spec.yaml.write import number
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-# Names of the schema parts that combine alternatives, by the models among the alternatives.
+# Names of the schema parts that combine alternatives, with the models that are alternatives in each part.
 UNIONS = {
     "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
@@ -33,18 +33,18 @@ UNIONS = {
     "RobotModel": {"RobotFiles"},
 }
 
-# Pattern for a key that is the end of a predicate, because in braces, YAML splits ``goal: OnTop(cup, desk)`` at the
+# Pattern for the end of a predicate, which YAML parses as a key: in braces, it splits ``goal: OnTop(cup, desk)`` at the
 # comma.
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 
 
 def _predicate_pattern() -> str:
-    """Return a pattern for a predicate, or for its start or end if YAML splits the predicate at a comma in brackets."""
+    """Return a pattern for a predicate, or for a part of one if YAML has split it at a comma in brackets."""
     aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
 
-# Schema part for conditions in a list, in which YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number.
+# Name of the schema part for conditions in a list, where YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number.
 LISTED = "Listed"
 
 
@@ -71,7 +71,7 @@ def without_editor_words(part: Any) -> Any:
 
 
 def schema(kind: str) -> Schema:
-    """Return the JSON Schema of a kind of document, such as ``scene/1``.
+    """Return the JSON Schema for a document kind, such as ``scene/1``.
 
     A document that extends another document is validated against a relaxed copy of the schema, which has no required
     keys and in which null removes a value.
@@ -95,13 +95,13 @@ def schema(kind: str) -> Schema:
 
 @dataclass
 class _Parts:
-    """Parts of a model's schema, rewritten for editors."""
+    """The parts of a model's schema, adapted for editors."""
 
     raw: Schema
     joined: dict[str, Schema] = field(default_factory=dict)
 
     def all(self) -> dict[str, Schema]:
-        """Return every part by name; the document itself is named ``Document``."""
+        """Return all parts by name; the part for the entire document is named ``Document``."""
         title = self.raw["title"]
         apart = set().union(*UNIONS.values())
         parts = {name: self.model(name, body) for name, body in self.raw["$defs"].items() if name not in apart}
@@ -110,7 +110,7 @@ class _Parts:
         return dict(sorted((parts | self.joined).items()))
 
     def model(self, owner: str, body: Schema) -> Schema:
-        """Return the schema of a mapping with known keys; the key with the document kind comes first."""
+        """Return the schema of a mapping with known keys, starting with the key for the document kind."""
         keys = sorted(body["properties"], key=lambda key: key != "simfoundry")
         properties = {key: self.key(owner, key, body["properties"][key]) for key in keys}
         required = sorted(body.get("required", ()), key=keys.index)
@@ -124,7 +124,7 @@ class _Parts:
         return whole | _fragments(properties)
 
     def key(self, owner: str, key: str, body: Schema) -> Schema:
-        """Return the schema of a key, including its descriptions and an initial value."""
+        """Return the schema for a key, including its description and an initial value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
         plain = default if isinstance(default, int | float | str | list) and default != [] else None
@@ -142,7 +142,7 @@ class _Parts:
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
-        """Return the schema of a value without descriptions."""
+        """Return the schema for a value, without descriptions."""
         options = _options(body)
         if len(options) > 1:
             named = {option["$ref"].rpartition("/")[2] for option in options if "$ref" in option}
@@ -177,7 +177,7 @@ class _Parts:
         return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
 
     def item(self, body: Schema) -> Schema:
-        """Return the schema of an item of a list."""
+        """Return the schema for an item in a list."""
         core = self.core(body)
         if core == {"type": "string"}:  # relations are the only free-form strings in lists
             return {"type": ["string", "number"], **_special("Condition")}
@@ -190,7 +190,7 @@ class _Parts:
         return core
 
     def member(self, body: Schema) -> Schema:
-        """Return the schema of a member with an arbitrary name."""
+        """Return the schema for a member that can have any name."""
         core = self.core(body)
         model = core.get("$ref", "").rpartition("/")[2]
         described = self.raw["$defs"].get(model, {}).get("description", "")
@@ -234,7 +234,7 @@ class _Parts:
 
 
 def _options(body: Schema) -> list[Schema]:
-    """Return the flattened alternatives of a value, without null."""
+    """Return the alternatives for a value, including nested ones but without null."""
     for key in ("anyOf", "oneOf"):
         if key in body:
             return [inner for option in body[key] for inner in _options(option)]
@@ -242,7 +242,7 @@ def _options(body: Schema) -> list[Schema]:
 
 
 def _special(union: str) -> Schema:
-    """Return keywords for alternatives that the models cannot express."""
+    """Return schema keywords for a union that cannot be derived from the models."""
     if union == "Condition":
         message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
@@ -256,7 +256,7 @@ def _pattern(pattern: str) -> Schema:
 
 
 def _fragments(properties: Schema) -> Schema:
-    """Allow the remaining pieces of free-form text that YAML splits at commas."""
+    """Return keywords that allow the pieces of a free-form text that YAML has split at commas."""
     cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
     free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
     conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
@@ -264,7 +264,7 @@ def _fragments(properties: Schema) -> Schema:
 
 
 def _words(title: str, text: str) -> Schema:
-    """Return the title and description, with a Markdown version if editors would otherwise show the Markdown syntax."""
+    """Return a title and a description, with a Markdown version if the description contains Markdown syntax."""
     markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
     return {"title": title, "description": text, **markdown}
 
@@ -284,14 +284,14 @@ def literal(value: Any) -> str:
 
 
 def _holes(value: Any) -> str:
-    """Return a value as a snippet with a placeholder for each number and each word."""
+    """Format a value as a snippet with a placeholder for each number and word."""
     if isinstance(value, list):
         return f"[{', '.join(f'${{{k}:{literal(item)}}}' for k, item in enumerate(value, 1))}]"
     return f"${{1:{literal(value)}}}"
 
 
 def _snippet(body: Body, text: str) -> Schema:
-    """Return a snippet for an editor to offer, with a one-line label without placeholders."""
+    """Return a suggestion for editors, with a one-line label that has no placeholders."""
     label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
     return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
 
@@ -311,10 +311,10 @@ def _text(kind: str, standard: bool) -> str:
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
-# Prefix of the names of the relaxed parts.
+# Prefix for the names of relaxed parts.
 OVERLAY = "Overlay"
 
-REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
+REMOVES = {"label": "null", "description": "Removes the value that the extended document specifies.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
 
 
@@ -336,7 +336,7 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """Allow null for a value; descriptions for editors stay on the outer schema."""
+    """Return a schema that also allows null; descriptions for editors stay on the outer level."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
     core = dict(item)
     words = {key: core.pop(key) for key in kept if key in item}

@@ -19,6 +19,7 @@ from simfoundry.spec.models.base import (
     Point3,
     PoseSpec,
     Positive,
+    Range,
     Shape,
     Vec3,
     consistent,
@@ -37,9 +38,7 @@ class PartSpec(Model):
     material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
     color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
-        "both",
-        description="A `visual` part is rendered but neither collides nor has mass; a `collision` part collides and "
-        "has mass but is not rendered.",
+        "both", description="A `visual` part is only rendered; a `collision` part only collides and has mass."
     )
 
     @consistent
@@ -54,20 +53,14 @@ class Inertial(Model):
 
     com: Point3 = Field((0.0, 0.0, 0.0), description="Center of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
-        None,
-        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: the "
-        "inertia of the parts about their own center of mass.",
+        None, description="ixx, iyy, izz, ixy, ixz, iyz about `com` in link axes [kg m^2]; default: from the parts."
     )
 
     @consistent
     def _of_a_body(self) -> None:
         if self.inertia is not None and not _is_of_a_body(self.inertia):
-            raise fault(
-                "sf104",
-                "no rigid body has this inertia: the principal moments must be positive, "
-                "and none may exceed the sum of the other two",
-                "inertia",
-            )
+            rule = "the principal moments must be positive, and none may exceed the sum of the other two"
+            raise fault("sf104", f"no rigid body has this inertia: {rule}", "inertia")
 
 
 # Relative tolerance of the triangle inequality for principal moments; needed because files contain six digits.
@@ -145,19 +138,12 @@ class JointSpec(Model):
     type: JointKind = Field(description="Type of motion between the parent and the child.")
     parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
-    pose: PoseSpec = Field(
-        PoseSpec.model_construct(),
-        description="Pose of the child's frame in the parent's frame at joint position zero.",
-    )
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the child in the parent at position zero.")
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
-    limits: tuple[Number, Number] | None = Field(None, description="Lower and upper limit of a prismatic joint [m].")
-    limits_deg: tuple[Number, Number] | None = Field(
-        None, description="Lower and upper limit of a revolute joint [deg]."
-    )
+    limits: Range | None = Field(None, description="Lower and upper limit of a prismatic joint [m].")
+    limits_deg: Range | None = Field(None, description="Lower and upper limit of a revolute joint [deg].")
     closed: Literal["lower", "upper"] | None = Field(
-        None,
-        description="The limit at which `Open` and `Closed` treat the joint as closed; default: zero, or the limit "
-        "closest to zero.",
+        None, description="The limit at which `Closed` holds; default: zero, or the limit closest to zero."
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
@@ -185,9 +171,8 @@ class JointSpec(Model):
             raise fault("sf107", f"`closed` refers to a limit, but a {self.type} joint has no limits", "closed")
         for name in ("mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
-                raise fault(
-                    "sf107", f"`{name}` applies only to joints with one axis, but this joint is {self.type}", name
-                )
+                message = f"`{name}` applies only to joints with one axis, but this joint is {self.type}"
+                raise fault("sf107", message, name)
 
 
 class AssetSpec(DocumentSpec):
@@ -199,8 +184,6 @@ class AssetSpec(DocumentSpec):
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Rigid bodies by name; the first one is the root.")
     joints: dict[Name, JointSpec] = Field({}, description="Joints between the links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
-        (),
-        max_length=1000,
-        description="Pairs of links that do not collide, in addition to links connected by a joint.",
+        (), max_length=1000, description="Pairs of links that do not collide, besides links connected by a joint."
     )
     origin: Origin | None = Field(None, description="Origin of the asset.")

@@ -318,14 +318,10 @@ class Material(Model):
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; contacts use the geometric mean.")
     torsional_friction: NonNegative = Field(
-        0.0,
-        description="Resistance to spinning at a contact: torque divided by normal force [m]; contacts use the "
-        "larger value of the two surfaces.",
+        0.0, description="Resistance to spinning: torque divided by normal force [m]; contacts use the larger value."
     )
     rolling_friction: NonNegative = Field(
-        0.0,
-        description="Resistance to rolling at a contact: torque divided by normal force [m]; contacts use the "
-        "larger value of the two surfaces.",
+        0.0, description="Resistance to rolling: torque divided by normal force [m]; contacts use the larger value."
     )
     restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; contacts use the geometric mean.")
     color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
@@ -351,9 +347,7 @@ class BodySpec(Model):
         "convex parts otherwise. Primitives are not affected.",
     )
     solid: Solid = Field(
-        "exact",
-        description="Volume used for the mass properties of a mesh: `exact` uses the mesh, which must be closed, and "
-        "`hull` uses its convex hull.",
+        "exact", description="Volume for mass properties: `exact` for the mesh, which must be closed, or `hull`."
     )
 
 
@@ -382,10 +376,8 @@ class DocumentSpec(Model):
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
-        {},
-        description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object.",
+        {}, description="Silenced warnings, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."
     )
     conflicts: dict[str, Conflict] = Field(
-        {},
-        description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry.",
+        {}, description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry."
     )

@@ -59,14 +59,10 @@ class ObjectVariants(Model):
     """Substitutes for one object, with the same affordances."""
 
     sources: tuple[Source, ...] = Field(
-        ("procedural",),
-        min_length=1,
-        description="Sources of variants: procedural rules, a mesh library, or generative models.",
+        ("procedural",), min_length=1, description="Sources: procedural rules, a mesh library, or generative models."
     )
     changes: tuple[Change, ...] = Field(
-        ("geometry", "appearance"),
-        min_length=1,
-        description="Aspects that may differ: the shape, the parts, or the color and material.",
+        ("geometry", "appearance"), min_length=1, description="Aspects that may differ: shape, parts, or appearance."
     )
     components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all.")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
@@ -76,9 +72,7 @@ class ObjectModels(Model):
     """Models that generate variants if a source is `model`; URLs and API keys are read from environment variables."""
 
     vlm: ModelName | None = Field(
-        None,
-        description="Vision-language model that names parts, proposes changes and judges images, such as "
-        "`openai:gpt-5`; default: the value of `--vlm`.",
+        None, description="Vision-language model, such as `openai:gpt-5`; default: the value of `--vlm`."
     )
     images: ModelName | None = Field(
         None, description="Image-editing model, by its name on the server; default: the model set in the environment."
@@ -120,9 +114,7 @@ class TaskAxis(Model):
 
     count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="Number of tasks.")
     proposals: Literal["affordances", "model"] = Field(
-        "affordances",
-        description="Source of the tasks: `affordances` enumerates them from the affordances, and `model` has a "
-        "vision-language model propose them.",
+        "affordances", description="Source of the tasks: enumerated from `affordances`, or proposed by a `model`."
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
     engines: tuple[Name, ...] = Field(

@@ -137,9 +137,7 @@ class GripperConvention(Model):
     open: Number = Field(0.0, description="Number that means fully open.")
     closed: Number = Field(1.0, description="Number that means fully closed.")
     threshold: Number | None = Field(
-        None,
-        description="Closing fraction, 0 to 1, above which the gripper closes fully; by default, intermediate "
-        "positions are used.",
+        None, description="Closing fraction above which the gripper closes fully; default: intermediate positions."
     )
 
     @consistent
@@ -164,9 +162,7 @@ class PolicySpec(DocumentSpec):
         description="Meaning of the arm values in an action, which protocols do not specify."
     )
     velocity_unit: Positive | None = Field(
-        None,
-        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
-        "DROID, 3. By default, velocities are in rad/s or m/s.",
+        None, description="Velocity [rad/s or m/s] for the value 1; for DROID, 3. Default: values are in rad/s or m/s."
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(description="Number of steps to execute per action chunk.")
     cameras: dict[WireKey, CameraView] = Field({}, description="Images that the policy receives, by its keys.")
@@ -176,10 +172,7 @@ class PolicySpec(DocumentSpec):
     gripper: GripperConvention = Field(GripperConvention(threshold=0.5), description="Numbers used for the gripper.")
     timeout: Positive = Field(60.0, le=86400, description="Timeout for a response [s].")
     warm_up: Positive = Field(
-        600.0,
-        le=86400,
-        description="Timeout for the first response on a connection, which the server may delay to compile its "
-        "model [s].",
+        600.0, le=86400, description="Timeout for the first response, for which the server may compile its model [s]."
     )
     retries: Whole = Field(3, description="Number of attempts to restore a lost connection before a rollout fails.")
     api_key: Variable | None = Field(None, description="Name of the environment variable with the server's API key.")

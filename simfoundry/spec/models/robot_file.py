@@ -51,8 +51,7 @@ class GripperSpec(Model):
     command: dict[str, Travel] = Field({}, description="Actuator commands; default: the joint positions.")
     joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first measures the opening.")
     follow: dict[JointName, FollowSpec] = Field(
-        {},
-        description="Joints that the model moves through closed loops or equations, for targets that support neither.",
+        {}, description="Joints that the model moves by closed loops or equations, for targets without either."
     )
 
 
@@ -67,9 +66,7 @@ class AttachSpec(Model):
 class ModelSpec(Model):
     """A robot model in one format. Names in an attached model are prefixed with its name, as in `gripper.base`."""
 
-    file: Reference | list[Reference] = Field(
-        description="The model file, or a list whose first existing file is used."
-    )
+    file: Reference | list[Reference] = Field(description="The model file, or a list; its first existing file is used.")
     attach: dict[Name, AttachSpec] = Field({}, description="Models attached to links, such as a gripper, by name.")
     links: dict[Name, FrameSpec] = Field({}, description="Frames that scenes can refer to, such as `hand`, by name.")
     joints: list[JointName] = Field([], description="Names of the arm joints, in the order `joint1`, `joint2`, ...")
@@ -121,19 +118,18 @@ def read_robot_file(file: Path) -> RobotFileSpec:
     try:
         data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         models = RobotFileSpec.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise SimfoundryError(f"{file}: {where}: {first['msg']}; see docs/robots.md for the format") from None
     except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "the file"
-            raise SimfoundryError(f"{file}: {where}: {first['msg']}; see docs/robots.md for the format") from None
         reason = str(error).splitlines()[0]
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
             reason = f"line {error.problem_mark.line + 1}: {error.problem}"
         raise SimfoundryError(f"{file} is not a valid robot file: {reason}") from None
     if not models.models:
-        raise SimfoundryError(
-            f"{file} does not define a model; add `mjcf`, `urdf` or `usd`; see docs/robots.md for the format"
-        )
+        hint = "add `mjcf`, `urdf` or `usd`; see docs/robots.md for the format"
+        raise SimfoundryError(f"{file} does not define a model; {hint}")
     return models
 
 

@@ -55,9 +55,7 @@ class Place(Model):
     on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
     inside: PartName | None = Field(None, description="Container: a hollow object, or its link (`cabinet.drawer`).")
     xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
-    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
-        None, description="Position in the support's frame [m]."
-    )
+    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(None, description="Position in the support frame [m].")
     left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
     right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
     in_front_of: Name | None = Field(None, description="Reference object; this object is placed closer to the viewer.")
@@ -151,9 +149,7 @@ class ObjectSpec(GeometrySpec):
     )
     variant: Name | None = Field(None, description="The variant to compile; default: `default`, without overrides.")
     variants: dict[Name, VariantSpec] = Field(
-        {},
-        description="Variants by name, each of which overrides properties of the object; USD stores them in one "
-        "variant set.",
+        {}, description="Variants by name, each with overrides of the object; stored in one variant set in USD."
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
 
@@ -163,11 +159,8 @@ class ObjectSpec(GeometrySpec):
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
-            raise fault(
-                "sf107",
-                "no variant may be named `default`, which is reserved for the object without overrides",
-                "variants",
-            )
+            message = "no variant may be named `default`, which is reserved for the object without overrides"
+            raise fault("sf107", message, "variants")
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
 
@@ -182,8 +175,7 @@ class CameraSpec(Model):
     cy: Number | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
-        None,
-        description="Frame to which the camera is attached: a robot link (`arm.hand`), an object, or an object's link.",
+        None, description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or its link."
     )
 
 
@@ -220,9 +212,7 @@ class SceneSpec(DocumentSpec):
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
     viewpoint: Name | None = Field(
-        None,
-        description="Camera or robot whose view defines left, right, front and behind; by default, x points away from "
-        "the viewer and y points left.",
+        None, description="Camera or robot whose view defines left, right, front and behind; default: looking along x."
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
     materials: dict[Name, Material] = Field({}, description="Materials by name.")
@@ -232,9 +222,7 @@ class SceneSpec(DocumentSpec):
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
     background: BackgroundSpec | None = Field(None, description="Visual surroundings of the scene.")
     no_contact: tuple[Touching, ...] = Field(
-        (),
-        max_length=1000,
-        description="Pairs of objects, or of links such as `cabinet.door`, that do not collide.",
+        (), max_length=1000, description="Pairs of objects, or of links such as `cabinet.door`, that do not collide."
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")

@@ -45,9 +45,7 @@ class Start(Model):
 class Subtask(Model):
     """A step of the task, complete once its goal has been satisfied."""
 
-    goal: Condition = Field(
-        description="Condition that ends the step: predicates, combined with `all`, `any` and `not`."
-    )
+    goal: Condition = Field(description="Condition that ends the step: predicates, with `all`, `any` and `not`.")
     instruction: Instruction | None = Field(None, description="Instruction for the policy when the step is run alone.")
     start: Start | None = Field(None, description="Initial state when run alone, on top of the task's `start`.")
 
@@ -74,14 +72,9 @@ class TaskSpec(DocumentSpec):
     scene: FileName = Field(description="The scene, relative to this document.")
     instruction: Instruction = Field(description="Instruction for the policy.")
     robots: tuple[Name, ...] | None = Field(
-        None,
-        min_length=1,
-        max_length=8,
-        description="Robots that the policy controls; default: all robots in the scene.",
+        None, min_length=1, max_length=8, description="Robots that the policy controls; default: all in the scene."
     )
-    goal: Condition = Field(
-        description="Condition that ends the task: predicates, combined with `all`, `any` and `not`."
-    )
+    goal: Condition = Field(description="Condition that ends the task: predicates, with `all`, `any` and `not`.")
     subtasks: dict[Name, Subtask] = Field({}, description="Steps by name, in order.")
     start: Start = Field(Start(), description="Differences between the initial state and the scene.")
     reset: Reset = Field(Reset(), description="Variation of the initial state between rollouts.")

@@ -58,8 +58,8 @@ def test_inside_of_something_solid(project: Path) -> None:
     done = asked(project, "brick: [LeftOf, RightOf]", "brick: [LeftOf, Inside]")
     assert (done.code, done.err) == (
         1,
-        "impossible: Inside(brick, post) can never hold: `post` has no cavity, so nothing can be inside it: its "
-        "colliders do not enclose any space\n",
+        "impossible: Inside(brick, post) can never hold: `post` has no cavity, because its colliders do not "
+        "enclose any space\n",
     )
     assert nothing_was_tried(project)
 

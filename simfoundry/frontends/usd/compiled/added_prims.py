@@ -14,9 +14,9 @@ from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
 from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageNote, factored
-from simfoundry.frontends.usd.compiled.views import LENS, OFFSETS, RESOLUTION, camera_pose, lens, light_place
+from simfoundry.frontends.usd.compiled.views import RESOLUTION, camera_pose, lens, light_place
 from simfoundry.frontends.usd.geoms import UsdGprims
-from simfoundry.frontends.usd.views import LIGHTS
+from simfoundry.frontends.usd.views import LENS, LIGHTS, OFFSETS
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.yaml.write import to_data
 
@@ -159,8 +159,7 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
 
 
 def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | StageNote:
-    kind = LIGHTS.get(str(prim.GetTypeName()))
-    if kind is None:
+    if (kind := LIGHTS.get(str(prim.GetTypeName()))) is None:
         message = f"lights of type {prim.GetTypeName()} are not supported"
         return StageNote(str(prim.GetPath()), message, "use a distant, sphere or dome light")
     intensity, exposure = (float(prim.GetAttribute(f"inputs:{n}").Get() or 0.0) for n in ("intensity", "exposure"))

@@ -124,7 +124,8 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
     key, below = path[0], path[1:]
     inherited = base.get(key, NOTHING) if isinstance(base, dict) else NOTHING
     out = dict(data)
-    rivals = _rivals(key, above)
+    # Keys that exclude `key`; the name of a member excludes no other name.
+    rivals = RIVALS.get(key, set()) if models_at(SceneSpec, above) else set()
     if below:
         inside = out.get(key)
         child = _applied(inside if isinstance(inside, dict) else {}, inherited, (*above, key), below, value)
@@ -143,20 +144,12 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
     return out
 
 
-def _rivals(key: str, above: Path_) -> set[str]:
-    """Return the mutually exclusive keys that ``key`` replaces; empty for the name of a member."""
-    rivals = RIVALS.get(key, set())
-    return rivals if rivals and models_at(SceneSpec, above) else set()
-
-
 def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
     """Return the tree with renamed members, which keep their comments."""
-    sections = {}
-    for section, child in tree.value.items():
-        if isinstance(child.value, dict):
-            value = {names.get((section, name), name): member for name, member in child.value.items()}
-            child = replace(child, value=value)
-        sections[section] = child
+    sections = dict(tree.value)
+    for section, child in ((section, child) for section, child in sections.items() if isinstance(child.value, dict)):
+        value = {names.get((section, name), name): member for name, member in child.value.items()}
+        sections[section] = replace(child, value=value)
     tree = replace(tree, value=sections)
     return with_data(tree, renamed(tree.data, names))
 
@@ -213,8 +206,7 @@ def home(stage: Path, file: str) -> Path:
 def stage_document(path: Path, reading: StageReading) -> Document:
     """Return the document of a stage; the location of a member is its prim, and of any other value the entire file."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
-    root = _node(reading.data, (), str(path), files)
-    return Document(str(path), "", reading.data, root, ())
+    return Document(str(path), "", reading.data, _node(reading.data, (), str(path), files), ())
 
 
 def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, ...], str]) -> Node:

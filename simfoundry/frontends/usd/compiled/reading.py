@@ -31,8 +31,7 @@ ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
     """Return the document with renamed members; ``names`` maps section and old name to the new name."""
-    renames = [Rename((section,), old, new) for (section, old), new in names.items()]
-    return dict(with_new_names(data, renames))
+    return dict(with_new_names(data, [Rename((section,), old, new) for (section, old), new in names.items()]))
 
 
 def without(data: Data, gone: Set[str]) -> Data:
@@ -99,8 +98,7 @@ class StageReading:
 
 def read_spec(stage: Usd.Stage) -> StageReading | None:
     """Return the current document of a stage, or None if the stage was not compiled from a document."""
-    prim = carrier(stage)
-    if prim is None:
+    if (prim := carrier(stage)) is None:
         return None
     file, written = document(prim)
     if written.get("simfoundry") != "scene/1":
@@ -204,7 +202,8 @@ def _placed(data: Data, found: Identified, gone: set[str]) -> Data:
     """
     out, (members, names, copies) = dict(data), found
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
-    changed = {name for name, part in by_name.items() if _changed(part, data["objects"][name])}
+    # Placements relative to these objects would now resolve to different poses.
+    changed = {name for name, part in by_name.items() if has_moved(part) or _resized(part, data["objects"][name])}
     rigid = {name for name in changed if not _only_along(by_name[name], data["objects"][name])}
     seen_from = data.get("viewpoint")
     viewer = members.get(("cameras", str(seen_from)))
@@ -224,11 +223,6 @@ def _placed(data: Data, found: Identified, gone: set[str]) -> Data:
     if "cameras" in out:
         out["cameras"] = {n: c for n, c in out["cameras"].items() if str(c.get("mount", "")).split(".")[0] not in gone}
     return out
-
-
-def _changed(part: StageMember, data: Data) -> bool:
-    """Return True if placements relative to this object would now resolve to different poses."""
-    return has_moved(part) or _resized(part, data)
 
 
 def _resized(part: StageMember, data: Data) -> bool:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
-SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
-
 # Name of the variant set of an object.
 VARIANTS = "variant"
 
@@ -71,6 +69,7 @@ class StageMember:
     current values. ``X_WP`` is the pose of the prim in the world, and ``scale`` is its scale along each axis, shape
     (3,). If an object has variants, these fields describe the selected ``variant``, which is `?` if it was not
     compiled. ``others`` describe the remaining variants, for which only the variant's own opinions count as edits.
+    ``stage`` contains ``prim`` and keeps it alive, because a prim has only a weak reference to its stage.
     """
 
     section: str
@@ -84,7 +83,6 @@ class StageMember:
     variant: str = ""
     others: tuple[StageMember, ...] = ()
     stage: Usd.Stage | None = None
-    """Stage that contains ``prim``, kept alive because the prim has only a weak reference to it."""
 
     @property
     def path(self) -> str:
@@ -120,8 +118,7 @@ def error_text(error: Exception) -> str:
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:
     """Return the prim that contains the document, preferably the default prim, or None if there is none."""
-    prims = [stage.GetDefaultPrim(), *stage.Traverse()]
-    return next((p for p in prims if p and "document" in _entries(p)), None)
+    return next((p for p in [stage.GetDefaultPrim(), *stage.Traverse()] if p and "document" in _entries(p)), None)
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:

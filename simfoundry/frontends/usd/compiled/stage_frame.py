@@ -30,15 +30,15 @@ class StageFrame:
     numbers unchanged, so they are still in meters even if the layer declares other units. A stage that references the
     compiled stage has to correct for different units or a different up axis with a parent transform. The transform of
     the document's prim distinguishes these two cases.
+
+    ``X_WS``, shape (4, 4), is the transform from the frame and units of the stage to the world.
     """
 
     def __init__(self, stage: Usd.Stage, carrier: Usd.Prim) -> None:
         from pxr import Usd, UsdGeom
 
         self.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-        self.to_m = 1.0
-        self.X_WS = np.eye(4)
-        """Transform from the stage frame and units to the world, shape (4, 4)."""
+        self.to_m, self.X_WS = 1.0, np.eye(4)
         self._choose(stage, np.array(self.cache.GetLocalToWorldTransform(carrier), dtype=np.float64).T, carrier)
 
     def matrix(self, prim: Usd.Prim) -> Array:
@@ -52,10 +52,6 @@ class StageFrame:
         other = copy(self)
         other.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         return other
-
-    def gravity(self, vector: Array) -> Array:
-        """Convert an acceleration from stage units and axes to m/s^2 in the world."""
-        return np.asarray(self.X_WS[:3, :3] @ vector)
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
         """Interpret numbers either as meters or as stage units, whichever preserves the size of the document's prim."""

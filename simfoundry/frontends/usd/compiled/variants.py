@@ -27,9 +27,8 @@ def variant_data(data: Data, variant: str) -> Data:
 
     If the variant does not exist, the data is returned unchanged.
     """
-    if not variant or variant == UNKNOWN:
-        return data
-    return to_data(variant_of(ObjectSpec.model_validate(data), variant))
+    is_known = variant not in ("", UNKNOWN)
+    return to_data(variant_of(ObjectSpec.model_validate(data), variant)) if is_known else data
 
 
 def edited_variants(part: StageMember, edit: Edit) -> Edited:
@@ -86,8 +85,7 @@ def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
     inherited = variant_data(out, name)
     variant = {key: value for key, value in out["variants"][name].items() if key not in own}
     # A variant with its own geometry does not inherit the object's geometry fields, so they must be written as well.
-    stated = [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]
-    for key in stated:
+    for key in [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]:
         if key in after and (key in OF_GEOMETRY or after[key] != inherited.get(key)):
             variant[key] = after[key]
     members = {**out["variants"], name: variant}

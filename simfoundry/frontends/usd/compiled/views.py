@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
 from simfoundry.frontends.usd.compiled.edits import differs, has_moved, rest, short, srgb
 from simfoundry.frontends.usd.compiled.stage import Edited, StageMember, StageNote
-from simfoundry.frontends.usd.views import LIGHTS
+from simfoundry.frontends.usd.views import LENS, LIGHTS, OFFSETS
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
-# Attributes of a camera in USD, and the attribute in which SimFoundry stores its image size.
-LENS = ("focalLength", "horizontalAperture", "verticalAperture")
-OFFSETS = ("horizontalApertureOffset", "verticalApertureOffset")
+# Attribute in which SimFoundry stores the image size of a camera.
 RESOLUTION = "simfoundry:resolution"
 
 # Maximum roll of a camera that is written with `look_at`, which keeps the image upright.
@@ -73,8 +71,7 @@ def edited_light(part: StageMember) -> Edited:
     data, names = dict(part.spec), ("inputs:intensity", "inputs:exposure", "inputs:color")
     built, now = part.built.get("", {}), part.now[""]
     notes, type_name = tuple(rest(part, {("", name) for name in names})), str(part.prim.GetTypeName())
-    kind = LIGHTS.get(type_name)
-    if kind is None:
+    if (kind := LIGHTS.get(type_name)) is None:
         return Edited(data, (*notes, StageNote(part.path, f"lights of type {type_name} are not supported")))
     data["type"] = kind.value
     old, new = (v.get(names[0], 1.0) * 2.0 ** v.get(names[1], 0.0) for v in (built, now))
@@ -103,11 +100,12 @@ def edit_gravity(prim: Usd.Prim, data: dict[str, Any], world: StageFrame) -> Non
     if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
         return
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)
+    in_world = world.X_WS[:3, :3] @ gravity
     old = data.get("gravity", (0.0, 0.0, -9.81))
     tolerance = 1e-5 * max(1.0, np.abs(old).max())
     # The written value is in meters, also in a stage with other units.
-    if all(np.abs(value - old).max() > tolerance for value in (gravity, world.gravity(gravity))):
-        data["gravity"] = short(tuple(world.gravity(gravity).tolist()))
+    if all(np.abs(value - old).max() > tolerance for value in (gravity, in_world)):
+        data["gravity"] = short(tuple(in_world.tolist()))
 
 
 def _point(values: Array, digits: int) -> tuple[float, ...]:

@@ -1,10 +1,9 @@
-"""Compute the edits that turn one document into another, as data.
+"""Compute the changes that turn one document into another.
 
 Documents are plain data: mappings with string keys, tuples, and scalars. Members of named mappings are matched by
-name. If one member disappears and a nearly equal one appears, the pair is treated as a rename. Lists are
-replaced as a whole, except for lists of expressions (``relations``, ``all``, ``any``) and lists of pairs
-(``no_contact``), which are compared as sets: each expression or pair is a member whose name is its text. ``1`` and
-``1.0`` are considered equal.
+name. If one member disappears and a nearly equal one appears, the pair is treated as a rename. Lists are replaced as a
+whole, except for lists of expressions (``relations``, ``all``, ``any``) and lists of pairs (``no_contact``), which are
+compared as sets: each expression or pair is a member whose name is its text. ``1`` and ``1.0`` are considered equal.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ PAIR_LISTS = ("no_contact",)
 
 @dataclass(frozen=True)
 class Set:
-    """Change of the value at ``path`` to ``new``."""
+    """A change of the value at ``path`` from ``old`` to ``new``."""
 
     path: Path_
     old: Any
@@ -38,7 +37,7 @@ class Set:
 
 @dataclass(frozen=True)
 class Add:
-    """Addition of the member ``value`` at ``path``, at index ``position`` of its mapping (from 0)."""
+    """The addition of a member at ``path``, at index ``position`` in its mapping (from 0)."""
 
     path: Path_
     value: Any
@@ -47,7 +46,7 @@ class Add:
 
 @dataclass(frozen=True)
 class Remove:
-    """Removal of the member at ``path``."""
+    """The removal of the member at ``path``."""
 
     path: Path_
     old: Any
@@ -55,7 +54,7 @@ class Remove:
 
 @dataclass(frozen=True)
 class Reorder:
-    """New order of the members of the mapping at ``section``."""
+    """A new order for the members of the mapping at ``section``."""
 
     section: Path_
     order: tuple[str, ...]
@@ -63,7 +62,7 @@ class Reorder:
 
 @dataclass(frozen=True)
 class Rename:
-    """Rename of the member ``old`` in the mapping at ``section``, including all references to it."""
+    """The renaming of a member in the mapping at ``section``, including all references to the member."""
 
     section: Path_
     old: str
@@ -74,21 +73,21 @@ Change = Set | Add | Remove | Rename | Reorder
 
 
 def diff(a: Any, b: Any) -> tuple[Change, ...]:
-    """Return the changes that turn ``a`` into ``b``, including changes of key order.
+    """Return the changes that turn ``a`` into ``b``, including changes to the order of keys.
 
-    Renames come first; the paths and old values of all other changes already include the renames.
+    Renames come first. The paths and old values in all other changes use the new names.
     """
     renames = find_renames(a, b)
     return (*renames, *_value(renamed(a, renames), b, ()))
 
 
 def to_json(change: Change) -> dict[str, Any]:
-    """Return a plain mapping with the ``kind`` of the change."""
+    """Return a change as plain data, including its ``kind``."""
     return {"kind": type(change).__name__.lower(), **asdict(change)}
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping by name or of a list of expressions by text, or None for other values."""
+    """Return the members of a mapping by name, or the items of a list of expressions by text, or otherwise None."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -98,7 +97,7 @@ def members(value: Any, path: Path_) -> dict[str, Any] | None:
 
 
 def expression(item: Any) -> str:
-    """Format a goal or a pair as one string: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
+    """Format a goal or a pair as a string, such as ``any(OnTop(cup, plate), not Open(box))`` or ``cup and plate``."""
     match item:
         case str():
             return item
@@ -144,13 +143,13 @@ SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
 # Minimum fraction of equal values for which two members are treated as a rename.
 ALIKE = 0.6
 
-# Keys that identify a member; if any of them differs, the two members are different objects.
+# Keys that identify a member. If the value of any of these keys differs, the members are different objects.
 IDENTITY = ("shape", "asset", "mesh", "model")
 
-# Maximum number of candidate pairs for which similarity is computed; if there are more, only equal members match.
+# Maximum number of pairs whose similarity is computed; if there are more pairs, only equal members match.
 MAX_PAIRS = 40_000
 
-# Keys whose value names a member of the mapping that contains them.
+# Keys whose value is the name of a member, with the key of the mapping beside them that contains the member.
 BESIDE = {"variant": "variants"}
 
 # Keys of expressions, whose arguments are names of objects or robots.
@@ -160,7 +159,7 @@ _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
 
 def find_renames(a: Any, b: Any) -> list[Rename]:
-    """Return the members of ``a`` that have a different name in ``b``, best match first in each section."""
+    """Return the members of ``a`` that have a different name in ``b``; in each section, the best match comes first."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
         # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
@@ -178,7 +177,7 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
 
 
 def renamed(data: Any, renames: Iterable[Rename]) -> Any:
-    """Return a copy of ``data`` with members and references renamed; all mappings are copied."""
+    """Return a copy of ``data`` in which members and references to them are renamed."""
     local: dict[Path_, dict[str, str]] = {}
     spaces: dict[str, dict[str, str]] = {}
     for rename in renames:
@@ -200,7 +199,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def copied(value: Any, scalar: Callable[[Any], Any] = lambda item: item) -> Any:
-    """Copy a value, including all nested mappings and lists, and apply ``scalar`` to every other value in it."""
+    """Copy a value, including nested mappings and lists, and apply ``scalar`` to every other value inside."""
     match value:
         case dict():
             return {key: copied(item, scalar) for key, item in value.items()}
@@ -221,7 +220,7 @@ def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, An
 
 
 def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
-    """Match members of ``a`` to differently named members of ``b``, most similar first; each is used at most once."""
+    """Yield one-to-one matches between members that exist only in ``a`` and only in ``b``, most similar pairs first."""
     gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
     come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
     if len(gone) * len(come) > MAX_PAIRS:
@@ -256,7 +255,7 @@ class _Member:
 
 
 def _likeness(old: _Member, new: _Member) -> float:
-    """Return the fraction of values in which two members agree; 0 for objects of different kinds."""
+    """Return the fraction of values in which two members agree, or 0 if they are different objects."""
     common = len(old.leaves & new.leaves)
     if common < ALIKE * max(len(old.leaves), len(new.leaves)):
         return 0.0
@@ -274,14 +273,14 @@ def leaves(value: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
 
 
 def _space(section: Path_) -> str:
-    """Return the section that defines the names in a mapping, or an empty string if nothing refers to the names."""
+    """Return the section that defines the names in a mapping, or an empty string if the names are never referenced."""
     if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
         return "objects"
     return section[0] if len(section) == 1 else ""
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
-    """Rename the references in a value; ``path``, its location, already uses the new names."""
+    """Rename the references in the value at ``path``, which already uses the new names."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
         if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
@@ -307,13 +306,13 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
     if len(parts) == 1:
         return _name(text, NAMED, spaces)
     for k in range(1, len(parts)):
-        name, again, number = parts[k].partition(" #")  # further conflicts at the same path are numbered
+        name, again, number = parts[k].partition(" #")  # conflicts at the same path are numbered
         parts[k] = local.get(tuple(parts[:k]), {}).get(name, name) + again + number
     return ".".join(parts)
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """Return the new names of the keys of a mapping, except renames that would make two keys equal."""
+    """Return the new names for keys in a mapping, except for renames that would make two keys equal."""
     kept = {key: names[key] for key in mapping if key in names}
     while True:
         count = Counter(kept.get(key, key) for key in mapping) if kept else {}

@@ -1,4 +1,4 @@
-"""Describe the changes of one member of a document, field by field."""
+"""Describe the changes to one member of a document, field by field."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Verbs(list[str]):
 
 @dataclass
 class Describing:
-    """Context of a description: both documents (the old one with new names) and the units of their fields.
+    """Describes the changes from the document ``a`` to the document ``b``; both documents use the new names.
 
-    In all methods, a value that a document does not contain is :data:`ABSENT`.
+    Methods that take an old and a new value accept :data:`ABSENT` for a value that one document does not contain.
     """
 
     a: Mapping[str, Any]
@@ -47,7 +47,7 @@ class Describing:
     verbose: bool
 
     def member(self, path: Path_, old: Any, new: Any) -> tuple[Verbs, list[str]]:
-        """Return the verb phrases and facts that describe the changes of the member at ``path``."""
+        """Return the verb phrases and facts that describe the changes to the member at ``path``."""
         verbs, facts = Verbs(), list[str]()
         if not isinstance(old, dict) or not isinstance(new, dict):
             return verbs, [] if same(old, new) else [values.pair(path[-1], old, new)]
@@ -64,7 +64,7 @@ class Describing:
         return verbs, facts
 
     def field(self, path: Path_, old: Any, new: Any) -> list[str]:
-        """Describe the change of one field."""
+        """Describe the change to the field at ``path``."""
         key = path[-1]
         before, after = ({} if side is ABSENT else side for side in (old, new))
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
@@ -103,7 +103,7 @@ class Describing:
     # -- position ---------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Describe the motion between poses or places, and return the keys covered by the description."""
+        """Describe a change of position, and return the keys that the description covers."""
         if "place" in old or "place" in new:
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
@@ -127,7 +127,7 @@ class Describing:
         verbs.moved = True
 
     def _pose(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-        """Describe the pose of a part, a joint or a background."""
+        """Describe the change to the pose of a part, a joint or a background."""
         if found := values.motion_words(values.motion(old, new)):
             return [f"{_label(path)} {', '.join(found)}"]
         return [f"{_label(path)}: same pose, written differently"] if self.verbose else []
@@ -145,7 +145,7 @@ class Describing:
                 yield from self.field(here, before, after)
 
     def _has_default(self, path: Path_) -> bool:
-        """Return True for a member that defaults to 0, such as a joint position of an object."""
+        """Return True for a joint position of an object, which defaults to 0."""
         return path[0] == "objects" and path[-2] == "joints"
 
     def _leaf(self, path: Path_, old: Any, new: Any) -> str:
@@ -161,7 +161,7 @@ class Describing:
         return f"{label} {left} removed" if new is ABSENT and not right else f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, document: Mapping[str, Any], unit: str) -> str:
-        """Return a value with its unit, or the source of the value if the document does not set it."""
+        """Return a value with its unit; a value that the document does not set is followed by its source."""
         key = path[-1]
         if item is not ABSENT:
             return values.with_unit(values.value(key, item), unit)
@@ -183,7 +183,7 @@ class Describing:
         return values.with_unit(values.value(path[-1], item), self._unit(path))
 
     def _users(self, material: str) -> str:
-        """List the objects that use a material and are therefore affected by its changes."""
+        """Return a note that lists the objects that use a material."""
         bodies = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
         users = [name for name, item in bodies.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
@@ -199,7 +199,7 @@ def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, 
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Describe the limits at which a joint was closed before and is closed now."""
+    """Describe a change of the limit at which a joint is closed."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
@@ -220,7 +220,7 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
 
 
 def _conjuncts(goal: Any) -> tuple[str, ...]:
-    """Return the conditions that must all hold: the members of an ``all``, including nested ones."""
+    """Return the conditions that must all hold, including those in nested ``all`` lists."""
     match goal:
         case () | None | Absent.ABSENT:
             return ()
@@ -251,7 +251,7 @@ def _angles(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _flat(place: dict[str, Any]) -> dict[str, Any]:
-    """Return a place as a pose in the ground plane, for comparison with another place of the same kind."""
+    """Return a place as a pose in the ground plane, so that it can be compared with another place of the same kind."""
     x, y = place.get("xy") or place.get("local_xy") or (0.0, 0.0)
     return {**place, "xyz": (x, y, 0.0)}
 
@@ -262,7 +262,7 @@ def _quantity(old: Any, new: Any) -> bool:
 
 
 def _material(path: Path_, document: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
-    """Return the material of the member at ``path[:-1]``."""
+    """Return the name and the data of the material that applies to the field at ``path``."""
     place: Any = document
     name = None
     for part in path[:-1]:
@@ -278,12 +278,12 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with ``*`` in place of names, used as a cache key for the properties of a field."""
+    """Return the path with each name replaced by ``*``, because fields of all members have the same properties."""
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 
 def _label(path: Path_) -> str:
-    """Return the label of a field in a sentence: its path below the member, such as ``part left color``."""
+    """Return the label of a field, which is its path below the member, such as ``part left color``."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
     for k in range(len(parts) - 1):

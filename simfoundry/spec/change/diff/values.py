@@ -19,7 +19,7 @@ from simfoundry.spec.yaml.write import number
 # Maximum length of a displayed text [characters], so that two texts fit on one line.
 LONGEST = 48
 
-# Maximum length of a list of numbers that is written out, which is the length of a quaternion.
+# Maximum length of a list that is shown in full, which is the length of a quaternion.
 FEW = 4
 
 # Fields that contain prose.
@@ -55,7 +55,7 @@ def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
 
 
 def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
-    """Describe a change as ``0.20 → 0.31 kg``: both values in the same format, with the unit only once."""
+    """Describe a change, such as ``0.20 → 0.31 kg``; both values have the same format, and the unit occurs once."""
     if _is_number(old) and _is_number(new):
         left, right = _same_digits(old, new)
     else:
@@ -86,7 +86,7 @@ def value(key: str, item: Any) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Insert a unit after a number and before anything in brackets."""
+    """Insert a unit after a number but before any text in parentheses."""
     if not unit or text.endswith("°") or not text or not (text[0].isdigit() or text[0] in "-.("):
         return text
     plain, bracket, rest = text.partition(" (")
@@ -94,7 +94,7 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def shape(item: Any) -> str:
-    """Describe a shape: ``box 0.1 × 0.1 × 0.2 m``, ``cylinder of radius 0.04 and height 0.1 m``."""
+    """Describe a shape, such as ``box 0.1 × 0.1 × 0.2 m`` or ``cylinder of radius 0.04 and height 0.1 m``."""
     match item:
         case {"box": size}:
             return f"box {_list('box', size)} m"
@@ -110,7 +110,7 @@ def shape(item: Any) -> str:
 
 
 def place(item: dict[str, Any]) -> str:
-    """Describe a place: ``on desk at (0.45, 0.1), left of plate``."""
+    """Describe a place, such as ``on desk at (0.45, 0.1) m`` or ``on desk, left of plate``."""
     words = [f"{key} {item[key]}" for key in ("on", "inside") if key in item]
     for key, frame in (("xy", ""), ("local_xy", " of its frame")):
         if key in item:
@@ -203,7 +203,7 @@ def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
 
 
 def motion_words(found: PoseChange) -> list[str]:
-    """Describe a motion: ``moved 3.2 cm (+x 3.0, +y 1.1)``, ``turned 12.0° about z``, or both."""
+    """Describe a motion with phrases such as ``moved 3.2 cm (+x 3.0, +y 1.1)`` and ``turned 12.0° about z``."""
     moved, turned = f"moved {_distance(found.shift)}", f"turned {_angle(found.angle, found.axis)}"
     return [moved] * found.moved + [turned] * found.turned
 
@@ -218,7 +218,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
 
 
 def _rotation(pose: Mapping[str, Any]) -> Quaternion:
-    """Return the rotation of a pose as a quaternion (w, x, y, z), which may be off from unit length by rounding."""
+    """Return the rotation of a pose as a quaternion (w, x, y, z), which is normalized except for rounding errors."""
     if pose.get("quat_wxyz") is not None:
         w, x, y, z = pose["quat_wxyz"]
         return w, x, y, z
@@ -235,9 +235,9 @@ def _rotation(pose: Mapping[str, Any]) -> Quaternion:
 
 
 def _view_angles(direction: Vector) -> Vector:
-    """Return the roll, pitch and yaw [deg] of an upright camera (x right, y down, z forward) that looks along a vector.
+    """Return the roll, pitch and yaw [deg] of an upright camera that looks along ``direction``.
 
-    A camera that looks straight up or down has its x axis along -x or x.
+    The camera's axes are x right, y down, z forward. If it looks straight up or down, its x axis is along -x or x.
     """
     x, y, z = direction
     level = math.hypot(x, y)

@@ -1,4 +1,4 @@
-"""Describe changes in terms of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
+"""Describe changes in terms of the scene, such as ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,15 @@ _MARKS = ("moved", "added", "removed", "renamed", "changed")
 
 @dataclass(frozen=True)
 class MemberChange:
-    """All changes of one member.
+    """All changes to one member of a document.
 
-    ``section`` and ``name`` identify the member (``name`` is empty for the document itself), and ``was`` is its former
-    name. ``marks`` are among moved, added, removed, renamed, and changed. ``verbs`` follow the name directly (``moved 3
-    cm``), ``facts`` follow after a colon (``mass 0.20 → 0.31 kg``).
+    Attributes:
+        section: The section that contains the member.
+        name: The name of the member, or an empty string for the document itself.
+        was: The old name of a renamed member, or an empty string.
+        marks: The kinds of changes: moved, added, removed, renamed, or changed.
+        verbs: Phrases that follow the name, such as ``moved 3 cm``.
+        facts: Changes to individual fields, such as ``mass 0.20 → 0.31 kg``.
     """
 
     section: str
@@ -38,13 +42,13 @@ class MemberChange:
 
     @property
     def subject(self) -> str:
-        """Return the name of the member in a sentence: ``cup``, ``camera left``."""
+        """Return the name of the member as the subject of a sentence, such as ``cup`` or ``camera left``."""
         kind = self.section.removesuffix("s")
         name = self.was or self.name
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
-        """Return a single line if the changes fit on it, and otherwise one indented line for each change."""
+        """Return a single line if all changes fit, or otherwise one indented line for each change."""
         facts = [_single(fact) for fact in self.facts]
         if not self.name:
             return ("; ".join(facts),)
@@ -63,11 +67,15 @@ def describe(
     verbose: bool = False,
     changes: Iterable[Change] | None = None,
 ) -> tuple[MemberChange, ...]:
-    """Describe the changes between the plain data of two documents, member by member.
+    """Describe the changes between two documents, member by member.
 
-    ``model`` provides the units of the fields, and ``joint_units`` the units of object joints (by object and joint name
-    in ``b``). With ``verbose``, changes of notation without a change of meaning and changes of order are reported as
-    well. ``changes`` are the changes from :func:`diff`, if they have already been computed.
+    Args:
+        a: The plain data of the old document.
+        b: The plain data of the new document.
+        model: The model of the documents, which defines the units of fields.
+        joint_units: The units of joint positions, by object and joint name in ``b``.
+        verbose: Also report changes that affect only the notation or the order.
+        changes: The result of :func:`diff`, if it has already been computed.
     """
     a, b = (side if isinstance(side, dict) else {} for side in (a, b))
     renames = [c for c in (diff(a, b) if changes is None else changes) if isinstance(c, Rename)]
@@ -92,7 +100,7 @@ def text(entries: Iterable[MemberChange]) -> list[str]:
 
 
 def summary(entries: Iterable[MemberChange]) -> str:
-    """Summarize the changes as ``2 moved, 1 removed, goal changed``; the summary is empty if nothing changed."""
+    """Summarize changes, such as ``2 moved, 1 removed, goal changed``; the summary is empty if nothing changed."""
     entries = tuple(entries)
     named = [e for e in entries if e.name]
     counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]
@@ -109,7 +117,7 @@ def _single(sentence: str) -> str:
 def _members(
     words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
 ) -> Iterable[MemberChange]:
-    """Yield the changes of each member of a section: members of the old document in order, then added members."""
+    """Yield the changes to each member of a section; added members come last."""
     for name in dict.fromkeys((*old, *new)):
         before = was.get((section, name), "")
         if name not in new:
@@ -131,7 +139,7 @@ def _members(
 
 
 def _other_renames(renames: Iterable[Rename]) -> Iterable[MemberChange]:
-    """Yield renames outside the named sections, such as parts of links or objects that a task refers to."""
+    """Yield renames outside the named sections, such as renamed parts of links."""
     for r in renames:
         if len(r.section) > 1 or r.section[0] not in NAMED:
             kind = r.section[-1].removesuffix("s")

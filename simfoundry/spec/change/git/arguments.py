@@ -27,7 +27,7 @@ class ArgumentError(SimfoundryError):
 
 @dataclass(frozen=True)
 class DocumentState:
-    """A state of a document: the file ``path``, or ``path`` at ``commit`` in the repository at ``root``."""
+    """A state of a document: a file, or if ``commit`` is set, a file in that commit of the repository at ``root``."""
 
     path: str
     label: str
@@ -37,7 +37,7 @@ class DocumentState:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two states of the document ``name``."""
+    """Two states of a document to compare; a state is None if the document does not exist."""
 
     name: str
     old: DocumentState | None
@@ -139,7 +139,7 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
 
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
-    """Yield the pair of states for one document, or for every document in a folder that differs."""
+    """Yield the states of a document, or of every document in a folder that differs."""
     root, inside = _inside(path)
     span = _span(root, revisions)
     if path.is_dir():
@@ -161,7 +161,7 @@ def _inside(path: Path) -> tuple[Path, str]:
 
 
 def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
-    """Yield every document below a folder that differs."""
+    """Yield the states of every document below a folder that differs."""
     below = "" if folder == root else folder.relative_to(root).as_posix()
     for found in differing(root, span.commits[0], span.commits[1] or None, below):
         yield _pair(span, root, found.old, found.new, found.new or found.old or "")
@@ -184,7 +184,7 @@ _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
 
 @dataclass(frozen=True)
 class Commit:
-    """A commit with its full hash and an ISO 8601 ``date``; it is compared with its first parent."""
+    """A commit, with its full hash as ``id`` and an ISO 8601 ``date``."""
 
     id: str
     parents: tuple[str, ...]
@@ -195,7 +195,7 @@ class Commit:
 
 @dataclass(frozen=True)
 class HistoryEntry:
-    """Changes that one commit made to a document."""
+    """The changes that one commit made to a document."""
 
     commit: Commit
     comparison: DocumentComparison
@@ -204,7 +204,7 @@ class HistoryEntry:
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
     """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
 
-    Each commit is compared with its first parent, and both versions are joined with the documents that they extended
+    Each commit is compared with its first parent, and both versions are merged with the documents that they extended
     at that time. Merge commits are included only if they differ from all of their parents. The history follows renames
     of the document. ``revisions`` are arguments for `git rev-list`: the commits to start from, and commits prefixed
     with ``^`` at which to stop.

@@ -1,4 +1,4 @@
-"""External diff driver for git, which compares two versions of a document and never fails."""
+"""The external diff driver for git, which compares two versions of a document and never fails."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ NOTHING = "/dev/null"
 
 
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
-    """Return the output for the arguments ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
+    """Return the output for the arguments that git passes to a diff driver.
 
-    ``top`` is the root of the working tree. If a document extends another one, the complete documents are compared if
-    the base is known on both sides; otherwise, only the document's own fields are compared. Documents that cannot be
-    compared are shown as a plain diff.
+    If a document extends another document, the merged documents are compared if the base is known on both sides.
+    Otherwise, only the document's own fields are compared. Documents that cannot be compared are shown as a plain diff.
+
+    Args:
+        arguments: ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``
+        top: The root of the working tree.
     """
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
@@ -60,7 +63,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides; return None if either is invalid or an error occurs, because `git diff` must continue."""
+    """Compare both sides, or return None if either is invalid or any error occurs, so that `git diff` can continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -73,7 +76,7 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
 
 
 def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
-    """Compare both sides joined with the documents that they extend, or return None if a base is ambiguous."""
+    """Compare both sides, merged with the documents that they extend, or return None if a base is ambiguous."""
     sides: list[Side | None] = [None, None]
     for k, blob in enumerate((old, new)):
         if blob is not None:
@@ -89,7 +92,7 @@ def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path)
 
 
 def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
-    """Compare only the document's own fields; raises :class:`ValueError` if it extends no other document."""
+    """Compare only the document's own fields; raises :class:`ValueError` if it does not extend another document."""
     present = [blob for blob in (old, new) if blob is not None]
     bases = [extended(blob.path, blob.content) for blob in present]
     before, after = (
@@ -122,7 +125,7 @@ LOOKUP_S = 2.0
 # Maximum number of commits to search, because each commit requires a lookup for every document.
 MAX_STATES = 5000
 
-# The blobs at a set of paths in one state of the repository.
+# The hashes of the blobs at a list of paths in one state of the repository.
 Row = tuple[str | None, ...]
 
 
@@ -132,9 +135,13 @@ class _UnknownError(Exception):
 
 @dataclass(frozen=True)
 class Blob:
-    """Document as git passes it: ``path`` in the repository, content, and blob hash (empty if there is none).
+    """A document that git passes to the driver.
 
-    ``in_worktree`` is True if the content was read from the working tree.
+    Attributes:
+        path: The path in the repository.
+        content: The content of the file.
+        id: The hash of the blob, or an empty string if it is unknown.
+        in_worktree: True if the content was read from the working tree.
     """
 
     path: str
@@ -144,10 +151,10 @@ class Blob:
 
 
 def read_beside(top: Path, blob: Blob) -> Read | None:
-    """Return a reader for the documents that belong to a blob, or None if the blob's base is ambiguous.
+    """Return a reader for the documents that belong to a blob, or None if a document that it extends is ambiguous.
 
-    ``top`` is the root of the working tree. Other documents that the blob refers to can be read only if they are
-    unambiguous; the reader reports ambiguous documents as missing.
+    ``top`` is the root of the working tree. Other documents that the blob refers to are treated as missing if they are
+    ambiguous.
     """
     if blob.in_worktree and not blob.id:
         return _only(blob, lambda name: _in_worktree(top, name))
@@ -174,7 +181,7 @@ class _Lookup:
 
     Attributes:
         top: The root of the working tree.
-        blob: The document whose companions are wanted.
+        blob: The document.
         deadline: The end of the search, as a time of the monotonic clock [s].
         chain: The paths of the document and of the documents that it extends.
         others: The paths of all other documents that they refer to.
@@ -210,7 +217,10 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """Return the blobs that are identical in all states that contain our blob; raise if the base is ambiguous."""
+        """Return the hash of each path if it is the same in all states of the repository that contain our blob.
+
+        Raises :class:`_UnknownError` if a document in the chain is ambiguous.
+        """
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:
             raise _UnknownError
@@ -223,7 +233,7 @@ class _Lookup:
         return found
 
     def _rows(self, paths: list[str]) -> set[Row]:
-        """Return the blobs of the paths in the index, possibly on disk, and in each commit that changes a path."""
+        """Return the hashes of the paths in the index, in each commit that changes a path, and optionally on disk."""
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()

@@ -24,7 +24,7 @@ Read = Callable[[str], bytes | None]
 # Maximum number of files for one document: ten files (including textures) for each of a thousand objects.
 MAX_FILES = 10_000
 
-# Lines in mesh and material files that refer to one or more files, possibly after options.
+# Lines in mesh and material files that refer to other files; the names may follow options.
 _NAMED = {
     ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
     ".mtl": re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
@@ -56,12 +56,12 @@ def git(root: Path, *args: str) -> bytes:
 
 
 def repository(folder: Path) -> Path:
-    """Return the top folder of the repository that contains ``folder``."""
+    """Return the root folder of the repository that contains ``folder``."""
     try:
         return Path(git(folder, "rev-parse", "--show-toplevel").decode().rstrip("\n")).resolve()
     except GitError as error:
         if "not a git repository" in str(error):
-            raise GitError(f"{folder.resolve()} is not in a git repository; give two files to compare") from None
+            raise GitError(f"{folder.resolve()} is not in a git repository; pass two files to compare") from None
         raise
 
 
@@ -98,7 +98,7 @@ def renames_between(root: Path, *revisions: str) -> Iterator[Renamed]:
 
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
-    """Yield a reader for the files of a commit; a single git process serves all reads."""
+    """Yield a reader for the files in a commit; a single git process serves all reads."""
     pipe, command = subprocess.PIPE, ["git", "cat-file", "--batch"]
     process = subprocess.Popen(command, cwd=root, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     assert process.stdin is not None and process.stdout is not None

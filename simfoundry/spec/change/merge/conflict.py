@@ -1,4 +1,4 @@
-"""Merge conflicts and how they are recorded in a document."""
+"""Merge conflicts, and their representation in documents."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CONFLICTS = "conflicts"
 
 
 class Absent(Enum):
-    """Marker for a value that is missing on one side; ``null`` is a value and not missing."""
+    """The type of :data:`ABSENT`, which represents a missing value, as opposed to the value ``null``."""
 
     ABSENT = "absent"
 
@@ -31,11 +31,18 @@ _SHOWN = 60
 
 @dataclass(frozen=True)
 class MergeConflict:
-    """Conflicting edits of the value at ``path``: plain data, or :data:`ABSENT`.
+    """Conflicting edits of the value at ``path``.
 
-    If the value is an ordered mapping, the three values may be lists of its keys, in which case only the order of the
-    keys conflicts. If the three values are names and ``path`` refers to the member named ``base``, both sides renamed
-    that member. ``comment`` is the comment beside their value, which is kept beside the entry.
+    The three values are plain data, or :data:`ABSENT`. If they are lists of the keys of an ordered mapping, only the
+    order of the keys conflicts. If they are names, and ``path`` refers to the member named ``base``, both sides renamed
+    that member.
+
+    Attributes:
+        path: The location of the value.
+        base: The original value.
+        ours: Our value.
+        theirs: Their value.
+        comment: The comment beside their value, which is written beside the recorded conflict.
     """
 
     path: Path_
@@ -45,7 +52,7 @@ class MergeConflict:
     comment: str = ""
 
     def record(self) -> dict[str, Any]:
-        """Return the entry of ``conflicts``, without absent values."""
+        """Return the entry for ``conflicts``, without absent values."""
         sides = {"base": self.base, "ours": self.ours, "theirs": self.theirs}
         return {name: value for name, value in sides.items() if value is not ABSENT}
 
@@ -56,12 +63,12 @@ class MergeConflict:
 
 
 def dotted(path: Path_) -> str:
-    """Format a path as a key of ``conflicts``; parts that contain a dot or a quote are enclosed in double quotes."""
+    """Format a path as a key for ``conflicts``; parts that contain a dot or a quote are enclosed in double quotes."""
     return ".".join(json.dumps(p, ensure_ascii=False) if not p or "." in p or '"' in p else p for p in path)
 
 
 def parts(text: str) -> Path_:
-    """Parse a key of ``conflicts`` into a path."""
+    """Parse a key from ``conflicts`` as a path."""
     return tuple(_parts(_AGAIN.sub("", text)))
 
 

@@ -16,7 +16,7 @@ _CONDITIONS = ("goal", "not")
 
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
-    """Return True if lists at ``path`` are sets of conditions or of pairs."""
+    """Return True if all values at ``path`` are lists of conditions or of pairs, whose order is not significant."""
     if not path or path[-1] not in (*EXPRESSION_LISTS, *PAIR_LISTS):
         return False
     is_item = _is_pair if path[-1] in PAIR_LISTS else _is_condition
@@ -26,7 +26,8 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
 def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
     """Return the items of a list, keyed by their normalized text.
 
-    A changed `all` or `any` gets the key of its version in ``base``. The keys of equal items are numbered.
+    An item with `all` or `any` that has changed gets the key of the corresponding item in ``base``. The keys of equal
+    items are numbered.
     """
     found: dict[str, YamlTree] = {}
     for item in items:
@@ -62,7 +63,7 @@ def _is_pair(tree: YamlTree) -> bool:
 
 
 def _kind(item: YamlTree) -> str:
-    """Return ``all`` or ``any`` for an item that combines other conditions, else an empty string."""
+    """Return ``all`` or ``any`` for an item that combines other conditions, or an empty string for other items."""
     value = item.value
     key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""
     return key if key in _JOINED else ""

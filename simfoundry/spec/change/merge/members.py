@@ -17,9 +17,14 @@ from simfoundry.spec.yaml.tree import YamlTree
 
 @dataclass(frozen=True)
 class SameNames:
-    """Three documents with every member under its new name.
+    """Three documents in which every member has its new name.
 
-    ``edited`` contains the paths of members that one side renamed and the other removed; a rename counts as an edit.
+    Attributes:
+        base: The original document.
+        ours: Our document.
+        theirs: Their document.
+        edited: The paths of members that one side renamed and the other side removed.
+        conflicts: The members that both sides renamed.
     """
 
     base: YamlTree
@@ -30,7 +35,7 @@ class SameNames:
 
 
 def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
-    """Apply each side's renames to the other; if both renamed a member, ours wins."""
+    """Apply the renames from each side to the other side; if both sides renamed a member, our name wins."""
     if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
         return SameNames(base, ours, theirs)
     data, datas = base.data, (ours.data, theirs.data)
@@ -67,7 +72,7 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
 
 
 def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
-    """Return True if at least one mapping lost a key and gained another; otherwise, no member was renamed."""
+    """Return True if at least one mapping has lost a key and gained another, so that a member may have been renamed."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
     if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
@@ -76,7 +81,7 @@ def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
-    """Return the tree with the keys and values of ``data``, its renamed data in the same order."""
+    """Return the tree with the keys and values from ``data``, which is its data after renaming, in the same order."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)
         return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})
@@ -94,12 +99,12 @@ def _members(data: Any, section: Path_) -> dict[str, Any]:
 Members = Mapping[str, YamlTree]
 Sides = tuple[Members, Members]
 
-# Leading keys and the keys that depend on their value.
+# Leading keys, each with the keys that depend on its value.
 LED = (("type", ("limits", "limits_deg")),)
 
 
 def at_odds(model: type[Model] | None, path: Path_, sides: Sides, merged: Members) -> set[str]:
-    """Return the mutually exclusive keys at ``path`` that are present only because both sides were combined."""
+    """Return the mutually exclusive keys at ``path`` that occur together only because both sides were combined."""
     rivals = RIVALS.keys() & merged.keys()
     groups = [group for group in EXCLUSIVE if _several(group, rivals)] if len(rivals) > 1 else []
     combined = [group for group in groups if not any(_several(group, side) for side in sides)]
@@ -107,7 +112,7 @@ def at_odds(model: type[Model] | None, path: Path_, sides: Sides, merged: Member
 
 
 def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
-    """Return the keys at ``path`` for which one side changed a leading key and the other a dependent key."""
+    """Return the keys at ``path`` where one side changed a leading key and the other side a key that depends on it."""
     found = set[str]()
     for lead, led in LED:
         keys = (lead, *led)
@@ -130,7 +135,7 @@ def rivals_at(model: type[Model] | None, path: Path_) -> set[Path_]:
 
 
 def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> list[str]:
-    """Return the names that a start lists under both `pose` and `place`, which are mutually exclusive."""
+    """Return the objects to which a task's `start` assigns both a pose and a place, which are mutually exclusive."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
     if isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
         return [name for name in place if name in pose]
@@ -158,9 +163,9 @@ def merged_order(
     """Merge the order of the ``kept`` keys, each of which exists on at least one side.
 
     If one side reorders keys that it shares with the base, its order wins. A key that exists on only one side follows
-    its predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted
-    by name, so that swapping the sides does not change the result. With ``ours_first``, our order wins if both
-    reordered.
+    its predecessor on that side. If both sides added keys at the same position, or both reordered keys, the keys are
+    sorted by name, so that swapping the sides does not change the result. With ``ours_first``, our order wins if both
+    sides reordered the keys.
 
     Returns:
         The keys in their merged order, and True if the two sides reordered the base differently.
@@ -188,7 +193,7 @@ def merged_order(
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
-    """Return the keys in the order given by ``wanted``; keys that it does not contain stay after their predecessor."""
+    """Return the keys in the order of ``wanted``; keys that are not in ``wanted`` stay after their predecessor."""
     keys = list(keys)
     core = [key for key in wanted if key in keys]
     runs = _runs(keys, core, keys)
@@ -196,7 +201,7 @@ def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
 
 
 def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:
-    """Return the kept keys outside the core, grouped by the core key before them."""
+    """Return the kept keys that are not in ``core``, grouped by the core key that precedes them."""
     inside, runs, anchor = set(core), dict[str | None, list[str]](), None
     for key in keys:
         if key in inside:

@@ -21,7 +21,7 @@ from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 
-# Codes of findings which mean that a text is not a document.
+# Codes of findings in texts that are not documents.
 _UNREADABLE = ("SF002", "SF004", "SF005")
 
 
@@ -57,9 +57,9 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
     """Return the errors in a merged text at ``path`` that occur on neither side.
 
-    Such errors mean that the edits are incompatible. Unresolved conflicts are excluded. Missing files
-    that the other side adds are not reported, because they are also missing for that side's text. Raises
-    :class:`UnmergeableError` if the merged text could not be read, for example because it is too large.
+    Such errors mean that the edits are incompatible. Unresolved conflicts are excluded. A missing file that the other
+    side adds is not reported, because that side's text has the same error. Raises :class:`UnmergeableError` if the
+    merged text could not be read, for example because it is too large.
     """
     found = _errors(path, merged)
     if not found:
@@ -102,10 +102,17 @@ class ResolveError(SimfoundryError):
 def resolve(
     tree: YamlTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
 ) -> tuple[YamlTree, list[str]]:
-    """Resolve conflicts with one side's values; return the document and the keys of the removed entries.
+    """Resolve conflicts by taking the values from one side.
 
-    ``chosen`` contains keys of ``conflicts`` or parent paths (`objects.cup`); if it is empty, every conflict is
-    resolved. Mutually exclusive keys are resolved together.
+    Args:
+        tree: The document.
+        model: The model of the document.
+        side: The side whose values are taken.
+        chosen: Keys from ``conflicts``, or parent paths such as `objects.cup`; by default, all conflicts are resolved.
+            Mutually exclusive keys are resolved together.
+
+    Returns:
+        The document, and the keys of the conflicts that were resolved.
     """
     data = copied(tree.data)
     entries = data.get(CONFLICTS) if isinstance(data, dict) else None
@@ -166,13 +173,13 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
 
 
 def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
-    """Return True if a value is the key order of a mapping rather than a new value for it."""
+    """Return True if a value is an order of keys rather than a new value for the mapping."""
     names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
     return any(name in members for name in names)
 
 
 def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
-    """Return the key of a remaining entry, updated if its member was renamed."""
+    """Return the key of a remaining entry, which changes if its member was renamed."""
     path = parts(key)
     for (section, old), new in names.items():
         if path[: len(section) + 1] == (*section, old):

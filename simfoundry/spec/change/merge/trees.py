@@ -2,7 +2,7 @@
 
 Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals are merged as sets; all other values
 are merged as a unit. Edits of different values never conflict, and equal edits are merged into one. Incompatible edits
-result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if the other side removed it)
+result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if one side removed the value)
 and records all three values under ``conflicts``.
 """
 
@@ -28,7 +28,7 @@ ORDERED = (("subtasks",), ("links",), ("frames",))
 
 @dataclass(frozen=True)
 class Merged:
-    """A merged document with recorded conflicts; ``conflicts`` are the conflicts added by this merge."""
+    """A merged document that records its conflicts; ``conflicts`` are the conflicts that this merge added."""
 
     tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
@@ -71,9 +71,13 @@ def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
 
 @dataclass
 class _Merging:
-    """The state of one merge: the model, the renamed members, and the conflicts found so far.
+    """The state of one merge.
 
-    In an ``overlay``, which extends another document, a missing list is inherited from that document.
+    Attributes:
+        model: The model of the documents.
+        edited: The paths of members that one side renamed and the other side removed.
+        overlay: True if a document extends another document, from which it inherits missing lists.
+        conflicts: The conflicts found so far.
     """
 
     model: type[Model] | None
@@ -82,7 +86,7 @@ class _Merging:
     conflicts: list[MergeConflict]
 
     def value(self, base: Tree, ours: Tree, theirs: Tree, path: Path_) -> Tree:
-        """Merge one value; return None if the value was removed."""
+        """Merge one value, or return None if the value was removed."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
         if base is not None and not self.edited and identical(base, theirs):
@@ -99,7 +103,7 @@ class _Merging:
         return commented(tree, base, ours, theirs)
 
     def one_sided(self, base: Tree, ours: Tree, theirs: Tree, path: Path_) -> Tree:
-        """Merge a value that is missing on one side, because one side either added or removed it."""
+        """Merge a value that is missing on one side."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
@@ -114,7 +118,7 @@ class _Merging:
         return there
 
     def is_empty_where_absent(self, base: YamlTree, there: YamlTree, path: Path_) -> bool:
-        """Return True for a named mapping, or a list of relations or pairs, that is omitted if empty."""
+        """Return True for mappings and lists that documents omit if they are empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
@@ -188,7 +192,7 @@ class _Merging:
         self.conflicts.append(MergeConflict(path, was, here, there, comment))
 
     def keep_ours(self, keys: set[str], base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Keep our values of the ``keys``, and record a conflict for each one that differs."""
+        """Keep our values of the ``keys``, and record a conflict for each value that differs."""
         ours, theirs = sides
         inside = {(*path, key) for key in keys}
         self.conflicts = [c for c in self.conflicts if c.path[: len(path) + 1] not in inside]
@@ -201,7 +205,7 @@ class _Merging:
                 self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
 
     def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Keep our value if a task's ``start`` gives an object a pose on one side and a place on the other."""
+        """Keep our value if a task's ``start`` assigns a pose to an object on one side and a place on the other."""
         for name in named_twice(self.model, path, merged):
             for key in ("place", "pose"):
                 inner = dict(merged[key].value)
@@ -210,7 +214,7 @@ class _Merging:
                 merged[key] = replace(merged[key], value=inner)
 
     def keep_both(self, base: Members, sides: Sides, merged: dict[str, YamlTree]) -> None:
-        """Keep both sides' versions of entries of ``conflicts``."""
+        """Keep the versions of both sides if they changed the same entry in ``conflicts``."""
         theirs = sides[1]
         for conflict in [c for c in self.conflicts if c.path[:1] == (CONFLICTS,)]:
             self.conflicts.remove(conflict)
@@ -265,7 +269,7 @@ def _inside(tree: Tree, part: str | int) -> Tree:
 
 
 def rescued(tree: YamlTree, base: Tree, other: YamlTree) -> YamlTree:
-    """Return ``tree`` plus the comments inside ``other`` that would otherwise be lost when ``tree`` replaces it."""
+    """Return ``tree`` with the comments inside ``other``, which would be lost when ``tree`` replaces ``other``."""
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
     new = tuple(text for path, text in other.comments() if path and text not in known)
     return replace(tree, above=(*tree.above, *new)) if new else tree
