@@ -1,1 +1,1 @@
-"""The ``simfoundry`` command: one module per command, without logic of its own."""
+"""The ``simfoundry`` command, with one module for each group of related subcommands."""

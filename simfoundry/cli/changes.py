@@ -106,8 +106,8 @@ def _plain(comparison: DocumentComparison) -> dict[str, Any]:
 def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
     """Show what each commit changed in a document, in terms of the scene, latest first.
 
-    Changes to documents that it extends or refers to are included. The history can be limited to a revision or to a
-    range such as `main..feature`; the default is HEAD.
+    Changes to documents that the document extends or refers to are included. The history can be limited to a revision,
+    or to a range such as `main..feature`. The default is HEAD.
     """
     from simfoundry.spec.change.git.arguments import document_history
 
@@ -176,9 +176,7 @@ def merge_command(
 def _drive_merge(args: Sequence[str]) -> int:
     """Merge into the second file in place, as git expects; files that are not documents are merged line by line."""
     if len(args) != 5:
-        raise SimfoundryError(
-            f"git must pass 5 arguments to its merge driver, not {len(args)}; `simfoundry git install` sets it up"
-        )
+        raise SimfoundryError(f"git must pass 5 arguments, not {len(args)}; run `simfoundry git install` again")
     base, ours, theirs = map(Path, args[:3])
     name = args[4]
     try:

@@ -152,9 +152,8 @@ def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
     for job in jobs:
         other = taken.setdefault(job.out, job.scene)
         if other != job.scene:
-            raise SimfoundryError(
-                f"{other} and {job.scene} would both be written to {job.out}; pass a folder that contains both"
-            )
+            both = f"{other} and {job.scene}"
+            raise SimfoundryError(f"{both} would both be written to {job.out}; pass a folder that contains both")
 
 
 def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:

@@ -205,11 +205,10 @@ def _listed(names: list[str], most: int = 4) -> str:
 
 
 def _counts(report: ImportReport) -> str:
-    singulars = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
-    counts = {
-        (singular, plural): getattr(report, plural) for plural, singular in (singulars | {"meshes": "mesh"}).items()
-    }
-    return ", ".join(f"{count} {names[count > 1]}" for names, count in counts.items() if count)
+    nouns, singulars = "bodies links joints cameras lights meshes", {"bodies": "body", "meshes": "mesh"}
+    counts = {noun: getattr(report, noun) for noun in nouns.split()}
+    text = {noun: noun if count > 1 else singulars.get(noun, noun[:-1]) for noun, count in counts.items()}
+    return ", ".join(f"{count} {text[noun]}" for noun, count in counts.items() if count)
 
 
 def _table(reports: list[ImportReport]) -> str:

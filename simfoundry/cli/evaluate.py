@@ -14,8 +14,6 @@ from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from rich.console import Console
 
     from simfoundry.api.evaluation import Evaluation
@@ -87,7 +85,7 @@ def eval_command(
         video=_can_film(worlds) if video is None else video,
     )
     with output.progress_bar(as_json) as progress, resumable(out):
-        prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
+        prepare(plan, lambda name, done, of: progress(f"initial states of {name}", done / of))
         evaluation = run_plan(plan, jobs, progress)
     return _print_report(plan, evaluation, require, as_json)
 
@@ -98,9 +96,8 @@ def _can_film(worlds: Sequence[str]) -> bool:
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
-    click.echo(
-        "no videos: MuJoCo could not find a GL driver; run `simfoundry doctor` to see how to install one", err=True
-    )
+    message = "no videos: MuJoCo could not find a GL driver; run `simfoundry doctor` to see how to install one"
+    click.echo(message, err=True)
     return False
 
 
@@ -129,10 +126,8 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
         _print_rates(evaluation.records)
         for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
-        if len(troubles) > SENTENCES:
-            click.echo(
-                f"and {len(troubles) - SENTENCES} more; {plan.folder / 'results.json'} contains all of them", err=True
-            )
+        if (more := len(troubles) - SENTENCES) > 0:
+            click.echo(f"and {more} more; {plan.folder / 'results.json'} contains all of them", err=True)
         if missing:
             click.echo(f"{missing} rollouts are missing; repeat the command to run them", err=True)
         for cell in low:
@@ -182,14 +177,14 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
                 table.add_row("  tasks weighted equally", *alike, style="dim")
         console.print()
         console.print(table)
-    pairs = compare_policies(records)
-    for one in pairs[:SENTENCES]:
-        console.print(one.sentence, markup=False, soft_wrap=True)
-    if len(pairs) > SENTENCES:
-        console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")
-    for other in compare_engines(records):
-        if other.disagrees:
-            console.print(other.sentence, markup=False, soft_wrap=True)
+    sentences = [pair.sentence for pair in compare_policies(records)]
+    for sentence in sentences[:SENTENCES]:
+        console.print(sentence, markup=False, soft_wrap=True)
+    if len(sentences) > SENTENCES:
+        console.print(f"{len(sentences) - SENTENCES} more pairs of policies are in the report")
+    for comparison in compare_engines(records):
+        if comparison.disagrees:
+            console.print(comparison.sentence, markup=False, soft_wrap=True)
 
 
 @output.subcommand(force=True)
@@ -217,9 +212,7 @@ def correlate_command(
     output.protect_output(svg, [real, *sim], force)
     truth = correlation.read_scores(real)
     if len(engines := correlation.by_engine(truth)) > 1:
-        raise SimfoundryError(
-            f"{real} contains results from {' and '.join(engines)}; pass a single table of real results"
-        )
+        raise SimfoundryError(f"{real} contains results from {' and '.join(engines)}; pass only real results")
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_table_names(sim), sim, strict=True):
         each = correlation.by_engine(correlation.read_scores(path))
@@ -241,10 +234,11 @@ def correlate_command(
 
 
 def _table_names(sim: Sequence[Path]) -> list[str]:
-    for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
-        if len(set(names)) == len(names):
-            return names
-    raise SimfoundryError("the same table was passed twice")
+    short = [path.stem if path.suffix else path.name for path in sim]
+    names = short if len(set(short)) == len(sim) else [str(path) for path in sim]
+    if len(set(names)) < len(sim):
+        raise SimfoundryError("the same table was passed twice")
+    return names
 
 
 def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:

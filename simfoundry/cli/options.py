@@ -22,9 +22,7 @@ NEW_FILE = click.Path(path_type=Path, dir_okay=False)
 NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
 
 scene_argument = click.argument("scene", type=FILE)
-camera_option = click.option(
-    "-c", "--camera", help="Name of the camera to use. Default: the scene's viewpoint, or else its first camera."
-)
+camera_option = click.option("-c", "--camera", help="Camera to use. Default: the scene's viewpoint or first camera.")
 
 
 def shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:

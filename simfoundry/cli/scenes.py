@@ -93,9 +93,7 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
     from simfoundry.worlds.settle import settle
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
-        raise SimfoundryError(
-            "write the settled scene to the folder of the original, because mesh paths are relative to that folder"
-        )
+        raise SimfoundryError("write the settled scene to the original folder, because mesh paths are relative to it")
     loaded, spec, lowered = output.lower_scene(scene, as_json)
     output.protect_output(out, [scene, *loaded.files()], force)
     with output.progress_bar(as_json) as progress, open_world(lowered, engine) as world:

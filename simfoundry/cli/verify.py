@@ -129,9 +129,7 @@ def _subjects(
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
-                raise SimfoundryError(
-                    f"{build} does not contain any of {targets}; pass the folder written by `compile -o`"
-                )
+                raise SimfoundryError(f"{build} contains none of {targets}; pass the folder written by `compile -o`")
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
@@ -163,12 +161,13 @@ def _verify(
 
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
-    engines: dict[str, dict[str, Any]] = {
-        name: {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
-        if f is not None
-        else {"found": False, "install": wanted[name].spec.install}
-        for name, f in found.items()
-    }
+    engines: dict[str, dict[str, Any]] = {}
+    for name, f in found.items():
+        engines[name] = {"found": f is not None}
+        if f is None:
+            engines[name] |= {"install": wanted[name].spec.install}
+        else:
+            engines[name] |= {"version": f.version, "python": str(f.python), "target": f.engine.build.name}
     return {
         "ok": verified.ok,
         "engines": engines,
@@ -193,22 +192,17 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
     from simfoundry.verify.behaviors import BEHAVIORS
 
     readings, results, rested = verified
-    if readings:
-        click.echo(tables.readings_table(readings, found) + "\n")
-    if results:
-        click.echo(tables.behaviors_table(results, BEHAVIORS, found) + "\n")
-    if rested:
-        click.echo(tables.rested_table(rested, found) + "\n")
+    shown = [tables.readings_table(readings, found)] if readings else []
+    shown += [tables.behaviors_table(results, BEHAVIORS, found)] if results else []
+    shown += [tables.rested_table(rested, found)] if rested else []
     sections = {
         "differences": tables.details(readings, results, rested),
         "lost as reported": tables.known_lines(readings, results),
         "notes": tables.stale_lines(readings),
         "not found": [tables.absent_line(wanted[n]) for n, f in found.items() if f is None],
     }
-    for title, lines in sections.items():
-        if lines:
-            click.echo(f"{title}:\n" + "\n".join(f"  {line}" for line in lines) + "\n")
-    click.echo(summary(readings, results, rested))
+    shown += ["\n  ".join([f"{title}:", *lines]) for title, lines in sections.items() if lines]
+    click.echo("\n\n".join([*shown, summary(readings, results, rested)]))
 
 
 @output.subcommand()

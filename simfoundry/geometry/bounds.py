@@ -1,6 +1,6 @@
 """Bounds on the signed distance between two links, computed without MuJoCo.
 
-The bounds are nearly always tight enough to tell on which side of a threshold the distance is.
+The bounds are nearly always tight enough to tell whether the distance exceeds a threshold.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ def outside_part(parts: Hulls, number: int, points: Array) -> Array:
 
     The distance is exact for round parts; for polyhedra it is the largest distance to a face plane.
     """
-    rows = parts.part[parts.triangles[:, 0]] == number if len(parts.triangles) else np.zeros(0, bool)
+    rows = parts.part[parts.triangles[:, 0]] == number
     if rows.any():
         normals = parts.normals[rows]
         offsets = np.einsum("ij,ij->i", normals, parts.corners[parts.triangles[rows, 0]])

@@ -110,7 +110,7 @@ def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[S
     """
     slope = shape.normals @ direction
     room = shape.offsets - starts @ shape.normals.T
-    entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
+    entry, leave = _clipped(shape.first, room, np.broadcast_to(slope, room.shape))
     return [_merged(shape, room[k], slope, entry[k], leave[k]) for k in range(len(starts))]
 
 
@@ -128,11 +128,9 @@ def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) ->
         greater than the exit position.
     """
     rows = shape.rows(part)
-    alone = HalfSpaces(
-        shape.normals[rows], shape.offsets[rows], np.zeros(1, np.intp), shape.corners[:0], shape.owner[:0]
-    )
-    room = alone.offsets - starts @ alone.normals.T
-    enter, leave = _clipped(alone, room, np.broadcast_to(alone.normals @ direction, room.shape))
+    normals = shape.normals[rows]
+    room = shape.offsets[rows] - starts @ normals.T
+    enter, leave = _clipped(np.zeros(1, np.intp), room, np.broadcast_to(normals @ direction, room.shape))
     return enter[:, 0], leave[:, 0]
 
 
@@ -158,21 +156,24 @@ def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]
     """Return a mask of the rays from ``start`` [m] that hit the object; ``directions`` has shape (n, 3)."""
     slope = directions @ shape.normals.T
     room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
-    entry, leave = _clipped(shape, room, slope)
+    entry, leave = _clipped(shape.first, room, slope)
     return np.asarray(((leave > entry) & (leave > 0)).any(axis=1))
 
 
-def _clipped(shape: HalfSpaces, room: Array, slope: Array) -> tuple[Array, Array]:
-    """Return the entry and exit positions of lines in each part [m], shape (lines, parts) each."""
+def _clipped(parts: NDArray[np.intp], room: Array, slope: Array) -> tuple[Array, Array]:
+    """Return the entry and exit positions of lines in each part [m], shape (lines, parts) each.
+
+    ``parts`` contains the first row of each part.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / slope
     beside = (np.abs(slope) <= 1e-9) & (room < 0)
     first = np.where(slope < -1e-9, at, np.where(beside, np.inf, -np.inf))
     last = np.where(slope > 1e-9, at, np.inf)
-    return np.maximum.reduceat(first, shape.first, axis=1), np.minimum.reduceat(last, shape.first, axis=1)
+    return np.maximum.reduceat(first, parts, axis=1), np.minimum.reduceat(last, parts, axis=1)
 
 
-class Run(NamedTuple):
+class SolidRun(NamedTuple):
     """The intersection of a line with one or more parts, from ``start`` to ``end`` along the line [m].
 
     ``first`` and ``last`` contain the line index and the part index at the start and at the end.
@@ -184,14 +185,14 @@ class Run(NamedTuple):
     last: tuple[int, int]
 
 
-def union(runs: Iterable[Run]) -> list[Run]:
+def union(runs: Iterable[SolidRun]) -> list[SolidRun]:
     """Return the union of runs sorted by their start; runs separated by at most :data:`TOGETHER` are merged."""
-    found: list[Run] = []
+    found: list[SolidRun] = []
     for run in runs:
         if not found or run.start > found[-1].end + TOGETHER:
             found.append(run)
         elif run.end > found[-1].end:
-            found[-1] = Run(found[-1].start, run.end, found[-1].first, run.last)
+            found[-1] = SolidRun(found[-1].start, run.end, found[-1].first, run.last)
     return found
 
 
@@ -200,7 +201,7 @@ def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: A
     ordered = inside[np.argsort(entry[inside], kind="stable")].tolist()
     spans = []
     for start, end, (_, first), (_, last) in union(
-        Run(float(entry[k]), float(leave[k]), (0, k), (0, k)) for k in ordered
+        SolidRun(float(entry[k]), float(leave[k]), (0, k), (0, k)) for k in ordered
     ):
         enter, exit_ = _facing(shape, room, slope, first, start, -1.0), _facing(shape, room, slope, last, end, 1.0)
         spans.append(Span(start, end, min(enter, exit_)))

@@ -213,75 +213,65 @@ class LinkPair:
         return LinkPair(self.a, self.b, self.one, self.other, self.X_WA.at(index), self.X_WB.at(index))
 
 
-def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
-    """Compute distance bounds, which are useful only if one link is a single box.
+def bound_distances(pair: LinkPair, threshold: float, by_parts: bool) -> tuple[Array, Index]:
+    """Compute distance bounds that decide on which side of a threshold [m] most distances are.
 
-    Nearly all states can then be decided from the corners of the other link's hull.
+    If one link is a single box, the corners of the other link's hull decide nearly all states.
+
+    Args:
+        pair: The two links.
+        threshold: The threshold [m].
+        by_parts: Whether to decide the remaining states from bounds on the distances between parts.
 
     Returns:
-        A bound on the distance in each state [m], shape (n,), and the indices of the states for which the bounds do not
-        tell on which side of the threshold the distance is.
+        A bound on the distance in each state [m], shape (n,), and the indices of the undecided states.
     """
-    if (seen := from_box(pair)) is None:
-        n = len(pair.X_WA.p)
-        return np.full(n, -np.inf), np.arange(n)
-    lower, upper = seen.lower(), seen.upper()
-    found = np.where(upper <= threshold, upper, lower).astype(np.float64)
-    return found, np.flatnonzero((lower <= threshold) & (upper > threshold))
+    n = len(pair.X_WA.p)
+    found, open_ = np.full(n, -np.inf), np.arange(n)
+    if (seen := from_box(pair)) is not None:
+        lower, upper = seen.lower(), seen.upper()
+        found = np.where(upper <= threshold, upper, lower).astype(np.float64)
+        open_ = np.flatnonzero((lower <= threshold) & (upper > threshold))
+    for k in open_.tolist() if by_parts else ():
+        bounds = _part_bounds(pair, k, threshold)
+        if bounds.upper <= threshold or bounds.lower > threshold:
+            found[k] = bounds.upper if bounds.upper <= threshold else bounds.lower
+            open_ = open_[open_ != k]
+    return found, open_
 
 
-def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, Array, Index]:
-    """Compute bounds on distance and support, which are useful only if one link is a single box.
+def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool) -> tuple[Array, Array, Index]:
+    """Compute bounds that decide for most states whether the second link supports the first.
 
-    The corners of the other link's hull are then usually enough to tell whether the first link is out of reach or
-    supported.
+    If one link is a single box, the corners of the other link's hull are usually sufficient.
+
+    Args:
+        pair: The two links.
+        limit: Maximum distance of a supporting link [m].
+        steepest: Minimum cosine between the vertical and the push of a supporting link.
+        by_parts: Whether to decide the remaining states from bounds on the distances between parts.
 
     Returns:
         A bound on the distance [m] and a bound on the support cosine in each state, shape (n,) each, and the indices of
         the undecided states.
     """
     n = len(pair.X_WA.p)
-    if (seen := from_box(pair)) is None:
-        return np.full(n, np.inf), np.full(n, -1.0), np.arange(n)
-    lower, upper = seen.lower(), seen.upper()
-    up = (seen.lower(LIFT) - upper) / LIFT
-    stands = (upper <= limit) & (up >= steepest)
-    apart = np.where(stands, upper, np.where(lower > limit, lower, np.inf)).astype(np.float64)
-    open_ = np.flatnonzero(~stands & (lower <= limit))
-    return apart, np.where(stands, up, -1.0).astype(np.float64), open_
-
-
-def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Index) -> Index:
-    """Write bounds on the undecided distances [m] to ``found``, shape (n,), and return the states still undecided."""
-    left = []
-    for k in open_.tolist():
-        bounds = _part_bounds(pair, k, threshold)
-        if bounds.upper <= threshold:
-            found[k] = bounds.upper
-        elif bounds.lower > threshold:
-            found[k] = bounds.lower
-        else:
-            left.append(k)
-    return np.array(left, dtype=np.int64)
-
-
-def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, up: Array, open_: Index) -> Index:
-    """Decide the states that :func:`box_support` left open, using distance bounds between parts.
-
-    Updates ``apart`` and ``up``, shape (n,) each, in place and returns the states that are still undecided.
-    """
-    left = []
-    for k in open_.tolist():
+    apart, up, open_ = np.full(n, np.inf), np.full(n, -1.0), np.arange(n)
+    if (seen := from_box(pair)) is not None:
+        lower, upper = seen.lower(), seen.upper()
+        rise = (seen.lower(LIFT) - upper) / LIFT
+        stands = (upper <= limit) & (rise >= steepest)
+        apart = np.where(stands, upper, np.where(lower > limit, lower, np.inf)).astype(np.float64)
+        up, open_ = np.where(stands, rise, -1.0).astype(np.float64), np.flatnonzero(~stands & (lower <= limit))
+    for k in open_.tolist() if by_parts else ():
         bounds = _part_bounds(pair, k, limit)
         if bounds.lower > limit:
-            apart[k] = bounds.lower
+            apart[k], open_ = bounds.lower, open_[open_ != k]
             continue
-        rise = (_part_bounds(pair, k, limit + LIFT, LIFT).lower - bounds.upper) / LIFT
-        if bounds.upper <= limit and rise >= steepest:
-            apart[k], up[k] = bounds.upper, rise
-        else:
-            left.append(k)
-    return np.array(left, dtype=np.int64)
+        part_rise = (_part_bounds(pair, k, limit + LIFT, LIFT).lower - bounds.upper) / LIFT
+        if bounds.upper <= limit and part_rise >= steepest:
+            apart[k], up[k], open_ = bounds.upper, part_rise, open_[open_ != k]
+    return apart, up, open_
 
 
 def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:

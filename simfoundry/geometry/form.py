@@ -19,7 +19,7 @@ TURNED[3:] /= np.sqrt(2)
 TURNED.setflags(write=False)
 """Axes of an object's bounding boxes, shape (5, 3): its own axes, and x and y rotated by 45 degrees about z."""
 
-# Maximum number of states that are measured one by one; for more states, precomputing shared data pays off.
+# Maximum number of states that are measured individually; for more states, precomputing shared data is faster.
 FEW = 16
 
 
@@ -58,20 +58,16 @@ class Form:
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
     @cached_property
-    def _span(self) -> tuple[Array, Array]:
-        points, radius = self.support(1)
-        along = points @ TURNED.T
-        return (along - radius[:, None]).min(axis=0), (along + radius[:, None]).max(axis=0)
-
-    @property
     def low(self) -> Array:
         """Lower extents along :data:`TURNED` [m], shape (5,)."""
-        return self._span[0]
+        points, radius = self.support(1)
+        return np.asarray((points @ TURNED.T - radius[:, None]).min(axis=0))
 
-    @property
+    @cached_property
     def high(self) -> Array:
         """Upper extents along :data:`TURNED` [m], shape (5,)."""
-        return self._span[1]
+        points, radius = self.support(1)
+        return np.asarray((points @ TURNED.T + radius[:, None]).max(axis=0))
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
@@ -108,15 +104,12 @@ class Form:
         if number not in self._part_shapes:
             parts = self.parts
             own = parts.part == number
-            normals, edges = np.zeros((0, 3)), np.zeros((0, 3))
-            if len(parts.triangles):
-                normals = parts.normals[own[parts.triangles[:, 0]]]
-                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # degenerate faces have zero normals
-            if len(parts.edges):
-                ends = parts.edges[own[parts.edges[:, 0]]]
-                edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
-                edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
-                edges = _distinct(edges * np.where(_is_backward(edges), -1.0, 1.0)[:, None])
+            normals = parts.normals[own[parts.triangles[:, 0]]]
+            normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # degenerate faces have zero normals
+            ends = parts.edges[own[parts.edges[:, 0]]]
+            edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
+            edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+            edges = _distinct(edges * np.where(_is_backward(edges), -1.0, 1.0)[:, None])
             self._part_shapes[number] = parts.corners[own], normals, edges
         return self._part_shapes[number]
 

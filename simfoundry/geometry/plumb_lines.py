@@ -111,12 +111,9 @@ def _faces(form: Form) -> _Faces:
     k = len(parts.radius)
     planes: list[Array] = []
     edges: list[Index] = []
-    of_triangle = parts.part[parts.triangles[:, 0]] if len(parts.triangles) else np.zeros(0, np.int64)
-    of_edge = parts.part[parts.edges[:, 0]] if len(parts.edges) else np.zeros(0, np.int64)
+    of_triangle, of_edge = parts.part[parts.triangles[:, 0]], parts.part[parts.edges[:, 0]]
     flat = np.linalg.norm(parts.normals, axis=1) > 0.5  # degenerate triangles have zero normals
-    offset = (
-        np.einsum("ij,ij->i", parts.normals, parts.corners[parts.triangles[:, 0]]) if len(parts.triangles) else flat
-    )
+    offset = np.einsum("ij,ij->i", parts.normals, parts.corners[parts.triangles[:, 0]])
     sharp = (parts.beside >= 0).all(axis=1)
     for number in range(k):
         rows = np.flatnonzero((of_triangle == number) & flat)
@@ -156,16 +153,11 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
         enters and leaves the part [m], shape (m,) each.
     """
     faces = _faces(form)
-    round_ = faces.radius[part] > 0
-    small = faces.small[part]
+    sharp, small = faces.radius[part] <= 0, faces.small[part]
     few = faces._replace(**{name: getattr(faces, name)[:, :SMALL_EDGES] for name in ("lines", "sides", "beside")})
     few = few._replace(planes=faces.planes[:, :SMALL_FACES])
     out = np.empty((3, len(part)))
-    ways = (
-        (~round_ & small, _sharp_chords, few),
-        (~round_ & ~small, _sharp_chords, faces),
-        (round_, _round_chords, faces),
-    )
+    ways = ((sharp & small, _sharp_chords, few), (sharp & ~small, _sharp_chords, faces), (~sharp, _round_chords, faces))
     for rows, measure, kept in ways:
         index = np.flatnonzero(rows)
         for some in np.array_split(index, len(index) * kept.lines.shape[1] // AT_ONCE + 1) if len(index) else ():

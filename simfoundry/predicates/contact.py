@@ -82,7 +82,7 @@ def inside(terms: Terms, a: Entity, b: Entity) -> None:
 
     def text(v: float, ok: bool) -> str:
         if not np.isfinite(v):
-            return f"`{b.name}` is turned so far that it cannot contain an object"
+            return f"`{b.name}` is tilted too far to contain an object"
         where = "deep in the cavity" if ok else "outside the cavity"
         return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
 

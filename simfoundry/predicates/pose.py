@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -90,14 +91,12 @@ OPEN = Predicate(
     effect=Effect.JOINT,
     aliases=("open",),
 )
-CLOSED = Predicate(
-    "Closed",
-    "the joint, or every joint of the object, is closed",
-    ("joint",),
-    partial(_opening, True),
-    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, this applies to "
-    "every joint that has limits",
-    unit="m or rad",
-    effect=Effect.JOINT,
+CLOSED = replace(
+    OPEN,
+    name="Closed",
+    meaning="the joint, or every joint of the object, is closed",
+    rule=partial(_opening, True),
+    definition=f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, this "
+    "applies to every joint that has limits",
     aliases=("closed", "Close"),
 )

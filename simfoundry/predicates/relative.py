@@ -136,11 +136,10 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> N
         first, second = (np.asarray(getattr(met[-1], one)) for one in (side, opposite))
         return np.asarray(second[first > 0])
 
-    terms.require_if_open(
-        wanted,
-        lambda v: v,
-        lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}directly {side} the middle of `{a.name}`",
-    )
+    def text(_: float, ok: bool) -> str:
+        return f"`{b.name}` is {'' if ok else 'not '}directly {side} the middle of `{a.name}`"
+
+    terms.require_if_open(wanted, lambda v: v, text)
     terms.require_if_open(excluded, lambda v: -v, lambda v, ok: "" if ok else f"`{b.name}` is also {opposite} it")
 
 

@@ -85,11 +85,10 @@ def jaws(robot: Robot) -> Jaws | None:
     model, felt = copy.copy(read.model), (read.model.geom_contype != 0) | (read.model.geom_conaffinity != 0)
     moving = np.linalg.norm(posed[0].geom_xpos - posed[-1].geom_xpos, axis=1) > STEP
     model.geom_group[:] = np.where(felt & moving, 0, HIDDEN)
-    rows = [_measure(model, data, X_WH) for data in posed]
-    found = [(s, *row) for s, row in zip(share, rows, strict=True) if row is not None]
-    if len(found) < 2:
-        return None
-    return Jaws(*(frozen_array(column) for column in zip(*found, strict=True)))
+    found = [
+        (s, *row) for s, data in zip(share, posed, strict=True) if (row := _measure(model, data, X_WH)) is not None
+    ]
+    return Jaws(*(frozen_array(column) for column in zip(*found, strict=True))) if len(found) >= 2 else None
 
 
 def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
@@ -105,8 +104,15 @@ def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
 
 def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
     """Return the gap between the pads, and where the pads start and end [m]; return None if no ray hits two fingers."""
-    depth = np.arange(0.0, DEEPEST, STEP)
-    free = np.array([_free(model, data, X_WH, z) for z in depth])
+    import mujoco
+
+    depth, hit = np.arange(0.0, DEEPEST, STEP), np.zeros(1, np.int32)
+    free = np.zeros(len(depth))  # the gap between the fingers at each depth of the hand, or inf if a finger is not hit
+    for k, z in enumerate(depth):
+        start = X_WH.apply(np.array([0.0, 0.0, z]))
+        for sign in (1.0, -1.0):
+            far = mujoco.mj_ray(model, data, start, sign * X_WH.rotation[:, 1], FINGERS, 1, -1, hit)
+            free[k] += far if 0 <= far < WIDEST else np.inf
     met = np.isfinite(free)
     if not met.any():
         return None
@@ -115,19 +121,6 @@ def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[fl
     breaks = np.flatnonzero(np.diff(flat) > 1)
     foremost = flat[breaks[-1] + 1 :] if len(breaks) else flat
     return max(width, 0.0), float(depth[foremost[0]]), float(depth[foremost[-1]])
-
-
-def _free(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose, z: float) -> float:
-    """Return the gap between the fingers at depth ``z`` of the hand [m], or inf if a finger is not hit."""
-    import mujoco
-
-    start = X_WH.apply(np.array([0.0, 0.0, z]))
-    hit = np.zeros(1, np.int32)
-    sides = []
-    for sign in (1.0, -1.0):
-        far = mujoco.mj_ray(model, data, start, sign * X_WH.rotation[:, 1], FINGERS, 1, -1, hit)
-        sides.append(far if 0 <= far < WIDEST else np.inf)
-    return float(sum(sides))
 
 
 # Position tolerance of a solution [m].
@@ -156,9 +149,7 @@ class Arm:
     def __init__(self, robot: Robot) -> None:
         native = mujoco_model(robot)
         if native is None:
-            raise RobotModelError(
-                f"robot `{robot.name}` has no model that MuJoCo can load, so its inverse kinematics is not available"
-            )
+            raise RobotModelError(f"robot `{robot.name}` has no model for MuJoCo, which inverse kinematics requires")
         self.robot = robot
         self.read: MujocoRobot = read_robot(robot, native, f"{robot.name}.")
         named = tuple(f"{robot.name}.{joint}" for joint in native.joints.values())

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -122,19 +123,16 @@ class ArmReach:
     """Tests which grasps the arms in a scene can reach."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
-        self._scene, self._names = scene, robots
+        self._names, self._robots = robots, [robot for robot in scene.robots if robot.name in robots]
         self._known: dict[tuple[float, ...], Reached] = {}
 
     @cached_property
     def _arms(self) -> list[tuple[Arm, float]]:
         """The arms, each with the distance [m] from the hand frame to the grasp point between the fingers."""
         found = []
-        there = {robot.name: robot for robot in self._scene.robots}
-        for name in self._names:
-            if name in there:
-                arm = Arm(there[name])
-                fingers = jaws(there[name])
-                found.append((arm, float(fingers.tip[0] + fingers.low[0]) / 2 if fingers is not None else 0.0))
+        for robot in sorted(self._robots, key=lambda robot: self._names.index(robot.name)):
+            fingers = jaws(robot)
+            found.append((Arm(robot), float(fingers.tip[0] + fingers.low[0]) / 2 if fingers is not None else 0.0))
         return found
 
     @cached_property
@@ -145,7 +143,7 @@ class ArmReach:
             return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
         if not self._names:
             return "the task does not use a robot"
-        if not any(robot.name in self._names for robot in self._scene.robots):
+        if not self._robots:
             return f"no model of {', '.join(self._names)} is installed; run `simfoundry doctor` for instructions"
         return ""
 
@@ -183,12 +181,10 @@ class ArmReach:
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
         """Return True if the hand can reach the start of its approach and move from there to the grasp."""
         starts = (_toward(arm, hand), arm.home)
-        for turn in _hand_turns(side):
-            before = Pose.of(hand + OVER * way, turn)
-            for start in starts:
-                q = arm.solve(before, start)
-                if q is not None and arm.solve(Pose.of(hand, turn), q) is not None:
-                    return True
+        for turn, start in product(_hand_turns(side), starts):
+            q = arm.solve(Pose.of(hand + OVER * way, turn), start)
+            if q is not None and arm.solve(Pose.of(hand, turn), q) is not None:
+                return True
         return False
 
 

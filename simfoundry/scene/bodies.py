@@ -41,9 +41,12 @@ TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
 class MeshUse(NamedTuple):
     """Options for reading a mesh file.
 
-    ``scale`` converts the file's units to meters. ``touches`` is False for meshes without colliders. ``solid`` selects
-    the solid from which the mass is computed; it is `given` if the body's mass is already specified, in which case the
-    mesh does not need to be closed. ``collision`` selects the type of collider.
+    Attributes:
+        scale: Factor that converts the file's units to meters.
+        touches: False for meshes without colliders.
+        solid: The solid from which the mass is computed. `given` means that the body's mass is already specified; the
+            mesh then does not need to be closed.
+        collision: The type of collider.
     """
 
     scale: float
@@ -284,7 +287,7 @@ def _pack(outline: Array, parts: list[tuple[Array, Faces]], error: float) -> byt
 
 
 def _unpack(data: bytes) -> _Cut | None:
-    """Read a cache entry; return None if it is corrupt, so that it is recomputed."""
+    """Deserialize a cache entry; return None if the entry is corrupt and must be recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             ends = np.cumsum(arrays["counts"], axis=0)[:-1]

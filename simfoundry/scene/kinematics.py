@@ -121,20 +121,22 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
     columns = _columns(tree)
     mass_matrix = np.zeros((len(columns), len(columns)))
     X_OL = link_poses(tree.owner)
-    carried = _carried(tree)
+    above: dict[str, frozenset[str]] = {}  # the joints between the root and each link, by link name
     for link in tree.links:
+        parent = None if link is tree.root else tree.owner.joint_above[link.name]
+        above[link.name] = frozenset() if parent is None else above[parent.parent] | {parent.name}
         rotation = X_OL[link.name].rotation
         com, turned = X_OL[link.name].apply(link.com), rotation @ link.inertia @ rotation.T
         linear, angular = np.zeros((3, len(columns))), np.zeros((3, len(columns)))
         for k, (joint, point, axis, slides) in enumerate(columns):
-            if joint is None or joint.name in carried[link.name]:
+            if joint is None or joint.name in above[link.name]:
                 linear[:, k] = axis if slides else np.cross(axis, com - point)
                 angular[:, k] = 0.0 if slides else axis
         mass_matrix += link.mass * linear.T @ linear + angular.T @ turned @ angular
-    mass_matrix += np.diag([0.0 if joint is None else joint.armature for joint, *_ in columns])
-    felt = 1.0 / np.diag(np.linalg.inv(mass_matrix)) if columns else np.zeros(0)
     joints = [joint for joint, *_ in columns]
-    return {j.name: float(v) for j, v in zip(joints, felt, strict=True) if j is not None and j.has_axis}
+    mass_matrix += np.diag([0.0 if joint is None else joint.armature for joint in joints])
+    effective = 1.0 / np.diag(np.linalg.inv(mass_matrix)) if columns else np.zeros(0)
+    return {j.name: float(v) for j, v in zip(joints, effective, strict=True) if j is not None and j.has_axis}
 
 
 # A degree of freedom: its joint (None for the free root), a point on its axis, the axis, and True if it slides.
@@ -157,25 +159,13 @@ def _columns(tree: Tree) -> list[_Column]:
     return columns
 
 
-def _carried(tree: Tree) -> dict[str, frozenset[str]]:
-    """Return the joints between the root and each link, by link name."""
-    above: dict[str, frozenset[str]] = {tree.root.name: frozenset()}
-    for link in tree.links[1:]:
-        joint = tree.owner.joint_above[link.name]
-        above[link.name] = above[joint.parent] | {joint.name}
-    return above
-
-
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links in an object whose contacts are disabled, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
-    joined = {
-        frozenset((welded[joint.parent], welded[joint.child]))
-        for joint in item.joints
-        if joint.type is not JointType.FREE
-    }
+    joints = [joint for joint in item.joints if joint.type is not JointType.FREE]
+    joined = {frozenset((welded[joint.parent], welded[joint.child])) for joint in joints}
     named = {frozenset(pair) for pair in item.no_contact}
     return tuple(
         (a.name, b.name)
@@ -190,9 +180,9 @@ def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links in an object that can be in contact, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
-    silent = set(excluded_link_pairs(item))
-    felt = [link.name for link in item.links if link.colliders]
-    return tuple(pair for pair in combinations(felt, 2) if pair not in silent)
+    excluded = set(excluded_link_pairs(item))
+    solid = [link.name for link in item.links if link.colliders]
+    return tuple(pair for pair in combinations(solid, 2) if pair not in excluded)
 
 
 def weld_groups(item: SceneObject) -> dict[str, str]:

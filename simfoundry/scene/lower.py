@@ -93,10 +93,9 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the objects without their placements; raises :class:`SpecError` with every finding.
 
-    Objects placed inside others are lowered first, together with all objects that they depend on. This makes it
-    possible to detect objects that do not fit before the remaining meshes are decomposed, which may take minutes, and
-    often even before their own meshes are decomposed. If an object does not fit, the remaining meshes are checked
-    without decomposition.
+    Objects placed inside others are lowered first, together with all objects that they depend on. If one of them does
+    not fit, the error is detected before the remaining meshes are decomposed, which may take minutes; these meshes are
+    then only checked.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
@@ -215,7 +214,7 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
         except NoModelError as error:
             lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
-            lost += [LeftOut(f"cameras.{n}", f"it is mounted on `{name}`, which has no model") for n in carried]
+            lost += [LeftOut(f"cameras.{n}", f"the camera is mounted on `{name}`, which has no model") for n in carried]
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
 
 
@@ -250,11 +249,11 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
-    """Keep the document and its relations, for evaluating the scene and for targets that embed the document."""
+    """Add the document and its relations to the scene, for evaluation and for targets that embed the document."""
     from simfoundry.spec.yaml.write import to_data  # not needed by lints
 
     loaded, path = lowering.loaded, lowering.loaded.path.resolve()
-    # The path relative to the project is the same on every machine.
+    # Use a path relative to the project because it is the same on every machine.
     file = path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
     relations = tuple(model.Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
     source = model.Source(file, MappingProxyType(to_data(lowering.spec)))

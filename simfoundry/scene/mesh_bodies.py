@@ -15,9 +15,8 @@ from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, 
 from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
-from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere, closed_mesh
 from simfoundry.scene.bodies import GRAY, MeshUse
@@ -31,9 +30,12 @@ from simfoundry.spec.models.scene import BackgroundSpec
 class MeshBody(NamedTuple):
     """A body created from a mesh file.
 
-    ``pieces`` are its visuals. ``solid`` is a solid with density 1, or None if the mass is already specified.
-    ``colliders`` are posed in the mesh frame, and ``error`` [m] is their maximum distance from the mesh.
-    ``is_approximate`` is True if the hull is used in place of unknown convex parts.
+    Attributes:
+        pieces: The visuals.
+        solid: A solid with density 1, or None if the mass is already specified.
+        colliders: The colliders with their poses in the mesh frame.
+        error: The maximum distance of the colliders from the mesh [m].
+        is_approximate: True if the convex hull is used because the convex parts are not known.
     """
 
     pieces: tuple[MeshPart, ...] = ()
@@ -49,11 +51,9 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
     if not use.touches:
         return MeshBody(pieces)
     vertices, faces = weld(*merged(pieces))
-    solid = None
-    if use.solid != "given":
-        solid, faces = _solid(path.name, vertices, faces, use.solid)
-    elif mass.mesh(vertices, faces).volume < 0:
+    if mass.mesh(vertices, faces).volume < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
+    solid = None if use.solid == "given" else _solid(path.name, vertices, faces, use.solid)
     found = convex.mesh_colliders(vertices, faces, use.collision, cache, path.name, report)
     if cache is not None and use.collision != "none":
         cache.put(convex.file_key(path, use.scale, use.collision), convex.pack_colliders(found))
@@ -86,40 +86,25 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
 
 
 def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
-    if found.primitive is not None:
-        return (_fitted(found.primitive),)
-    return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
+    """Return the geometry of each collider with its pose in the mesh frame."""
+    if (primitive := found.primitive) is None:
+        return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
+    if primitive.kind == "sphere":
+        return ((Sphere(*primitive.size), Pose.of(primitive.center)),)
+    X_GP = Pose.of(primitive.center, quat_from_matrix(primitive.rotation))
+    return ((Box(frozen(primitive.size)) if primitive.kind == "box" else Cylinder(*primitive.size), X_GP),)
 
 
-def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
-    """Return the geometry of a primitive fitted to a mesh, and its pose in the mesh frame."""
-    turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
-    X_GP = Pose.from_matrix(turn)
-    match primitive.kind:
-        case "box":
-            return Box(frozen(primitive.size)), X_GP
-        case "cylinder":
-            return Cylinder(*primitive.size), X_GP
-        case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.center)
-
-
-def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
-    """Return the solid that defines the mass, and the faces oriented outward."""
+def _solid(name: str, vertices: Array, faces: Faces, how: str) -> mass.SolidMoments:
+    """Return the solid that defines the mass of a mesh whose faces are oriented outward."""
     if how == "hull":
-        outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
-        return mass.mesh(*convex.hull(vertices, limit=len(vertices))), outward
-    gaps = open_edges(faces)
-    if gaps:
+        return mass.mesh(*convex.hull(vertices, limit=len(vertices)))
+    if gaps := open_edges(faces):
         raise not_closed(name, gaps)
     solid = mass.mesh(vertices, faces)
-    if solid.volume < 0:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-        solid = mass.mesh(vertices, faces)
     if solid.volume < LEAST_VOLUME:
         raise no_volume(name)
-    return solid, faces
+    return solid
 
 
 def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:

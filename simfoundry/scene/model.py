@@ -38,13 +38,17 @@ class Visual:
 
 @dataclass(frozen=True, eq=False)
 class Collider:
-    """A collider: a primitive or a *convex* mesh posed in its link.
+    """A collider, which is a primitive or a *convex* mesh posed in its link.
 
-    ``friction`` is the Coulomb coefficient of the surface; a contact uses the geometric mean of the two surfaces
-    (:func:`pair_friction`). ``restitution`` in [0, 1] is combined in the same way. ``torsional_friction`` and
-    ``rolling_friction`` [m] are the maximum torques that resist spinning and rolling, divided by the normal force; a
-    contact uses the larger of the two values. ``material`` is the name of the surface material, or empty if the spec
-    does not specify one.
+    Attributes:
+        friction: The Coulomb coefficient of the surface. A contact uses the geometric mean of the two surfaces
+            (:func:`pair_friction`).
+        restitution: The restitution in [0, 1]. A contact uses the geometric mean of the two surfaces.
+        torsional_friction: The maximum torque that resists spinning, divided by the normal force [m]. A contact uses
+            the larger value of the two surfaces.
+        rolling_friction: The maximum torque that resists rolling, divided by the normal force [m]. A contact uses the
+            larger value of the two surfaces.
+        material: The name of the surface material, or empty if the spec does not specify one.
     """
 
     name: str
@@ -61,10 +65,13 @@ class Collider:
 class Link:
     """A rigid body of an object.
 
-    ``mass`` is in kg. ``com`` [m] is the center of mass in the link frame, shape (3,). ``inertia`` [kg m^2] is taken
-    about the center of mass and expressed in link axes, shape (3, 3), symmetric positive definite. ``collision_error``
-    [m] is the maximum distance between the surfaces of the colliders and the shapes that they approximate; 0 if the
-    colliders are exact.
+    Attributes:
+        mass: The mass [kg].
+        com: The center of mass in the link frame [m], shape (3,).
+        inertia: The inertia about the center of mass, expressed in link axes [kg m^2]. It is symmetric positive
+            definite, shape (3, 3).
+        collision_error: The maximum distance between the surfaces of the colliders and the shapes that they
+            approximate [m]; 0 if the colliders are exact.
     """
 
     name: str
@@ -130,13 +137,19 @@ ClosedEnd = Literal["lower", "upper"]
 class Joint:
     """A joint between two links of one object.
 
-    ``X_PC`` is the pose of the child link's frame in the parent link's frame at position zero. The joint acts at the
-    child's origin along ``axis`` (unit vector in the child frame, shape (3,)). ``limits`` [rad or m] is None for an
-    unlimited joint. ``damping`` is in N m s/rad or N s/m, ``friction`` is the Coulomb friction torque or force [N m or
-    N], and ``armature`` is in kg m^2 or kg. The initial state of a single-axis joint is ``position`` [rad or m]; the
-    initial state of a ball or free joint is ``motion``, the pose of the child's frame relative to its pose at position
-    zero. A free joint does not constrain its child, which is a separate body posed relative to the parent. ``closed``
-    is the limit at which the joint counts as closed; None means position zero, or the limit nearest to zero.
+    A free joint does not constrain its child, which is a separate body posed relative to the parent.
+
+    Attributes:
+        X_PC: The pose of the child link's frame in the parent link's frame at position zero.
+        axis: The axis through the child's origin, a unit vector in the child frame, shape (3,).
+        limits: The limits of the position [rad or m], or None for an unlimited joint.
+        damping: The damping [N m s/rad or N s/m].
+        friction: The Coulomb friction torque or force [N m or N].
+        armature: The armature [kg m^2 or kg].
+        position: The initial position of a single-axis joint [rad or m].
+        motion: The initial state of a ball or free joint: the pose of the child's frame relative to its pose at
+            position zero.
+        closed: The limit at which the joint counts as closed. None means position zero, or the limit nearest to zero.
     """
 
     name: str
@@ -173,13 +186,14 @@ class Joint:
 class SceneObject:
     """A named object: a single link, or a tree of links and joints whose first link is the root.
 
-    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; all other
-    objects have a free root. Links are in topological order, so a parent comes before its children. ``no_contact``
-    lists the pairs of links whose contacts are disabled, in addition to links connected by joints.
-
-    ``labels`` are the semantic labels, by default the category. ``variant`` is the name of the selected variant, or
-    empty if the object has no variants. ``variants`` contains all other variants as complete objects with the same
-    name.
+    Attributes:
+        fixed: True if the object is welded to the world; all other objects have a free root.
+        X_WO: The pose of the root link's frame in the world.
+        links: The links in topological order, so a parent comes before its children.
+        no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
+        labels: The semantic labels; if empty, the category is used.
+        variant: The name of the selected variant, or empty if the object has no variants.
+        variants: All other variants, as complete objects with the same name.
     """
 
     name: str
@@ -303,10 +317,12 @@ class LeftOut:
 class Scene:
     """A lowered scene, in which world poses, inertias, convex parts and materials are all explicit.
 
-    ``left_out`` lists parts of the spec that could not be lowered; every target reports them as lost. ``no_contact``
-    lists pairs of links in different objects, by qualified name, whose contacts are disabled. ``source`` is the
-    document itself, for targets that embed it. ``viewer`` is the frame that defines left, right, front and behind: x
-    points away from the viewer and y to its left. If it is None, the world axes are used.
+    Attributes:
+        left_out: The parts of the spec that could not be lowered; every target reports them as lost.
+        no_contact: The pairs of links in different objects, by qualified name, whose contacts are disabled.
+        source: The document, for targets that embed it.
+        viewer: The frame that defines left, right, front and behind: x points away from the viewer and y to its left.
+            None means the world axes.
     """
 
     name: str

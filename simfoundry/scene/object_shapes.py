@@ -79,11 +79,8 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
     The bounds include the colliders, or the visuals if there are no colliders.
     """
     poses = link_poses(item)
-    spans = [
-        geometry_bounds(part.geometry, poses[link.name] @ part.X_LG)
-        for link in item.links
-        for part in link.colliders or link.visuals
-    ]
+    parts = [(part, poses[link.name]) for link in item.links for part in link.colliders or link.visuals]
+    spans = [geometry_bounds(part.geometry, X_OL @ part.X_LG) for part, X_OL in parts]
     if not spans:
         return np.zeros(3), np.zeros(3)
     return np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)

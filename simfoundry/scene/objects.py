@@ -1,4 +1,4 @@
-"""Lower the objects of a scene document one by one: links, masses, colliders and joints."""
+"""Lower the objects in a scene document, including their links, masses, colliders and joints."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ Progress = Callable[[str, int, int], None]
 class ObjectLowering:
     """Lowers the objects in a document and collects findings about their meshes.
 
-    Unless ``cuts`` is set, meshes are represented by their hulls and not decomposed into convex parts. In a ``draft``,
-    meshes are not shown either (see :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` contains the names
-    of objects that are represented only by bounds.
+    Unless ``cuts`` is set, meshes are represented by their convex hulls and not decomposed into convex parts. In a
+    ``draft``, meshes have no visuals either (see :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate``
+    contains the names of objects that are represented only by bounds.
     """
 
     loaded: Loaded

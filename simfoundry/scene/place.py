@@ -42,7 +42,7 @@ RELATIONS = {
 
 
 class PlaceError(Exception):
-    """An error for an infeasible placement; the message states the problem in numbers, and the hint suggests a fix."""
+    """Raised if a placement is infeasible; the message contains the relevant sizes, and the hint suggests a fix."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -141,8 +141,9 @@ def seen_by_camera(X_WC: Pose) -> Pose:
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
 
 
-# Cache of the parts of placed objects, because many objects may be placed on the same surface.
+# Caches of the parts of placed objects and of their mirror images; many objects may be placed on the same surface.
 _standing = lru_cache(maxsize=16)(hulls)
+_flipped = lru_cache(maxsize=16)(Hulls.flipped)
 
 
 def _carrier_name(place: Place) -> str | None:
@@ -167,7 +168,7 @@ class _Carrier:
     def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
         owner, _, link = name.partition(".")
         if owner not in placed:
-            raise PlaceError(f"`{owner}` is not placed itself", "place it without depending on this object")
+            raise PlaceError(f"`{owner}` is not placed itself", f"place `{owner}` without depending on this object")
         item = placed[owner]
         part = whole = _standing(item)
         number, X_WC = None, item.X_WO
@@ -228,7 +229,7 @@ def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
     touching = heights(held, carrier.whole)
     if carrier.link is None and not walled:
         return float(touching.max()) if np.isfinite(touching.max()) else None
-    leaving = -heights(held.flipped(), carrier.whole.flipped())
+    leaving = -heights(held.flipped(), _flipped(carrier.whole))
     for lift, part in _spaces(leaving, touching):
         on_it = carrier.link is None or carrier.whole.link[part] == carrier.link
         if on_it and (not walled or surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part)):
@@ -263,7 +264,7 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
         spans = [" to ".join(map(_meters, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
         spot = ", ".join(map(_meters, xy))
         message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
-        return PlaceError(message, f"move it over `{carrier.name}`")
+        return PlaceError(message, f"move `{name}` over `{carrier.name}`")
     if where == "inside" and len(set(carrier.part.part)) == 1:
         message = f"`{name}` cannot be inside `{carrier.name}`, whose only collider is convex and has no cavity"
         hint = "use `on`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"

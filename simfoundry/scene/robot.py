@@ -38,9 +38,11 @@ class LinkFrame:
 class Gripper:
     """The joints of a gripper; every pair of values is (open, closed).
 
-    ``command`` maps the model's actuators to their values, and is empty if the joints are driven directly. ``joints``
-    maps joints to positions [rad or m]; the first joint indicates how far the gripper is closed. ``follow`` replaces
-    the model's closed loops and equality constraints in engines that do not support them.
+    Attributes:
+        command: The values of the model's actuators, or empty if the joints are driven directly.
+        joints: The positions of the joints [rad or m]; the first joint indicates how far the gripper is closed.
+        follow: Mimic joints that replace the model's closed loops and equality constraints in engines that do not
+            support them.
     """
 
     command: Mapping[str, tuple[float, float]]
@@ -78,9 +80,11 @@ class Attached:
 class NativeModel:
     """A robot model in one format.
 
-    ``digest`` identifies the content of all files of the model, which remain at their original location on this
-    machine. ``joints`` maps the scene's names for the arm joints to those in the model; all other names are the model's
-    own. ``effort`` is the maximum force [N m or N] of joints for which the file does not specify the actual limit.
+    Attributes:
+        file: The model file, which remains at its original location.
+        digest: A hash of the content of all files of the model.
+        joints: The name of each arm joint in the model, by its name in the scene.
+        effort: The maximum torque or force of joints [N m or N] for which the file does not specify the actual limit.
     """
 
     format: ModelFormat
@@ -105,9 +109,11 @@ FILES_ONLY = "robot"
 class Robot:
     """A robot whose base is welded to the world at ``X_WB``.
 
-    ``positions`` [rad or m] are the positions of the arm joints, by the scene's joint names; the gripper is open.
-    ``reach`` [m] is the horizontal reach and ``opening`` [m] the gripper opening; both are None if unknown. ``models``
-    has at least one entry.
+    Attributes:
+        positions: The positions of the arm joints [rad or m], by their names in the scene; the gripper is open.
+        reach: The horizontal reach [m], or None if unknown.
+        opening: The gripper opening [m], or None if unknown.
+        models: The available models, at least one.
     """
 
     name: str

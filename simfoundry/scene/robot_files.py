@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import os
 import re
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -29,18 +30,16 @@ def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) 
     are resolved by packages that download a robot on first use; nothing is downloaded unless ``fetch`` is set.
     ``suffix`` (``.xml``, ``.urdf``) selects one of a description's files. Raises :class:`NoModelError`.
     """
-    packaged = packaged_model(reference)
-    if packaged is not None:
+    if (packaged := packaged_model(reference)) is not None:
         package, name, path = packaged
-        if package == "menagerie":
-            return menagerie_model(name, path, fetch)
-        return described_model(name, path, suffix, fetch)
+        is_menagerie = package == "menagerie"
+        return _menagerie_model(name, path, fetch) if is_menagerie else _described_model(name, path, suffix, fetch)
     try:
         target = located(reference, document)
     except FileError as error:
         raise NoModelError(f"{error}; {error.hint}", is_known=False) from None
     if not target.is_file():
-        raise NoModelError(f"there is no file `{reference}`")
+        raise NoModelError(f"`{reference}` does not exist")
     return target
 
 
@@ -53,7 +52,7 @@ def digest(files: list[Path]) -> str:
 
 
 def model_files(file: Path) -> list[Path]:
-    """Return a model file and all files that it references, in the order of the references, without duplicates.
+    """Return a model file and all files that it references, without duplicates and in the order of the references.
 
     Raises :class:`NoModelError` if a file is missing or the model cannot be read.
     """
@@ -69,8 +68,7 @@ def _needed(file: Path) -> Iterator[Path]:
     match file.suffix.lower():
         case ".urdf":
             for name in urdf_meshes(file.read_text(encoding="utf-8")):
-                mesh = urdf_mesh(file, name)
-                yield mesh
+                yield (mesh := urdf_mesh(file, name))
                 yield from companions(mesh)
         case ".xml" | ".mjcf":
             yield from _mjcf_files(file)
@@ -112,11 +110,8 @@ def urdf_mesh(urdf: Path, name: str) -> Path:
         return (urdf.parent / name).resolve()
     path = name.removeprefix("package://")
     inner = path.partition("/")[2]
-    for folder in urdf.parents:
-        for candidate in (folder / path, folder / inner):
-            if inner and candidate.is_file():
-                return candidate.resolve()
-    return (urdf.parent / path).resolve()
+    candidates = [folder / end for folder in urdf.parents for end in (path, inner) if inner]
+    return next((file for file in candidates if file.is_file()), urdf.parent / path).resolve()
 
 
 def companions(mesh: Path) -> Iterator[Path]:
@@ -154,28 +149,27 @@ class NoModelError(Exception):
         self.is_known = is_known
 
 
-def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
+def _menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
     """Return a file of the robot ``name`` in MuJoCo Menagerie: ``path``, or by default its model.
 
     If ``fetch`` is set, the official package downloads robots that are not in its cache (several megabytes); otherwise,
     such robots are treated as missing. Raises :class:`NoModelError`.
     """
     if not is_installed("mujoco_menagerie"):
-        raise NoModelError(f"install its models with `{install_line('robots')}`", is_known=False)
+        raise NoModelError(f"install the robot models with `{install_line('robots')}`", is_known=False)
     import mujoco_menagerie
 
     try:
         robot = mujoco_menagerie.get(name)
         cache = mujoco_menagerie.Cache()
         if cache.root is None and not cache.is_cached(robot) and not fetch:
-            raise NoModelError(
-                f"it has not been downloaded; run `python -m mujoco_menagerie prefetch {name}`, or use it once online"
-            )
+            command = f"python -m mujoco_menagerie prefetch {name}"
+            raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
         folder = _fetch(name, str(cache.dir), str(cache.root or ""))
         if isinstance(folder, Exception):
             raise folder
     except mujoco_menagerie.UnknownRobotError as error:
-        raise NoModelError(f"mujoco-menagerie does not provide it: {_line(error)}; update that package") from None
+        raise NoModelError(f"mujoco-menagerie does not provide `{name}`: {_line(error)}; update the package") from None
     except (mujoco_menagerie.MenagerieError, OSError) as error:
         raise NoModelError(f"mujoco-menagerie could not download `{name}`: {_line(error)}") from None
     return _inside(folder, path or robot.entry(robot.default_model).file, f"menagerie:{name}")
@@ -195,14 +189,14 @@ def _fetch(name: str, cache: str, root: str) -> Path | Exception:
         return error
 
 
-def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
+def _described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
     """Return a file of a description in the robot_descriptions package: ``path``, or the file with ``suffix``.
 
     The package clones the description's repository on first use. If ``fetch`` is not set, a description that has not
     been cloned is treated as missing. Raises :class:`NoModelError`.
     """
     if not is_installed(_DESCRIPTIONS):
-        raise NoModelError(f"install its models with `pip install {_DESCRIPTIONS}`", is_known=False)
+        raise NoModelError(f"install the robot models with `pip install {_DESCRIPTIONS}`", is_known=False)
     module_name = f"{_DESCRIPTIONS}.{name}"
     try:
         if fetch:
@@ -212,7 +206,7 @@ def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Pa
             with _offline():
                 module = importlib.import_module(module_name)
     except ModuleNotFoundError:
-        raise NoModelError(f"`{_DESCRIPTIONS}` does not provide `{name}`; update that package") from None
+        raise NoModelError(f"`{_DESCRIPTIONS}` does not provide `{name}`; update the package") from None
     except NoModelError:
         raise
     except Exception as error:  # git raises various errors without a network
@@ -230,8 +224,6 @@ def _need_cloned(name: str) -> None:
     The package itself cannot determine this without cloning. Therefore, the repository is read from the source of the
     module, and its folder from a table in the package.
     """
-    import sys
-
     if f"{_DESCRIPTIONS}.{name}" in sys.modules:
         return
     spec = find_spec(f"{_DESCRIPTIONS}.{name}")
@@ -241,7 +233,8 @@ def _need_cloned(name: str) -> None:
     table = importlib.import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES
     folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
     if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
-        raise NoModelError(f"it has not been downloaded; run `{_DESCRIPTIONS} pull {name}`, or use it once online")
+        command = f"{_DESCRIPTIONS} pull {name}"
+        raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
 
 
 @contextmanager

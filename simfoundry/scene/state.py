@@ -17,15 +17,17 @@ from simfoundry.spec.models.scene import SceneSpec
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """The poses ``X_WO`` of objects by name, and joint states by ``object.joint``.
+    """The state of a scene at one time.
 
-    ``joints`` contains the positions [rad or m] of single-axis joints. ``motions`` contains the motions of ball and
-    free joints, which are poses of the child's frame relative to its pose at position zero; the motion of a ball joint
-    has no translation.
-
-    ``robots`` contains the joint positions of each robot [rad or m], by the joint names of the object that
-    :mod:`simfoundry.backends.robot_models.robot_object` creates from it; if empty, the positions in the scene are used.
-    ``speeds`` [m/s] contains the speed of the fastest point on each object; objects without an entry are at rest.
+    Attributes:
+        poses: The pose ``X_WO`` of each object, by name.
+        joints: The positions of single-axis joints [rad or m], by ``object.joint``.
+        motions: The motions of ball and free joints, by ``object.joint``. A motion is the pose of the child's frame
+            relative to its pose at position zero; for a ball joint, it has no translation.
+        robots: The joint positions of each robot [rad or m], by the joint names of the object that
+            :mod:`simfoundry.backends.robot_models.robot_object` creates from the robot. If empty, the positions in the
+            scene are used.
+        speeds: The speed of the fastest point on each object [m/s]; objects without an entry are at rest.
     """
 
     poses: Mapping[str, Pose]
@@ -56,11 +58,9 @@ class SceneState:
     def initial(cls, scene: Scene) -> SceneState:
         """Return the initial state of the scene."""
         joints = {f"{o.name}.{j.name}": j for o in scene.objects for j in o.joints}
-        return cls.of(
-            {o.name: o.X_WO for o in scene.objects},
-            {name: joint.position for name, joint in joints.items() if joint.has_axis},
-            {name: joint.motion for name, joint in joints.items() if _is_free(joint)},
-        )
+        positions = {name: joint.position for name, joint in joints.items() if joint.has_axis}
+        motions = {name: joint.motion for name, joint in joints.items() if _is_free(joint)}
+        return cls.of({o.name: o.X_WO for o in scene.objects}, positions, motions)
 
     def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
         """Return the positions and motions of an object's joints, by joint name, with defaults from the scene."""
@@ -79,17 +79,12 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return a copy of an object with its pose and joint positions from a state, without its other variants."""
-    at = state.of_object(item)
-    joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
-    return replace(item, X_WO=state.poses[item.name], joints=joints, variants=())
-
-
-def _moved(joint: Joint, to: float | Pose | None) -> Joint:
-    """Return a joint with a new position or motion; None leaves it unchanged."""
-    if to is None:
-        return joint
-    return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)
+    """Return a copy of an object with its pose and joint positions from a state; other variants are omitted."""
+    at, joints = state.of_object(item), []
+    for joint in item.joints:
+        to = at.get(joint.name, joint.position)
+        joints.append(replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to))
+    return replace(item, X_WO=state.poses[item.name], joints=tuple(joints), variants=())
 
 
 # Maximum tilt of a body that is written as upright; it moves the rim of a 20 cm plate by less than 0.1 mm.
@@ -112,11 +107,17 @@ def pose(spec: PoseSpec) -> Pose:
 def pose_spec(X_WO: Pose) -> PoseSpec:
     """Convert a pose to readable form: position to 0.1 mm, and yaw if upright, otherwise roll, pitch and yaw."""
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
-    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
     if tilt >= UPRIGHT_DEG:
-        return PoseSpec(xyz=(x, y, z), rpy_deg=(roll, pitch, yaw))
+        return PoseSpec(xyz=(x, y, z), rpy_deg=_rpy_deg(X_WO))
+    yaw = _rpy_deg(X_WO)[2]
     return PoseSpec(xyz=(x, y, z), yaw_deg=yaw) if yaw else PoseSpec(xyz=(x, y, z))
+
+
+def _rpy_deg(pose: Pose) -> tuple[float, float, float]:
+    """Return the roll, pitch and yaw of a pose [deg], rounded to 0.01."""
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(pose.q))
+    return roll, pitch, yaw
 
 
 def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
@@ -130,7 +131,8 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
             if joint.mimic is not None:
                 continue  # its leader determines its position
             if float(np.linalg.norm(motion.p - joint.motion.p)) > STILL or motion.angle_to(joint.motion) > STILL:
-                joints[joint.name] = _rotation(motion) if joint.type is JointType.BALL else pose_spec(motion)
+                is_ball = joint.type is JointType.BALL
+                joints[joint.name] = PoseSpec(rpy_deg=_rpy_deg(motion)) if is_ball else pose_spec(motion)
             position = state.joints.get(f"{item.name}.{joint.name}", joint.position)
             if abs(position - joint.position) > STILL:
                 low, high = joint.limits or (-math.inf, math.inf)  # engines enforce limits softly
@@ -138,12 +140,6 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
         if joints != objects[item.name].joints:
             objects[item.name] = objects[item.name].model_copy(update={"joints": joints})
     return moved.model_copy(update={"objects": objects})
-
-
-def _rotation(motion: Pose) -> PoseSpec:
-    """Return the rotation of a ball joint in readable form."""
-    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(motion.q))
-    return PoseSpec(rpy_deg=(roll, pitch, yaw))
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:

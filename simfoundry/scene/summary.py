@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 from simfoundry.geometry.frames import IDENTITY
-from simfoundry.geometry.shapes import Geometry, Mesh
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Estimate
-from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
@@ -23,9 +23,8 @@ def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
     carried_by = {name: (place.on or place.inside or "").partition(".")[0] for name, place in places.items()}
     carried_by |= {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
     objects = {o.name: _object(o, spec, carried_by.get(o.name)) for o in scene.objects}
-    cameras = {c.name: {"size": [c.width, c.height]} for c in scene.cameras}
+    cameras = {c.name: {"size": [c.width, c.height]} for c in (*scene.cameras, *(m.camera for m in scene.mounted))}
     mounts = {m.camera.name: spec.cameras[m.camera.name].mount for m in scene.mounted}
-    cameras |= {m.camera.name: {"size": [m.camera.width, m.camera.height]} for m in scene.mounted}
     robots = {r.name: {"kind": r.kind, "models": [form.value for form in r.models]} for r in scene.robots}
     facts = {"name": scene.name, "objects": objects, "cameras": cameras, "mounts": mounts, "robots": robots}
     left_out = {part.path: part.reason for part in scene.left_out}
@@ -39,10 +38,8 @@ def tree(facts: dict[str, Any]) -> str:
     for name, item in objects.items():
         parent = item["on"] if item["on"] in objects and item["on"] != name else None
         children.setdefault(parent, []).append(name)
-    lines = [
-        f"{facts['name']}  {len(objects)} objects, {sum(o['mass'] for o in objects.values() if not o['fixed']):.3g} kg"
-    ]
-    shown: set[str] = set()
+    total = sum(o["mass"] for o in objects.values() if not o["fixed"])
+    lines, shown = [f"{facts['name']}  {len(objects)} objects, {total:.3g} kg"], set[str]()
 
     def branch(name: str, prefix: str, last: bool) -> None:
         if name in shown:
@@ -89,8 +86,7 @@ def _line(name: str, item: dict[str, Any]) -> str:
         weight += f" ({item['mass_range'][0]:.3g} to {item['mass_range'][1]:.3g}, {item['mass_by']})"
     parts = f"{item['colliders']} collider{'s' if item['colliders'] != 1 else ''}"
     if item["collision_error"]:
-        kinds = f" ({', '.join(item['collider_shapes'])})"
-        parts += f"{kinds} within {1000 * item['collision_error']:.2g} mm"
+        parts += f" ({', '.join(item['collider_shapes'])}) within {1000 * item['collision_error']:.2g} mm"
     return f"{name}  {item['shape']} {size} cm  {weight}  {parts}"
 
 
@@ -106,9 +102,12 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
     colliders = [c for link in item.links for c in link.colliders]
     joints = [_joint(joint) for joint in item.joints if joint.type is not JointType.FIXED]
     low, high = bounds(item)
+    kind = f"{len(item.links)} links" if len(item.links) > 1 else "mesh"
+    if written.shape is not None:
+        kind = next(iter(type(written.shape).model_fields))
     return {
         "category": item.category,
-        "shape": _kind(written, item),
+        "shape": kind,
         "size": [round(float(v), 4) for v in high - low],
         "fixed": item.fixed,
         "mass": math.fsum(link.mass for link in item.links),
@@ -116,20 +115,10 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
         "mass_by": estimate.source if estimate is not None else None,
         "xyz": [round(float(v), 4) for v in item.X_WO.p],
         "colliders": len(colliders),
-        "collider_shapes": sorted({_shape(c.geometry) for c in colliders}),
+        "collider_shapes": sorted(
+            {"convex part" if isinstance(c.geometry, Mesh) else type(c.geometry).__name__.lower() for c in colliders}
+        ),
         "collision_error": max((link.collision_error for link in item.links), default=0.0),
         "joints": joints,
         "on": on,
     }
-
-
-def _shape(geometry: Geometry) -> str:
-    """Return the name of a collider's shape."""
-    return "convex part" if isinstance(geometry, Mesh) else type(geometry).__name__.lower()
-
-
-def _kind(written: ObjectSpec, item: SceneObject) -> str:
-    """Return the name of the shape in the spec, or the number of links of an asset."""
-    if written.shape is not None:
-        return next(iter(type(written.shape).model_fields))
-    return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"

@@ -110,12 +110,12 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
         place = printable(f"{d.file}:{d.line}:{d.column}" if d.line else d.file)
         label = paint(f"{d.severity}[{d.code}]", d.severity)
         lines = [f"{paint(place, 'place')}: {label} {paint(printable(d.message), 'message')}"]
-        if d.file not in sources:
+        if d.line and d.file not in sources:  # a file that could not be read may be a pipe or a device
             try:
                 sources[d.file] = _lines(Path(d.file).read_text(encoding="utf-8", errors="replace"))
             except OSError:
                 sources[d.file] = []
-        if 0 < d.line <= len(sources[d.file]):
+        if 0 < d.line <= len(sources.get(d.file, ())):
             # Every character must occupy one column, so that the caret is aligned.
             text = "".join(c if c.isprintable() else " " for c in sources[d.file][d.line - 1])
             start = max(0, d.column - SHOWN)

@@ -290,7 +290,7 @@ def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each()
     assert "SIMFOUNDRY_ROBOTS names the folder /nowhere, which does not exist" in str(facts["yam"]["remedy"])
     assert facts["raycast"]["version"] and facts["images"]["version"] and not facts["meshes"]["version"]
     assert all(part["version"] or part["remedy"] for part in facts.values())
-    assert "-> install its models with `pip install 'simfoundry[robots]'`" in without_folder.out
+    assert "-> install the robot models with `pip install 'simfoundry[robots]'`" in without_folder.out
     assert "ok      demo_arm               mjcf" in without_folder.out
 
 

@@ -156,7 +156,7 @@ def test_missing_rollouts_and_invalid_answers_are_said_and_engines_are_tables(tm
     assert f"{tmp_path.name} in mujoco" in result.out and f"{tmp_path.name} in pybullet" in result.out
     result = run("correlate", tmp_path, RESULTS / "real.csv")
     assert result.code == 2
-    assert "contains results from mujoco and pybullet; pass a single table of real results" in result.err
+    assert "contains results from mujoco and pybullet; pass only real results" in result.err
 
 
 @pytest.mark.parametrize(

@@ -267,7 +267,7 @@ def test_a_goal_that_cannot_be_judged_is_a_sentence(tmp_path: Path) -> None:
     done = run("eval", tmp_path / "a.task.yaml", "-p", "random", "-n", "1", "--no-video", "-o", tmp_path / "out")
     assert (done.code, done.err) == (
         2,
-        "Error: `desk` has no cavity, so nothing can be inside it: its colliders do not enclose any space\n",
+        "Error: `desk` has no cavity, because its colliders do not enclose any space\n",
     )
 
 

@@ -89,7 +89,7 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(NoModelError, match="has no urdf file"):
         find_model(toy, document, ".urdf")
     with pytest.raises(
-        NoModelError, match="`robot_descriptions` does not provide `tin_description`; update that package"
+        NoModelError, match="`robot_descriptions` does not provide `tin_description`; update the package"
     ):
         find_model("robot_descriptions:tin_description", document, ".xml")
 
@@ -113,7 +113,7 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     with pytest.raises(NoModelError, match=r"could not download `i2rt_yam`: file://.*not found"):
         find_model(YAM, document, ".xml")
     with pytest.raises(
-        NoModelError, match=r"does not provide it: Unknown robot 'i2rt_yan'\. Did you mean 'i2rt_yam'\?"
+        NoModelError, match=r"does not provide `i2rt_yan`: Unknown robot 'i2rt_yan'\. Did you mean 'i2rt_yam'\?"
     ):
         find_model("menagerie:i2rt_yan", document, ".xml")
     (tmp_path / "models" / "i2rt_yam").mkdir(parents=True)
@@ -205,7 +205,7 @@ def test_a_scene_compiles_without_the_models_of_its_robots(path: Path) -> None:
         losses = {loss.path: loss.reason for loss in compile_scene(scene, target).losses}
         robots = {"droid": ["arm"], "yam": ["left", "right"]}[scene.name]
         for robot in robots:
-            reason = "no model found: install its models with `pip install 'simfoundry[robots]'`"
+            reason = "no model found: install the robot models with `pip install 'simfoundry[robots]'`"
             assert losses[f"robots.{robot}"].startswith(reason)
         carried = [path for path in losses if path.startswith("cameras.")]
         assert len(carried) == len(robots)
@@ -224,7 +224,9 @@ def test_show_tells_robots_what_they_carry_and_what_is_left_out(
     for package in ("mujoco_menagerie", "robot_descriptions"):
         monkeypatch.setitem(sys.modules, package, None)
     shown = run("show", droid).out.splitlines()
-    assert "without robots.arm: no model found: install its models with `pip install 'simfoundry[robots]'`" in shown
+    assert (
+        "without robots.arm: no model found: install the robot models with `pip install 'simfoundry[robots]'`" in shown
+    )
 
 
 @pytest.mark.usefixtures("without_models")

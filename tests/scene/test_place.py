@@ -169,7 +169,7 @@ def test_what_is_not_above_its_carrier_says_where_both_are() -> None:
     assert error.value.message == (
         "`cup` at (1.200, 0.000) is not above `desk`, which spans x -0.300 to 1.100 and y -0.400 to 0.600"
     )
-    assert error.value.hint == "move it over `desk`"
+    assert error.value.hint == "move `cup` over `desk`"
 
 
 def test_only_the_cause_is_reported() -> None:

@@ -92,7 +92,7 @@ def test_what_cannot_be(spec: Path, tmp_path: Path) -> None:
         ([str(empty)], "does not contain any scenes"),
         (["--no-behaviors"], "there is nothing to verify"),
         (["--build", str(empty)], "--build requires exactly one scene"),
-        ([str(spec), "--build", str(empty), "--engine", "mujoco"], "does not contain any of mjcf"),
+        ([str(spec), "--build", str(empty), "--engine", "mujoco"], "contains none of mjcf"),
     ):
         done = run("verify", *arguments)
         assert done.code == 2, arguments

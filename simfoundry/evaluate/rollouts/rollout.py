@@ -26,6 +26,7 @@ from simfoundry.evaluate.policies.base import (
     checked_actions,
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
+from simfoundry.evaluate.rollouts.clearance import Clearances
 from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
@@ -49,7 +50,7 @@ class Progress:
     """
 
     def __init__(self, task: Task, judge: Judge, start: SceneState) -> None:
-        self._task, self._judge = task, judge
+        self._task, self._judge, self._clearances = task, judge, Clearances(task.scene, judge)
         self._held = 0
         self._waiting = {name for name, step in task.subtasks.items() if judge(step.goal, start).value}
         # The control step at which each sub-task was completed, counted from 1, or None if it was not completed.
@@ -65,11 +66,15 @@ class Progress:
         ``step`` is the control step after which the first state was reached, counted from 1. All states are evaluated
         in one batch, which takes hardly longer than a single state. States after completion are ignored.
         """
-        batch = StateBatch.of(self._task.scene, states)
         goals = {name: self._task.subtasks[name].goal for name, done in self.subtasks.items() if done is None}
-        holds = self._judge.holds(goals | {"": self._task.goal}, batch)
+        goals[""] = self._task.goal
+        holds = {name: np.zeros(len(states), bool) for name in goals}
+        if len(states) == 1:  # for many states, bounds would take longer than the batch
+            goals = {name: goal for name, goal in goals.items() if not self._clearances.excludes(goal, states[0])}
+        if goals:
+            holds |= self._judge.holds(goals, StateBatch.of(self._task.scene, states))
         for k in range(len(states)):
-            for name in goals:
+            for name in holds.keys() - {""}:
                 if not holds[name][k]:
                     self._waiting.discard(name)
                 elif name not in self._waiting and self.subtasks[name] is None:

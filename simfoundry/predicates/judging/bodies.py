@@ -104,15 +104,14 @@ class Bodies:
             native = _native_model(self.scene.robot(owner))
             link = part if native is None else native.frame(part).link
             part = body.robot.links.get(link, link)
+        chosen = tuple(range(len(links)))
         if part:
             moved = {joint.name: joint.child for joint in body.item.joints}
             name = part if any(link.name == part for link in links) else moved.get(part)
             if name is None:
                 there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
                 raise PredicateError(f"`{owner}` has no link or joint `{part}`; available links and joints: {there}")
-            chosen: tuple[int, ...] = (body.index(name),)
-        else:
-            chosen = tuple(range(len(links)))
+            chosen = (body.index(name),)
         if not any(body.forms[k] for k in chosen):
             raise PredicateError(f"`{argument}` has no shape to measure")
         return Entity(argument, owner, chosen, not part)
@@ -130,9 +129,7 @@ class Bodies:
             found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)
             self._hollow[thing] = found
         if not self._hollow[thing]:
-            raise NoCavityError(
-                f"`{thing.name}` has no cavity, so nothing can be inside it: its colliders do not enclose any space"
-            )
+            raise NoCavityError(f"`{thing.name}` has no cavity, because its colliders do not enclose any space")
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
@@ -153,12 +150,9 @@ class Bodies:
         if name in names:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
-            raise PredicateError(
-                f"no model of robot `{name}` was found, so its shape is unknown; run `simfoundry doctor` for details"
-            )
-        raise PredicateError(
-            f"there is no `{name}` in this scene; available objects and robots: {', '.join(names) or 'none'}"
-        )
+            raise PredicateError(f"no model of robot `{name}` was found; run `simfoundry doctor` for details")
+        available = ", ".join(names) or "none"
+        raise PredicateError(f"there is no `{name}` in this scene; available objects and robots: {available}")
 
 
 def _native_model(robot: Robot) -> NativeModel | None:

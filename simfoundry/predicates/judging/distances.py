@@ -90,9 +90,7 @@ class Distances:
             if not len(close):
                 continue
             pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-            apart, up, open_ = distance.box_support(pair, limit, steepest)
-            if self._bounds_first:
-                open_ = distance.decide_support(pair, limit, steepest, apart, up, open_)
+            apart, up, open_ = distance.bound_support(pair, limit, steepest, self._bounds_first)
             if not many:
                 open_ = np.arange(len(close))
             if len(open_):
@@ -118,9 +116,7 @@ class Distances:
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
         """Return bounds on the distances between two links that are on the correct side of a threshold."""
-        found, open_ = distance.box_bounds(pair, threshold)
-        if self._bounds_first:
-            open_ = distance.decide_distances(pair, threshold, found, open_)
+        found, open_ = distance.bound_distances(pair, threshold, self._bounds_first)
         if len(open_):
             some, most = pair.at(open_), np.full(len(open_), np.nextafter(threshold, np.inf))
             found[open_] = self._exact.distance(some, candidates(some, most), most, threshold)

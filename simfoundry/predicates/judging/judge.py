@@ -44,7 +44,7 @@ class Context:
         return View(self.bodies, StateBatch(1, {}))
 
     def others(self, *things: Entity) -> list[Entity]:
-        """Return all objects with a shape to which none of ``things`` belongs."""
+        """Return all objects that have a shape, except those that contain an entity in ``things``."""
         owners = {thing.owner for thing in things}
         names = (name for name in self.bodies.objects if name not in owners)
         return [self.bodies.thing(name) for name in names if any(self.bodies[name].forms)]
@@ -66,7 +66,7 @@ class Term(NamedTuple):
 
 
 class Terms:
-    """The terms of one predicate in the states of ``view``, in the order in which the predicate's rule adds them."""
+    """The terms of one predicate for the states in ``view``, in the order in which the predicate's rule adds them."""
 
     def __init__(self, context: Context, view: View) -> None:
         self.context, self.view = context, view
@@ -172,8 +172,8 @@ class Judge:
     def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
         """Return the values of several named conditions in n states, shape (n,) each.
 
-        This is faster than calling :meth:`batch` for each condition: the conditions share poses and verdicts, and a
-        part of a condition is only evaluated if the parts before it are inconclusive in at least one state.
+        This is faster than calling :meth:`batch` for each condition because the conditions share poses and verdicts. A
+        part of a condition is only evaluated if the preceding parts are inconclusive in at least one state.
         """
         found = {name: np.zeros(batch.n, bool) for name in conditions}
         for index, view in self._views(batch):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.cavity import Cavity, cavity_upward, volume_samples
-from simfoundry.geometry.frames import Array, Index, Poses, rotate
+from simfoundry.geometry.frames import Array, Index, rotate
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
 from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.judge import Context
@@ -38,7 +38,8 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
     for state, within, _, _ in found:
         np.maximum.at(over, state, within)
     met = np.flatnonzero(over > 0)
-    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
+    beside = np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM
+    over, under = (np.where(np.isfinite(over), over, -beside) for _ in range(2))
     if len(met):
         low, high = _own_ends(view.at(met), points[met], a)
         row = np.full(view.n, -1)
@@ -73,11 +74,6 @@ def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index
             yield found
 
 
-def _beside(view: View, points: Array, b: Entity) -> Array:
-    """Return the horizontal distance [m] between points and the middle of an entity's bounding box, shape (n,)."""
-    return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
-
-
 # Number of points sampled in an object to measure its depth in a cavity.
 SAMPLES = 64
 
@@ -103,7 +99,7 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
     """Return the depth [m] in a cavity of ``b`` that the fraction :data:`ENCLOSED` of ``a`` reaches, shape (n,).
 
-    The depth is -inf if ``b`` is turned so far that it cannot contain anything.
+    The depth is -inf if ``b`` is tilted too far to contain anything.
     """
     out = np.full(view.n, -np.inf)
     for k, hole, states in held_upward(view, b):
@@ -233,13 +229,13 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
 def center_of_mass(view: View, a: Entity) -> Array:
     """Return the center of mass of an entity [m], shape (n, 3), or the middle of its bounding box if it has no mass."""
     links = view.bodies[a.owner].item.links
-    masses = [links[k].mass for k in a.links]
-    if sum(masses) <= 0:
+    mass = sum(links[k].mass for k in a.links)
+    if mass <= 0:
         return view.boxes(a).middle
     total = np.zeros((view.n, 3))
-    for k, mass in zip(a.links, masses, strict=True):
-        X_WL: Poses = view.link(a.owner, k)
-        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
+    for k in a.links:
+        X_WL = view.link(a.owner, k)
+        total += links[k].mass / mass * (X_WL.p + X_WL.R @ links[k].com)
     return total
 
 
@@ -247,10 +243,7 @@ def balance_text(a: Entity, b: Entity, value: float) -> str:
     """Return an explanation of the result of :func:`balance`."""
     if value > 0:
         return f"it supports `{a.name}`"
-    return (
-        f"`{a.name}` would fall: its center of mass is {length(-value)} to the side of `{b.name}`, and nothing else "
-        "touches it"
-    )
+    return f"the center of mass of `{a.name}` is {length(-value)} to the side of `{b.name}`, so `{a.name}` would fall"
 
 
 def push_text(a: Entity, b: Entity, cosine: float) -> str:
@@ -263,8 +256,7 @@ def push_text(a: Entity, b: Entity, cosine: float) -> str:
 
 def gap_to_others(context: Context, a: Entity, view: View) -> Array:
     """Return the distance [m] between ``a`` and the nearest object that it does not support, shape (n,)."""
-    others = context.others(a)
-    gaps = {b: context.distances.between(view, a, b, TOUCH) for b in others}
+    gaps = {b: context.distances.between(view, a, b, TOUCH) for b in context.others(a)}
     load = supported_by(context, view, a, gaps)
     found = [np.where(load[b], np.inf, gap) for b, gap in gaps.items()]
     return np.asarray(np.min([*found, np.full(view.n, np.inf)], axis=0))
@@ -277,7 +269,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
     something touches ``a``.
     """
     load = {b: np.zeros(view.n, bool) for b in gaps}
-    touched = np.flatnonzero(np.any([gap <= TOUCH for gap in gaps.values()], axis=0)) if gaps else np.zeros(0, np.int64)
+    touched = np.flatnonzero(np.any([gap <= TOUCH for gap in gaps.values()], axis=0))
     if not len(touched):
         return load
     some = view.at(touched)

@@ -43,9 +43,7 @@ class StateBatch:
         initial = SceneState.initial(scene)
         arms = {f"{r}.{j}": (r, j) for s in states for r, joints in s.robots.items() for j in joints}
         if any(r not in s.robots for r in (states[0].robots if states else ()) for s in states):
-            raise ValueError(
-                "only some of the states contain robot joint positions; provide them for all states or for none"
-            )
+            raise ValueError("only some states contain robot joint positions; provide them for all states or for none")
         moving = {name for s in states for name in s.speeds}
         return cls(
             len(states),
@@ -58,16 +56,14 @@ class StateBatch:
 
     def at(self, index: Index) -> StateBatch:
         """Return a batch with the selected states."""
-
-        def taken(arrays: Mapping[str, Array]) -> dict[str, Array]:
-            return {name: values[index] for name, values in arrays.items()}
-
         poses, motions = ({n: x.at(index) for n, x in m.items()} for m in (self.poses, self.motions))
-        return StateBatch(len(index), poses, taken(self.joints), motions, taken(self.robots), taken(self.speeds))
+        values = (self.joints, self.robots, self.speeds)
+        joints, robots, speeds = ({n: x[index] for n, x in m.items()} for m in values)
+        return StateBatch(len(index), poses, joints, motions, robots, speeds)
 
 
 def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
-    """Convert the poses of each object in n states, all at once because this is hardly slower than converting one."""
+    """Convert the poses of all objects in n states in one batch, which takes little more time than a single pose."""
     every = [pose for each in poses.values() for pose in each]
     whole = Poses.of(np.array([x.p for x in every]).reshape(-1, 3), np.array([x.q for x in every]).reshape(-1, 4))
     n = len(every) // max(len(poses), 1)
@@ -235,19 +231,13 @@ class View:
                 spans = [self.span(thing, X_WF.R @ u) for u in TURNED]
                 origin = np.einsum("nij,ni->nj", X_WF.R, X_WF.p) @ TURNED.T
                 low, high = (np.stack([s[k] for s in spans], axis=1) - origin for k in (0, 1))
-            self._boxes[thing] = _boxes(X_WF, low, high)
+            # Each row contains the indices in :data:`TURNED` of the three axes of a box.
+            rows = np.array([[0, 1, 2], [3, 4, 2]])
+            bases = TURNED[rows].transpose(0, 2, 1)
+            middles = [rotate(X_WF.R, (low + high)[:, k] / 2 @ basis.T) for k, basis in zip(rows, bases, strict=True)]
+            halves, axes = [(high - low)[:, k] / 2 for k in rows], [X_WF.R @ basis for basis in bases]
+            self._boxes[thing] = Boxes(X_WF.p + np.stack(middles), np.stack(halves), np.stack(axes))
         return self._boxes[thing]
-
-
-def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
-    """Compute boxes from the extents along :data:`TURNED` in the frame, shape (n, 5) each."""
-    centers, halves, axes = [], [], []
-    for rows in ([0, 1, 2], [3, 4, 2]):
-        basis = TURNED[rows].T
-        centers.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
-        halves.append((high - low)[:, rows] / 2)
-        axes.append(X_WF.R @ basis)
-    return Boxes(np.stack(centers), np.stack(halves), np.stack(axes))
 
 
 def over(points: Array, boxes: Boxes) -> Array:

@@ -82,7 +82,7 @@ def test_what_is_refused_says_why_with_numbers() -> None:
     found = variants(ball, ObjectVariants(changes=("geometry",), count=2))
     assert len(found.accepted) < 2  # balls for one game do not differ by 6% twice
     assert found.reasons.keys() <= {"alike", "size"} and sum(found.reasons.values()) == len(found.refused)
-    alike = next(r for one in found.refused for r in one.reasons if r.code == "alike")
+    alike = next(one.reason for one in found.refused if one.reason.code == "alike")
     assert alike.text.startswith("it is too similar to another") and alike.numbers["size"] < 0.06
 
 
