@@ -15,6 +15,7 @@ position of its gripper.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         k = int(self.np_random.integers(self._count)) if k is None else int(k)
         if not 0 <= k < self._count:
             raise SimfoundryError(f"start {k} does not exist; `start` must be between 0 and {self._count - 1}")
-        self._begin(self._now.start(k, self._count, self._seed, self._cache))
+        self._begin(self._now.starts(self._count, self._seed, self._cache)[k])
         return self._observation(), self._info(False)
 
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
@@ -181,32 +182,23 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
 
 class _Opened:
-    """A task with its world, its judge and its initial states."""
+    """A task with its world and its judge."""
 
     def __init__(self, task: Task, engine: str) -> None:
-        self.task = task
-        self.world = open_world(task.scene, engine)
-        self.judge = Judge(task.scene)
+        self.task, self.world, self.judge = task, open_world(task.scene, engine), Judge(task.scene)
         self.robots: dict[str, WorldRobot] = {name: self.world.robot(name) for name in task.robots}
-        self._starts: tuple[RolloutStart, ...] = ()
-
-    def start(self, k: int, count: int, seed: int, cache: Cache | None) -> RolloutStart:
-        """Return the k-th of ``count`` initial states; all of them are computed on first use."""
-        if not self._starts:
-            self._starts = starts(self.task, count, seed, cache)
-        return self._starts[k]
+        self.starts = cache(partial(starts, task))
 
 
 def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
     """Return the action space: joint position limits or maximum velocities, and the range of each gripper."""
-    low, high = [], []
+    rows: list[tuple[float, float]] = []
     for robot in robots.values():
-        for least, most in robot.limits().values():
-            low.append(least if kind is ActionSpace.JOINT_POSITION else -FASTEST)
-            high.append(most if kind is ActionSpace.JOINT_POSITION else FASTEST)
-        low.append(0.0)
-        high.append(1.0)
-    return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+        limits = robot.limits().values()
+        rows += limits if kind is ActionSpace.JOINT_POSITION else [(-FASTEST, FASTEST)] * len(limits)
+        rows.append((0.0, 1.0))
+    low, high = np.array(rows).T
+    return spaces.Box(low, high, dtype=np.float64)
 
 
 def _space(key: str, value: NDArray[Any]) -> spaces.Box:

@@ -82,7 +82,7 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
         if carrier is not None and carrier.type == "fixed":
             what = "its shapes were" if link.parts else "the link was"
             _join_to_parent(draft, body, body.links[carrier.parent], link, carrier)
-            why = f"it has no mass and is attached by a fixed joint, so {what} merged into its parent link"
+            why = f"it has no mass and a fixed joint to its parent link, so {what} merged into the parent link"
             x, y, z = (f"{v:.4g}" for v in carrier.X_PC.p + 0.0)
             draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` at ({x}, {y}, {z})")
             continue

@@ -1,8 +1,4 @@
-"""Kills, and two hundred broken files: ``python -m tests.corpora.faults [kills] [files] [batch]``.
-
-``kills``: a compile over an existing build is ended by kill -9 at 50 moments, half of them spread over the whole run,
-half from when it starts to write. After each the build must be the whole old or the whole new one, byte by byte, and
-load in MuJoCo, OpenUSD and PyBullet.
+"""Two hundred broken files: ``python -m tests.corpora.faults [files] [batch]``.
 
 ``files``: broken meshes go through `compile`, broken URDFs through `import` and then `compile`, in a process that
 serves many: it must survive them all. Each file is refused with a reason, or what was made of it loads in MuJoCo.
@@ -14,12 +10,9 @@ Prints a table of each; exit code 1 where a bar is missed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import resource
-import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -32,29 +25,16 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.runtime.workers import Limits, Worker, WorkerError
-from simfoundry.verify.engines import find_engine
-from simfoundry.verify.process import EngineJob, ask
 from tests.assets.meshes import blob, obj
 from tests.cli.command import MAIN, run
 from tests.conftest import REPOSITORY
 from tests.corpora.broken import meshes, urdfs
 
-KILLS, SEED = 50, 2026
+SEED = 2026
 MIN_FILES, DAMAGED_URDFS = 200, 80
 SECONDS, MEGABYTES = 120.0, 2000.0
 """The most that one broken file may take, on a machine that has other things to do."""
 
-ENGINES = {"mujoco": "mjcf", "usd": "usd", "pybullet": "pybullet"}
-
-SCENE = """\
-simfoundry: scene/1
-name: faults
-materials: {{wood: {{density: 500, friction: 0.6}}}}
-objects:
-  desk: {{fixed: true, shape: {{box: [1.4, 0.7, 0.04]}}, material: wood, pose: {{xyz: [0.45, 0, -0.02]}}}}
-  cup: {{shape: {{cylinder: {{radius: 0.04, height: {height}}}}}, material: wood, pose: {{xyz: [0.4, 0.1, 0.05]}}}}
-  blob: {{asset: blob.obj, collision: hull, material: wood, pose: {{xyz: [0.4, -0.2, 1]}}}}
-"""
 BROKEN = """\
 simfoundry: scene/1
 name: broken
@@ -63,102 +43,6 @@ objects:
   desk: {{fixed: true, shape: {{box: [1.4, 0.7, 0.04]}}, material: wood, pose: {{xyz: [0.45, 0, -0.02]}}}}
   thing: {{asset: {file}, collision: {collision}, solid: {solid}, material: wood, pose: {{xyz: [0.4, 0.1, 0.5]}}}}
 """
-
-
-# -- kills ----------------------------------------------------------------------------------------------------------
-
-
-def kills(folder: Path) -> int:
-    """Kill compiles; the number of bars missed."""
-    root = folder / "killed"
-    root.mkdir()
-    (root / "simfoundry.yaml").write_text("")
-    (root / "blob.obj").write_text(obj(*blob(np.random.default_rng(SEED), 4000)))
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "SIMFOUNDRY_CACHE": str(folder / "cache")}
-    whole = {}
-    for height in ("0.095", "0.12"):
-        (root / f"{height}.scene.yaml").write_text(SCENE.format(height=height))
-        (root / "a.scene.yaml").write_text(SCENE.format(height=height))
-        seconds, writing = _durations(root, environment)
-        whole[height] = _hashes(root / "build")
-    assert len(whole["0.12"]) > 10 and whole["0.12"] != whole["0.095"]
-    names = {json.dumps(found): height for height, found in whole.items()}
-    rng = np.random.default_rng(SEED)
-    found: Counter[str] = Counter()
-    for k in range(KILLS):
-        before = names.get(json.dumps(_hashes(root / "build")), "")
-        target = "0.12" if before == "0.095" else "0.095"
-        (root / "a.scene.yaml").write_text(SCENE.format(height=target))
-        if k % 2:
-            _kill(root, environment, float(rng.uniform(0, writing)), at_writing=True)
-        else:
-            _kill(root, environment, float(rng.uniform(0, 1.1 * seconds)), at_writing=False)
-        after = names.get(json.dumps(_hashes(root / "build")), "MIXED")
-        found["the whole old build" if after == before else "the whole new build" if after == target else "MIXED"] += 1
-        found["with a staging folder left"] += bool(list((root / "build").glob(".build.new.*")))
-        shutil.copytree(root / "build", folder / "kept" / str(k), ignore=shutil.ignore_patterns(".*"))
-    _compile(root, environment).wait()
-    left = [p.name for p in (root / "build").iterdir() if p.name.startswith(".")]
-    said = ", ".join(f"{n} x {what}" for what, n in found.items() if n)
-    print(f"{KILLS} kills of {seconds:.2f} s, of which it writes {1000 * writing:.0f} ms: {said}")
-    print(f"left after the next run: {', '.join(left) or 'nothing'}")
-    return int(found["MIXED"] > 0) + int(bool(left)) + _loads([folder / "kept" / str(k) for k in range(KILLS)])
-
-
-def _compile(root: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-c", MAIN, "compile", "a.scene.yaml"]
-    return subprocess.Popen(command, cwd=root, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-def _durations(root: Path, environment: Mapping[str, str]) -> tuple[float, float]:
-    """How long a compile takes, and how long of that it writes [s]."""
-    started = time.perf_counter()
-    process = _compile(root, environment)
-    writes = _waited(root / "build", process)
-    process.wait()
-    ended = time.perf_counter()
-    return ended - started, ended - writes
-
-
-def _waited(build: Path, process: subprocess.Popen[bytes], before: frozenset[str] = frozenset()) -> float:
-    """The moment at which a folder to write in has appeared that was not there ``before``, or the process is done."""
-    while process.poll() is None and not _staging(build) - before:
-        time.sleep(0.0002)
-    return time.perf_counter()
-
-
-def _staging(build: Path) -> frozenset[str]:
-    return frozenset(path.name for path in build.glob(".build.*"))
-
-
-def _kill(root: Path, environment: Mapping[str, str], delay: float, at_writing: bool) -> None:
-    """End a compile ``delay`` seconds after its start, or after it has started to write."""
-    before = _staging(root / "build")
-    process = _compile(root, environment)
-    if at_writing:
-        _waited(root / "build", process, before)
-    time.sleep(delay)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """Of every file that is no leftover."""
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and not p.relative_to(folder).parts[0].startswith("."))
-    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
-def _loads(builds: list[Path]) -> int:
-    """How many engines do not load every build."""
-    missed = 0
-    for engine, target in ENGINES.items():
-        answers = ask(
-            Path(sys.executable), find_engine(engine).readback, [EngineJob(build / target) for build in builds]
-        )
-        errors = [answer.error for answer in answers if answer.error]
-        print(f"{engine:<9} loads {len(answers) - len(errors)} of {len(answers)}{': ' + errors[0] if errors else ''}")
-        missed += bool(errors)
-    return missed
 
 
 # -- broken files ---------------------------------------------------------------------------------------------------
@@ -343,7 +227,7 @@ def main(arguments: list[str]) -> int:
     """Run the parts that are asked for; 1 where a bar is missed."""
     missed = 0
     with tempfile.TemporaryDirectory() as temporary:
-        for part in (kills, files, batch):
+        for part in (files, batch):
             if not arguments or part.__name__ in arguments:
                 started = time.perf_counter()
                 missed += part(Path(temporary))

@@ -131,16 +131,12 @@ def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal 
     """Return a refusal for the deepest overlap of a moved object with anything other than its support, or None."""
     moved = {n for n in state.poses if n in spots or _moving_carrier(task, n, spots) is not None}
     world.reset(state)
-    worst: tuple[float, str, str] | None = None
-    for contact in world.contacts():
-        for name, other in ((contact.a, contact.b), (contact.b, contact.a)):
-            related = task.carriers.get(name) == other or task.carriers.get(other) == name
-            allowed = OVERLAP if related else 0.0
-            if name in moved and contact.depth > allowed and (worst is None or contact.depth > worst[0]):
-                worst = (contact.depth, name, other)
-    if worst is None:
+    overlaps = [(c.depth, *pair) for c in world.contacts() for pair in ((c.a, c.b), (c.b, c.a)) if pair[0] in moved]
+    related = task.carriers.items() | {(support, name) for name, support in task.carriers.items()}
+    wrong = [each for each in overlaps if each[0] > (OVERLAP if each[1:] in related else 0.0)]
+    if not wrong:
         return None
-    depth, name, other = worst
+    depth, name, other = max(wrong, key=lambda each: each[0])
     blamed, met = (n if n in spots else _moving_carrier(task, n, spots) or "" for n in (name, other))
     return Refusal(blamed, f"it collided with `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm", met)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -69,11 +70,8 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 def read_block(cache: Cache, key: str) -> Known | None:
     """Read the cached part of a block; return None if there is no entry or if it is damaged."""
-    data = cache.get(key_of(key))
-    if data is None:
-        return None
     try:
-        entry = json.loads(data)
+        entry = json.loads(cache.get(key_of(key)) or b"")
         cells = {name: [(int(i), int(j)) for i, j in one] for name, one in entry["cells"].items()}
         return cells, [state_from_json(state) for state in entry["states"]]
     except (ValueError, KeyError, TypeError):
@@ -168,8 +166,7 @@ def starts(
     Raises:
         StartError: If an initial state cannot be found.
     """
-    along_x, along_y = task.reset.grid
-    size = along_x * along_y
+    size = math.prod(task.reset.grid)
     key = key_of_starts(task, seed) if cache is not None else ""
     found: list[RolloutStart] = []
     with closing(_Search(task, seed)) as search:
@@ -197,7 +194,7 @@ class _Block:
 
     @classmethod
     def of(cls, task: Task, seed: int, block: int, known: Known | None) -> _Block:
-        first = block * task.reset.grid[0] * task.reset.grid[1]
+        first = block * math.prod(task.reset.grid)
         if known is None:
             return cls(first, deal(task.reset, seed, block))
         made = cls(first, known[0])
@@ -207,11 +204,6 @@ class _Block:
     def at(self, k: int) -> Mapping[str, GridCell]:
         """Return the cells for the k-th initial state in the block."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
-
-    @property
-    def size(self) -> int:
-        """The number of initial states in the block."""
-        return max((len(cells) for cells in self.cells.values()), default=0)
 
     def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
         """Return the k-th initial state in the block."""
@@ -242,11 +234,12 @@ class _Search:
         """Find the next initial state of a block, exchanging cells with later ones if necessary."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
-        result = self._attempts(block.at(k), rngs, TRIES)
+        cells = block.at(k)
+        result = self._attempts(cells, rngs, TRIES)
         if isinstance(result, SceneState):
             return block.start(k, self.seed, result)
-        cells, refused = block.at(k), _commonest(result)
-        for later in range(k + 1, block.size if refused.other else 0):
+        refused = _commonest(result)
+        for later in range(k + 1, math.prod(self.task.reset.grid) if refused.other else 0):
             block.exchange(refused.object, k, later)
             again = self._attempts(block.at(k), rngs, TRIES_ELSEWHERE)
             if isinstance(again, SceneState):
@@ -273,18 +266,13 @@ class _Search:
     def _attempt(self, spots: Spots, cells: Mapping[str, GridCell]) -> SceneState | Refusal:
         world, judge = self._opened
         state = placed(self.task, spots)
-        if (refusal := clash(self.task, world, spots, state)) is not None:
-            return refusal
-        result = settled(self.task, world, state)
+        result = clash(self.task, world, spots, state) or settled(self.task, world, state)
         if isinstance(result, Refusal):
             return result
-        refusal = left_cell(self.task, cells, result) or not_at_rest(world, result)
-        if refusal is not None:
+        if refusal := left_cell(self.task, cells, result) or not_at_rest(world, result):
             return refusal
-        verdict = judge(self.task.goal, result)
-        if verdict.value:
-            return Refusal(next(iter(cells), ""), "the goal already holds", f"the goal already holds: {verdict.why}")
-        return result
+        verdict, reason = judge(self.task.goal, result), "the goal already holds"
+        return Refusal(next(iter(cells), ""), reason, f"{reason}: {verdict.why}") if verdict.value else result
 
 
 def _commonest(refusals: list[Refusal]) -> Refusal:
@@ -299,14 +287,11 @@ def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, Gri
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)
     reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
-    step = f", step `{task.step}`" if task.step else ""
+    start = f"task `{task.name}`{f', step `{task.step}`' if task.step else ''}: initial state {index}"
     if blamed not in cells:
-        return f"task `{task.name}`{step}: initial state {index} is not valid: {reasons}"
+        return f"{start} is not valid: {reasons}"
     (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
-    elsewhere = ", nor in any remaining cell" if refused.other else ""
-    where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
-    return (
-        f"task `{task.name}`{step}: initial state {index}: could not place `{blamed}` in cell {cells[blamed]} "
-        f"({where}) in {len(refusals)} attempts{elsewhere}: {reasons}; move its region under `reset`, or make the "
-        "region smaller"
-    )
+    cell = f"cell {cells[blamed]} (x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m)"
+    tries = f"{len(refusals)} attempts{', nor in any remaining cell' if refused.other else ''}"
+    fix = "move its region under `reset`, or make the region smaller"
+    return f"{start}: could not place `{blamed}` in {cell} in {tries}: {reasons}; {fix}"

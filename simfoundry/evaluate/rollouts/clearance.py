@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +22,6 @@ from simfoundry.worlds.base import reach
 NEAR, WAIT = 0.1, 10
 
 
-class _Measured(NamedTuple):
-    """A distance ``gap`` [m] between a robot and an object that was measured in ``state``, and the states to skip."""
-
-    state: SceneState
-    gap: float
-    wait: int
-
-
 class Clearances:
     """Decides conditions that are false because the bodies they refer to are too far apart to touch.
 
@@ -42,7 +34,8 @@ class Clearances:
         self._rigid = {item.name: reach(item) for item in scene.objects if not item.joints}
         self._parsed = cache(parse_call)
         self._levers = cache(lambda robot: _levers(self._bodies, robot))
-        self._measured: dict[tuple[str, str], _Measured] = {}
+        # By robot and object: the state in which their distance was measured, the distance [m], and the states to skip.
+        self._measured: dict[tuple[str, str], tuple[SceneState, float, int]] = {}
 
     def excludes(self, condition: Any, state: SceneState) -> bool:
         """Return True if a condition is certainly false in a state."""
@@ -70,14 +63,14 @@ class Clearances:
 
     def _apart(self, robot: str, name: str, state: SceneState) -> bool:
         """Return True if a robot is certainly too far from an object to touch it."""
-        known = self._measured.get((robot, name))
-        if known is not None and known.gap - self._moved(robot, name, known.state, state) > TOUCH:
+        before, gap, wait = self._measured.get((robot, name), (state, 0.0, 0))
+        if gap - self._moved(robot, name, before, state) > TOUCH:
             return True
-        if known is not None and known.wait > 0:
-            self._measured[robot, name] = known._replace(wait=known.wait - 1)
+        if wait > 0:
+            self._measured[robot, name] = before, gap, wait - 1
             return False
         gap = TOUCH - self._judge(f"Touching({robot}, {name})", state).margin
-        self._measured[robot, name] = _Measured(state, gap, WAIT if gap < NEAR else 0)
+        self._measured[robot, name] = state, gap, WAIT if gap < NEAR else 0
         return gap > TOUCH
 
     def _moved(self, robot: str, name: str, before: SceneState, now: SceneState) -> float:

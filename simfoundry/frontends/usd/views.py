@@ -15,6 +15,10 @@ from simfoundry.scene.model import LightType
 # Image width of cameras [px], as in MuJoCo by default; USD specifies only the aspect ratio.
 WIDTH = 640
 
+# Attributes of a camera: the focal length, the width and height of the aperture, and its offsets along these.
+LENS = ("focalLength", "horizontalAperture", "verticalAperture")
+OFFSETS = ("horizontalApertureOffset", "verticalApertureOffset")
+
 # Light types by UsdLux prim type; :data:`FULL` contains the intensity at which each fully lights a white surface.
 LIGHTS = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
 
@@ -36,9 +40,7 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
     """Add all perspective cameras; cameras below a rigid body are attached to its link."""
     for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
-        names = ("focalLength", "horizontalAperture", "verticalAperture", "horizontalApertureOffset",
-                 "verticalApertureOffset")  # fmt: skip
-        focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in names)
+        focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in (*LENS, *OFFSETS))
         if camera.GetProjectionAttr().Get() != "perspective":
             draft.dropped(what, "it is orthographic, but only pinhole cameras are supported")
             continue

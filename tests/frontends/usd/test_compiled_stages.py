@@ -226,7 +226,7 @@ def test_findings_stand_at_prims(desk: Project) -> None:
     }
     assert done.code == 1
     text = run("check", path)
-    assert text.one_line(f"{path}</World/Objects/cabinet/leaf>: warning[SF421] `physics:mass` was ")
+    assert text.one_line(f"{path}</World/Objects/cabinet/leaf>: warning[SF421] `physics:mass` changed from ")
     assert "3 warnings in 1 of 2 documents" in text.out
 
 

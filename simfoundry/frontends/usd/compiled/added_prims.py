@@ -14,9 +14,9 @@ from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
 from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageNote, factored
-from simfoundry.frontends.usd.compiled.views import LENS, OFFSETS, RESOLUTION, camera_pose, lens, light_place
+from simfoundry.frontends.usd.compiled.views import RESOLUTION, camera_pose, lens, light_place
 from simfoundry.frontends.usd.geoms import UsdGprims
-from simfoundry.frontends.usd.views import LIGHTS
+from simfoundry.frontends.usd.views import LENS, LIGHTS, OFFSETS
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.yaml.write import to_data
 

@@ -80,7 +80,8 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
     """Return a joint's child link, its motion along the joint [m or rad], and True if it deviates from the joint."""
     prim = part.prim.GetPrimAtPath(relative)
-    parent, child = (_target(part, prim, name) for name in ("physics:body0", "physics:body1"))
+    targets = (prim.GetRelationship(name).GetTargets() for name in ("physics:body0", "physics:body1"))
+    parent, child = (str(t[0].MakeRelativePath(part.prim.GetPath())) if t else "" for t in targets)
     X_PC_old, X_PC_new = (local_pose(v, parent).inverse() @ local_pose(v, child) for v in (part.built, part.now))
     step = X_PC_old.inverse() @ X_PC_new  # motion in the child frame, in which the axis is constant
     values = part.built[relative]
@@ -92,11 +93,6 @@ def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, boo
         off = np.linalg.norm(step.p - along * axis) > _OFF_M or step.angle_to(Pose.of()) > _OFF_RAD
         return child, along, bool(off)
     return child, angle, bool(np.linalg.norm(step.p) > _OFF_M or Pose.about(axis, angle).angle_to(step) > _OFF_RAD)
-
-
-def _target(part: StageMember, joint: Any, name: str) -> str:
-    targets = joint.GetRelationship(name).GetTargets()
-    return str(targets[0].MakeRelativePath(part.prim.GetPath())) if targets else ""
 
 
 # Minimum translation [m] that counts as an edit; smaller ones are accidental movements in a viewer.
@@ -146,7 +142,7 @@ def edited_robot(part: StageMember) -> Edited:
     for path, values in part.built.items():
         now = part.now.get(path, {})
         for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
-            message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
+            message = f"`{name}` changed from {shown(values[name])} to {shown(now.get(name))}"
             notes.append(StageNote(f"{part.path}/{path}", message, "set a robot's posture with its `joints` key"))
     return Edited(data, tuple(notes))
 
@@ -205,7 +201,7 @@ def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> It
         now = part.now[relative]
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
-                yield StageNote(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
+                yield StageNote(path, f"`{name}` changed from {shown(value)} to {shown(now.get(name))}", hint)
         if relative and (relative, "at") not in handled and _displaced(part, relative):
             yield StageNote(path, "it was moved within its object", hint or "move the entire object")
     for relative, now in part.now.items():

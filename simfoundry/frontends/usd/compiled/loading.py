@@ -146,12 +146,10 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
     """Return the tree with renamed members, which keep their comments."""
-    sections = {}
-    for section, child in tree.value.items():
-        if isinstance(child.value, dict):
-            value = {names.get((section, name), name): member for name, member in child.value.items()}
-            child = replace(child, value=value)
-        sections[section] = child
+    sections = dict(tree.value)
+    for section, child in ((section, child) for section, child in sections.items() if isinstance(child.value, dict)):
+        value = {names.get((section, name), name): member for name, member in child.value.items()}
+        sections[section] = replace(child, value=value)
     tree = replace(tree, value=sections)
     return with_data(tree, renamed(tree.data, names))
 

@@ -27,9 +27,8 @@ def variant_data(data: Data, variant: str) -> Data:
 
     If the variant does not exist, the data is returned unchanged.
     """
-    if not variant or variant == UNKNOWN:
-        return data
-    return to_data(variant_of(ObjectSpec.model_validate(data), variant))
+    is_known = variant not in ("", UNKNOWN)
+    return to_data(variant_of(ObjectSpec.model_validate(data), variant)) if is_known else data
 
 
 def edited_variants(part: StageMember, edit: Edit) -> Edited:

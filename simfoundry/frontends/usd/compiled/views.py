@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
 from simfoundry.frontends.usd.compiled.edits import differs, has_moved, rest, short, srgb
 from simfoundry.frontends.usd.compiled.stage import Edited, StageMember, StageNote
-from simfoundry.frontends.usd.views import LIGHTS
+from simfoundry.frontends.usd.views import LENS, LIGHTS, OFFSETS
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
-# Attributes of a camera in USD, and the attribute in which SimFoundry stores its image size.
-LENS = ("focalLength", "horizontalAperture", "verticalAperture")
-OFFSETS = ("horizontalApertureOffset", "verticalApertureOffset")
+# Attribute in which SimFoundry stores the image size of a camera.
 RESOLUTION = "simfoundry:resolution"
 
 # Maximum roll of a camera that is written with `look_at`, which keeps the image upright.
