@@ -301,7 +301,7 @@ class CousinOf(Model):
 
 
 class Origin(Model):
-    """Origin of a description, including how well it fits the observations."""
+    """The source of a description and how well it fits the observations."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(

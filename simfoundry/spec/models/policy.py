@@ -132,7 +132,7 @@ class CameraView(Model):
 
 
 class GripperConvention(Model):
-    """Numbers that the policy uses for the gripper, in observations and in actions."""
+    """The gripper values that the policy uses, in both observations and actions."""
 
     open: Number = Field(0.0, description="Number that means fully open.")
     closed: Number = Field(1.0, description="Number that means fully closed.")
@@ -159,7 +159,7 @@ class PolicySpec(DocumentSpec):
         description="Server address, such as `localhost:8000`, `wss://policies.example.org` or `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="Meaning of the arm values in an action, which protocols do not specify."
+        description="How to interpret the arm values in an action; protocols do not specify this."
     )
     velocity_unit: Positive | None = Field(
         None, description="Velocity [rad/s or m/s] for the value 1; for DROID, 3. Default: values are in rad/s or m/s."
