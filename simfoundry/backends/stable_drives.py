@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
+from types import MappingProxyType
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.features import Loss, approximate
@@ -13,7 +15,8 @@ from simfoundry.scene.kinematics import effective_inertias, trees
 from simfoundry.scene.model import Drive, Scene, SceneObject
 
 
-def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> dict[str, Drive]:
+@lru_cache(maxsize=256)  # the same object is written to many scenes
+def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> Mapping[str, Drive]:
     """Return an object's drives by joint name, with gains limited to be stable at a time step of ``timestep`` [s].
 
     A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping alone at
@@ -21,13 +24,13 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
     """
     stable = {joint.name: joint.drive for joint in item.joints if joint.drive is not None}
     if not stable:
-        return {}
+        return MappingProxyType({})
     effective = {name: inertia for tree in trees(item) for name, inertia in effective_inertias(tree).items()}
     for name, drive in stable.items():
         stiffest = effective[name] / timestep**2
         dampest = math.inf if implicit_damping else effective[name] / (2 * timestep)
         stable[name] = replace(drive, stiffness=min(drive.stiffness, stiffest), damping=min(drive.damping, dampest))
-    return stable
+    return MappingProxyType(stable)
 
 
 def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> Iterator[Loss]:

@@ -48,7 +48,7 @@ def cousins_command(
     """
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.variant_pool import ASSETS, counts
-    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
+    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler
     from simfoundry.cousins.run.report import told, write_manifest, write_stage
     from simfoundry.cousins.run.run import RunPlan, begin, finish, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
@@ -56,13 +56,13 @@ def cousins_command(
 
     output.protect_output(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)
-    setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
+    setup = recipe.absolute(), folder, read.seed, vlm
     with output.progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
             plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
             begin(plan)
-            sampler = CandidateSampler.load(setup)
+            sampler = CandidateSampler.load(*setup)
             sampler.require_possible()
         except ImpossibleError as error:
             if as_json:
@@ -76,7 +76,7 @@ def cousins_command(
         def report(ledger: Ledger) -> None:
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
 
-        ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), report)
+        ledger = run(plan, lambda: open_pool(Work(FUNCTION, setup), where, jobs), report)
         if shard is None:
             write_manifest(plan, ledger)
             if gallery and not no_gallery:

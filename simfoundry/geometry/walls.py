@@ -84,7 +84,11 @@ def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
 
 
 def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
-    a, b, c = (shape.corners[shape.triangles[:, k]] for k in range(3))
+    triangles = shape.triangles
+    if not rays[:, 2].any():  # horizontal rays pass most triangles above or below
+        z = shape.corners[triangles, 2]
+        triangles = triangles[(z.min(axis=1) <= start[2] + FOOT) & (z.max(axis=1) >= start[2] - FOOT)]
+    a, b, c = (shape.corners[triangles[:, k]] for k in range(3))
     u, v, w = b - a, c - a, start - a
     across = cross(rays[:, None], v)
     volume = (u * across).sum(axis=-1)

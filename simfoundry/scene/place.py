@@ -141,8 +141,9 @@ def seen_by_camera(X_WC: Pose) -> Pose:
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
 
 
-# Cache of the parts of placed objects, because many objects may be placed on the same surface.
+# Caches of the parts of placed objects and of their mirror images; many objects may be placed on the same surface.
 _standing = lru_cache(maxsize=16)(hulls)
+_flipped = lru_cache(maxsize=16)(Hulls.flipped)
 
 
 def _carrier_name(place: Place) -> str | None:
@@ -228,7 +229,7 @@ def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
     touching = heights(held, carrier.whole)
     if carrier.link is None and not walled:
         return float(touching.max()) if np.isfinite(touching.max()) else None
-    leaving = -heights(held.flipped(), carrier.whole.flipped())
+    leaving = -heights(held.flipped(), _flipped(carrier.whole))
     for lift, part in _spaces(leaving, touching):
         on_it = carrier.link is None or carrier.whole.link[part] == carrier.link
         if on_it and (not walled or surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part)):

@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> int:
     """Write files that are out of date, or only report them with ``--check``; return the exit status."""
     root = Path.cwd()
     if not (root / "schemas").is_dir():
-        print("run this in the root of the repository: there is no folder `schemas` here", file=sys.stderr)
+        print("run this in the root of the repository, which contains the folder `schemas`", file=sys.stderr)
         return 2
     differing = stale(root)
     if "--check" in arguments:

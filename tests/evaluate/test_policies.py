@@ -228,7 +228,7 @@ def test_a_document(tmp_path: Path) -> None:
         ("closed: 1, threshold: 0.5", "closed: 0", "SF104", 10, "must differ"),
         ("threshold: 0.5", "threshold: 1", "SF104", 10, "between 0 and 1"),
         ("horizon: 8", "horizon: 8\napi_key: sk-abc", "SF104", 7, "not the key itself"),
-        ("observation/wrist_image_left:", "wrist image:", "SF106", 8, "a key of the policy's own"),
+        ("observation/wrist_image_left:", "wrist image:", "SF106", 8, "a key that the policy expects"),
     ],
 )
 def test_slips_in_a_document(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:

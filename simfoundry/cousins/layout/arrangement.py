@@ -1,10 +1,4 @@
-"""Keep track of the objects in a scene, and place more objects among them, individually or in batches.
-
-In a batch, each object gets the first of its candidate poses that is clear of all previous objects, as if the objects
-were placed individually by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per
-object are drawn and tested together. Only an object without a free candidate in the batch requires an individual
-search.
-"""
+"""Keep track of the objects in a scene, and place more objects among them, individually or in batches."""
 
 from __future__ import annotations
 
@@ -13,123 +7,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-import numpy as np
-
-from simfoundry.cousins.layout.rejection_sampling import (
-    Allowed,
-    Clear,
-    Found,
-    Mask,
-    Occupancy,
-    Region,
-    find,
-    rectangles_meet,
-)
-from simfoundry.cousins.layout.supports import Complex, Outline, Support
+from simfoundry.cousins.layout.rejection_sampling import GAP, Allowed, Batch, Found, Occupancy, Region, Rng, Spot, find
+from simfoundry.cousins.layout.supports import Outline, Support
 from simfoundry.cousins.layout.twin import Twin
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.place import CLEARANCE
-
-# Clearance between objects that should not touch [m]; equal to the contact margin of the engines.
-GAP = 0.002
-
-# Number of candidates per object in a batch.
-EACH = 4
 
 # Maximum number of objects in a batch; the pairwise tables of a batch fit into the processor cache.
 TOGETHER = 24
-
-# Position x and y [m] of an object's frame, and its rotation about z [rad].
-Spot = tuple[float, float, float]
-
-
-class _Block:
-    """A batch of candidate placements, with :data:`EACH` candidates per object.
-
-    The batch records which candidates overlap each other or objects that have already been placed.
-    """
-
-    def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator) -> None:
-        self._there = there
-        outlines, regions = [o for o, _ in things], [r for _, r in things]
-        low, span = (np.repeat(np.array([r.span[k] for r in regions]), EACH, axis=0) for k in (0, 1))
-        drawn = rng.random((len(things) * EACH, 3)) * span + low
-        turn = np.exp(1j * drawn[:, 2])
-        self._center = drawn[:, 0] + 1j * drawn[:, 1]
-        frame = self._center - turn * _each([o.middle for o in outlines])
-        self.spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
-        self._side = turn * _each([o.turn for o in outlines])
-        self._half = _each([o.half for o in outlines])
-        self._low = _each([r.z + o.low for o, r in things]).real
-        self._high = _each([r.z + o.high for o, r in things]).real
-        self._boxy = [o.boxy for o in outlines]
-        stands = regions[0].support.holds(drawn[:, :2], turn, np.repeat(_spreads(outlines), EACH, axis=0))
-        self._dead: list[bool] = (~stands).tolist()
-        self._doubts: dict[int, list[int]] = {}
-        self._meets: dict[int, list[int]] = {}
-        self._meet_each_other(stands)
-        self._meet_entries(range(there.count))
-
-    def _meet_each_other(self, standing: Mask) -> None:
-        live = np.flatnonzero(standing)
-        p, size = self._center[live], np.abs(self._half[live])
-        dx, dy = p.real - p.real[:, None], p.imag - p.imag[:, None]
-        reach = size + (size[:, None] + GAP)
-        close = dx * dx + dy * dy < reach * reach
-        i, j = close.nonzero()
-        i, j = live[i], live[j]
-        other = (i // EACH < j // EACH) & (self._low[i] < self._high[j] + GAP)
-        other &= self._low[j] < self._high[i] + GAP
-        i, j = i[other], j[other]
-        met = rectangles_meet(
-            self._center[j] - self._center[i], self._side[i], self._half[i], self._side[j], self._half[j], GAP
-        )
-        for a, b in zip(i[met].tolist(), j[met].tolist(), strict=True):
-            self._meets.setdefault(a, []).append(b)
-
-    def _meet_entries(self, entries: range) -> None:
-        """Record which candidates overlap the given entries."""
-        rectangles = self._center, self._side, self._half, self._low, self._high
-        for c, met in self._there.overlaps(entries, *rectangles, GAP).items():
-            self._doubt(c, met)
-
-    def _doubt(self, c: int, met: Iterable[int]) -> None:
-        """Record that candidate ``c`` overlaps the entries ``met``."""
-        if self._boxy[c // EACH] and self._there.any_boxy(met):
-            self._dead[c] = True
-        else:
-            self._doubts.setdefault(c, []).extend(met)
-
-    def first_clear(self, t: int, clear: Clear) -> int | None:
-        """Return the index of the first candidate of object ``t`` that is clear of all placed objects, or None."""
-        for c in range(EACH * t, EACH * (t + 1)):
-            doubts = tuple(self._doubts.get(c, ()))
-            if not self._dead[c] and (not doubts or clear(*self.spots[c], doubts)):
-                return c
-        return None
-
-    def entered(self, entries: range, chosen: int | None) -> None:
-        """Record that an object was placed at candidate ``chosen``, or elsewhere, and occupies the given entries."""
-        if chosen is None:
-            self._meet_entries(entries)
-            return
-        for c in self._meets.get(chosen, ()):
-            self._doubt(c, entries)
-
-
-def _spreads(outlines: Sequence[Outline]) -> Array:
-    """Return the corners of the shadows [m], shape (n, 2, m), padded to equal length by repeating the last corner."""
-    out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
-    for row, outline in zip(out, outlines, strict=True):
-        count = outline.spread.shape[1]
-        row[:, :count] = outline.spread
-        row[:, count:] = outline.spread[:, -1:]
-    return out
-
-
-def _each(values: Sequence[complex]) -> Complex:
-    """Repeat each object's value for all of its candidates."""
-    return np.repeat(np.array(values, dtype=np.complex128), EACH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +111,7 @@ class Arrangement:
         self,
         thing: Placeable,
         region: Region,
-        rng: np.random.Generator,
+        rng: Rng,
         allowed: Allowed | None = None,
         also: Callable[[], bool] | None = None,
     ) -> Found:
@@ -248,9 +133,7 @@ class Arrangement:
         clear = partial(self._is_clear, thing, region)
         return find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
 
-    def put_all(
-        self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
-    ) -> tuple[Placeable, Found] | None:
+    def put_all(self, things: Sequence[Placeable], support: Support, rng: Rng) -> tuple[Placeable, Found] | None:
         """Place objects anywhere on a support, one after another.
 
         Returns:
@@ -258,16 +141,16 @@ class Arrangement:
         """
         self._stand_on(support)
         for first in range(0, len(things), TOGETHER):
-            batch = [(thing, thing.anywhere(support)) for thing in things[first : first + TOGETHER]]
-            block = _Block([(thing.outline, region) for thing, region in batch], self.there, rng)
-            for t, (thing, region) in enumerate(batch):
+            some = [(thing, thing.anywhere(support)) for thing in things[first : first + TOGETHER]]
+            batch = Batch([(thing.outline, region) for thing, region in some], self.there, rng)
+            for t, (thing, region) in enumerate(some):
                 count = self.there.count
-                chosen = block.first_clear(t, partial(self._is_clear, thing, region))
-                found = self.find(thing, region, rng) if chosen is None else Found(block.spots[chosen])
+                chosen = batch.first_clear(t, partial(self._is_clear, thing, region))
+                found = self.find(thing, region, rng) if chosen is None else Found(batch.spots[chosen])
                 if found.spot is None:
                     return thing, found
                 self.put(thing, region.z, found.spot)
-                block.entered(range(count, self.there.count), chosen)
+                batch.entered(range(count, self.there.count), chosen)
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.rejection_sampling import Rng
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe.candidate import Reason
@@ -28,7 +29,7 @@ DROPS = 64
 
 
 def drop(
-    table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
+    table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: Rng
 ) -> Reason | None:
     """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
 

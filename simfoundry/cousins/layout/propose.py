@@ -17,7 +17,7 @@ import numpy as np
 from simfoundry.cousins.layout.arrangement import Arrangement, Placeable, by_area
 from simfoundry.cousins.layout.constraints import DROPPED, SIDES, PlacementConstraints, placement_constraints, side_axis
 from simfoundry.cousins.layout.drop_sampling import drop
-from simfoundry.cousins.layout.rejection_sampling import Allowed, Found, Mask, Region
+from simfoundry.cousins.layout.rejection_sampling import Allowed, Found, Mask, Region, Rng
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin, TwinError
 from simfoundry.cousins.recipe.candidate import Reason, Rejected
@@ -56,7 +56,7 @@ class Layout:
 NOTHING = Layout((), MappingProxyType({}))
 
 
-def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:
+def propose(twin: Twin, axis: SceneAxis, rng: Rng, layout: Layout = NOTHING) -> Layout | Rejected:
     """Place the objects of an axis around its anchor, in addition to the objects in an earlier ``layout``.
 
     Raises:
@@ -76,9 +76,7 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
     return Rejected((reason,))
 
 
-def scatter(
-    twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
-) -> Layout | Rejected:
+def scatter(twin: Twin, names: Sequence[str], rng: Rng, on: str = "", layout: Layout = NOTHING) -> Layout | Rejected:
     """Place objects at random, without predicates, on the object ``on`` or on any of the twin's level surfaces.
 
     An object that does not fit on its randomly chosen surface is placed on a different surface.
@@ -113,11 +111,7 @@ def scatter(
 
 
 def _put_all(
-    table: Arrangement,
-    names: Sequence[str],
-    chosen: Sequence[Support],
-    places: Sequence[Support],
-    rng: np.random.Generator,
+    table: Arrangement, names: Sequence[str], chosen: Sequence[Support], places: Sequence[Support], rng: Rng
 ) -> tuple[int, Reason | None]:
     """Place objects on their chosen supports.
 
@@ -140,7 +134,7 @@ def _put_all(
     return left, None
 
 
-def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
+def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: Rng) -> bool:
     """Place an object on a support, and return True if it fits there."""
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
@@ -151,12 +145,7 @@ def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str],
 
 
 def _place(
-    table: Arrangement,
-    asks: PlacementConstraints,
-    axis: SceneAxis,
-    name: str,
-    words: tuple[str, ...],
-    rng: np.random.Generator,
+    table: Arrangement, asks: PlacementConstraints, axis: SceneAxis, name: str, words: tuple[str, ...], rng: Rng
 ) -> Reason | None:
     """Place an object, and return the reason if it cannot be placed."""
     if set(words) & set(DROPPED):
@@ -219,15 +208,8 @@ def no_room(
     """Return the reason why an object could not be placed, with the free area of the support and candidate counts."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
-    numbers = {
-        "width_m": wide,
-        "shadow_m2": thing.outline.area,
-        "support_m2": support.area,
-        "free_m2": free,
-        "tries": float(found.tried),
-        "standing": float(found.standing),
-        "allowed": float(found.allowed),
-    }
+    numbers = {"width_m": wide, "shadow_m2": thing.outline.area, "support_m2": support.area, "free_m2": free}
+    numbers |= {"tries": float(found.tried), "standing": float(found.standing), "allowed": float(found.allowed)}
     where = f"{' and '.join(SIDES.get(w, w) for w in words)} `{anchor}`" if anchor else f"on `{support.name}`"
     text = f"no room {where}: "
     strip = strip_beside(table.twin, anchor, support, words) if anchor else None

@@ -12,7 +12,7 @@ candidate that passes all tests is used, so all allowed placements are equally l
 from __future__ import annotations
 
 import cmath
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,10 +29,20 @@ TRIES = 4096
 # larger than the one before.
 FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
 
+# Clearance between objects that should not touch [m]; equal to the contact margin of the engines.
+GAP = 0.002
+
+# Number of candidates per object in a batch.
+EACH = 4
+
 # Tolerance [m] on the height of an object's lowest point for the object to stand on a level.
 NEAR_LEVEL = 0.02
 
 Mask = NDArray[np.bool_]
+Rng = np.random.Generator
+
+# Position x and y [m] of an object's frame, and its rotation about z [rad].
+Spot = tuple[float, float, float]
 
 # Function that returns a mask of the allowed candidates, given x and y [m] of the object's frame and its rotation about
 # z [rad], shape (n,) each.
@@ -155,7 +165,7 @@ class Region:
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 
-    def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    def draw(self, rng: Rng, count: int) -> tuple[Array, Array]:
         """Draw centers [m], shape (count, 2), and rotations [rad], shape (count,), uniformly over the region."""
         low, span = self.span
         drawn = rng.random((count, 3)) * span + low
@@ -183,7 +193,7 @@ def find(
     outline: Outline,
     region: Region,
     there: Occupancy,
-    rng: np.random.Generator,
+    rng: Rng,
     gap: float,
     allowed: Allowed | None = None,
     clear: Clear | None = None,
@@ -230,3 +240,94 @@ def find(
             if not (met and clear is not None and not clear(*spot, met)) and (last is None or last(*spot)):
                 return Found(spot, tried, standing, permitted)
     return Found(None, tried, standing, permitted)
+
+
+class Batch:
+    """A batch of candidate placements, with :data:`EACH` candidates per object.
+
+    Each object gets the first of its candidates that is clear of all previous objects, as if the objects were placed
+    individually by :func:`find`. For speed, the candidates of all objects are drawn and tested together. Only an object
+    without a free candidate requires an individual search.
+    """
+
+    def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: Rng) -> None:
+        self._there = there
+        outlines, regions = [o for o, _ in things], [r for _, r in things]
+        low, span = (np.repeat(np.array([r.span[k] for r in regions]), EACH, axis=0) for k in (0, 1))
+        drawn = rng.random((len(things) * EACH, 3)) * span + low
+        turn = np.exp(1j * drawn[:, 2])
+        self._center = drawn[:, 0] + 1j * drawn[:, 1]
+        frame = self._center - turn * _each([o.middle for o in outlines])
+        self.spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
+        self._side = turn * _each([o.turn for o in outlines])
+        self._half = _each([o.half for o in outlines])
+        self._low = _each([r.z + o.low for o, r in things]).real
+        self._high = _each([r.z + o.high for o, r in things]).real
+        self._boxy = [o.boxy for o in outlines]
+        stands = regions[0].support.holds(drawn[:, :2], turn, np.repeat(_spreads(outlines), EACH, axis=0))
+        self._dead: list[bool] = (~stands).tolist()
+        self._doubts: dict[int, list[int]] = {}
+        self._meets: dict[int, list[int]] = {}
+        self._meet_each_other(stands)
+        self._meet_entries(range(there.count))
+
+    def _meet_each_other(self, standing: Mask) -> None:
+        live = np.flatnonzero(standing)
+        p, size = self._center[live], np.abs(self._half[live])
+        dx, dy = p.real - p.real[:, None], p.imag - p.imag[:, None]
+        reach = size + (size[:, None] + GAP)
+        close = dx * dx + dy * dy < reach * reach
+        i, j = close.nonzero()
+        i, j = live[i], live[j]
+        other = (i // EACH < j // EACH) & (self._low[i] < self._high[j] + GAP)
+        other &= self._low[j] < self._high[i] + GAP
+        i, j = i[other], j[other]
+        met = rectangles_meet(
+            self._center[j] - self._center[i], self._side[i], self._half[i], self._side[j], self._half[j], GAP
+        )
+        for a, b in zip(i[met].tolist(), j[met].tolist(), strict=True):
+            self._meets.setdefault(a, []).append(b)
+
+    def _meet_entries(self, entries: range) -> None:
+        """Record which candidates overlap the given entries."""
+        rectangles = self._center, self._side, self._half, self._low, self._high
+        for c, met in self._there.overlaps(entries, *rectangles, GAP).items():
+            self._doubt(c, met)
+
+    def _doubt(self, c: int, met: Iterable[int]) -> None:
+        """Record that candidate ``c`` overlaps the entries ``met``."""
+        if self._boxy[c // EACH] and self._there.any_boxy(met):
+            self._dead[c] = True
+        else:
+            self._doubts.setdefault(c, []).extend(met)
+
+    def first_clear(self, t: int, clear: Clear) -> int | None:
+        """Return the index of the first candidate of object ``t`` that is clear of all placed objects, or None."""
+        for c in range(EACH * t, EACH * (t + 1)):
+            doubts = tuple(self._doubts.get(c, ()))
+            if not self._dead[c] and (not doubts or clear(*self.spots[c], doubts)):
+                return c
+        return None
+
+    def entered(self, entries: range, chosen: int | None) -> None:
+        """Record that an object was placed at candidate ``chosen``, or elsewhere, and occupies the given entries."""
+        if chosen is None:
+            self._meet_entries(entries)
+            return
+        for c in self._meets.get(chosen, ()):
+            self._doubt(c, entries)
+
+
+def _spreads(outlines: Sequence[Outline]) -> Array:
+    """Return the corners of the shadows [m], shape (n, 2, m), padded to equal length by repeating the last corner."""
+    out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
+    for row, outline in zip(out, outlines, strict=True):
+        count = outline.spread.shape[1]
+        row[:, :count] = outline.spread
+        row[:, count:] = outline.spread[:, -1:]
+    return out
+
+
+def _each(values: Sequence[complex]) -> Complex:
+    """Repeat each object's value for all of its candidates."""
+    return np.repeat(np.array(values, dtype=np.complex128), EACH)

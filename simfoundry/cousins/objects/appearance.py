@@ -1,4 +1,4 @@
-"""Colors, materials, and plausible sizes and masses of object categories, and edits that change the appearance."""
+"""Change the appearance of objects, and look up the colors, materials, sizes and masses of object categories."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Color = tuple[float, float, float]
 class VariantMaterial:
     """A material for variants.
 
-    ``density`` is the range of densities [kg/m^3], and ``friction`` and ``restitution`` are coefficients. If ``colors``
-    is empty, the material can have any color that the object may have.
+    ``density`` is a range [kg/m^3], and ``friction`` and ``restitution`` are coefficients. If ``colors`` is empty, the
+    material can have all colors of the object's category.
     """
 
     density: tuple[float, float]
@@ -36,16 +36,15 @@ class VariantMaterial:
 
     @property
     def middle(self) -> float:
-        """Density to write to documents [kg/m^3]."""
+        """The density that is written to documents [kg/m^3]."""
         return round((self.density[0] + self.density[1]) / 2, -1)
 
 
 @dataclass(frozen=True)
 class CategoryPrior:
-    """Priors for a category: ranges of the longest side [m] and the mass [kg], colors, and materials for the body.
+    """Priors for a category: ranges of the longest side [m] and the mass [kg], colors, and materials of the body.
 
-    Sizes and masses are common-knowledge estimates for everyday objects, not measurements, so the ranges are
-    intentionally wide.
+    The sizes and masses are estimates for everyday objects, not measurements, so the ranges are wide.
     """
 
     size: tuple[float, float]
@@ -62,7 +61,7 @@ class Priors:
         materials: Materials by name.
         categories: Categories by name.
         synonyms: Category names by synonym.
-        paints: Colors for objects of unknown category.
+        paints: Colors of objects in unknown categories.
         white: The color white.
         patterns: Names of patterns, grouped by use.
     """
@@ -112,7 +111,7 @@ def category_prior(category: str) -> CategoryPrior | None:
 
 
 def same_kind(a: str, b: str) -> bool:
-    """Return whether two names denote the same category: `blue_cup` and `tumbler_2` are both a `cup`."""
+    """Return True if two names denote the same category: `blue_cup` and `tumbler_2` are both a `cup`."""
     one, other = category_prior(a), category_prior(b)
     if one is not None or other is not None:
         return one is other
@@ -120,12 +119,12 @@ def same_kind(a: str, b: str) -> bool:
     return a == b != ""
 
 
-# Maximum random deviation of each channel from the colors in the tables; makes it unlikely that colors are identical.
+# Maximum random deviation of each channel from the colors in the tables, so that few objects have identical colors.
 JITTER = 0.035
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of a component and of all parts of the same link that share its current color."""
+    """Change the color of a component, and of all parts of the same link that have the same color."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
@@ -146,23 +145,21 @@ def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
     """Return the asset with a component recolored.
 
-    All parts of the link that have the same color as the component's first part are recolored too, unless the component
-    is of a kind that usually has a separate color.
+    All parts of the link with the same color as the component's first part are also recolored, unless components of
+    this kind usually have a different color from the body.
     """
     old = color_of(spec, component.parts[0])
     parts = parts_of(spec)
     if component.kind in ACCENTS:
-        own = {key: parts[key].model_copy(update={"color": color}) for key in component.parts}
-        return with_parts(spec, parts | own)
-    changed = {}
+        accents = {key: parts[key].model_copy(update={"color": color}) for key in component.parts}
+        return with_parts(spec, parts | accents)
     for key, part in parts.items():
+        own = color_of(spec, key)
         if component.kind is Kind.BUNCH and key in component.parts:
-            changed[key] = part.model_copy(update={"color": _shaded(color, color_of(spec, key), old)})
-            continue
-        # Attached parts with a different color keep it.
-        same = key[0] == component.link and color_of(spec, key) == old
-        changed[key] = part.model_copy(update={"color": color}) if same else part
-    return _gathered(with_parts(spec, changed), component.link, color)
+            parts[key] = part.model_copy(update={"color": _shaded(color, own, old)})
+        elif key[0] == component.link and own == old:  # attached parts with a different color keep it
+            parts[key] = part.model_copy(update={"color": color})
+    return _gathered(with_parts(spec, parts), component.link, color)
 
 
 def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
@@ -173,14 +170,13 @@ def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """Move a color shared by all parts of a link to the link."""
+    """Assign a color to a link instead of its parts, if all parts have this color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec
     parts = {n: p.model_copy(update={"color": None}) if p.color == color else p for n, p in body.parts.items()}
-    return spec.model_copy(
-        update={"links": {**spec.links, link: body.model_copy(update={"parts": parts, "color": color})}}
-    )
+    links = {**spec.links, link: body.model_copy(update={"parts": parts, "color": color})}
+    return spec.model_copy(update={"links": links})
 
 
 def color_of(spec: AssetSpec, key: Key) -> Color | None:
@@ -201,10 +197,8 @@ def _remade(spec: AssetSpec, old: str, name: str) -> AssetSpec:
     links = {}
     for own, body in spec.links.items():
         parts = {n: p.model_copy(update={"material": name}) if p.material == old else p for n, p in body.parts.items()}
-        changes: dict[str, object] = {"parts": parts}
-        if body.material == old:
-            changes["material"] = name
-        links[own] = body.model_copy(update=changes)
+        material = name if body.material == old else body.material
+        links[own] = body.model_copy(update={"parts": parts, "material": material})
     return spec.model_copy(update={"materials": materials, "links": links})
 
 

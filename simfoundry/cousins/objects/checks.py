@@ -91,19 +91,15 @@ class ObjectBaseline:
 
     Attributes:
         item: The lowered object.
-        needs: The original requirements.
-        rests: Calls that hold in trials with the twin's object.
-        lacks: Descriptions of requirements that the twin's object does not meet.
+        needs: The requirements that the twin's object meets.
+        lacks: Descriptions of the requirements that the twin's object does not meet.
         steady: True if the twin's object is stable on a table.
-        opening: Opening of the gripper [m], or None if grasping is not required or the twin's object is too wide.
     """
 
     item: SceneObject
     needs: Needs
-    rests: tuple[Call, ...]
     lacks: tuple[str, ...]
     steady: bool
-    opening: float | None
 
     @classmethod
     def of(cls, item: SceneObject, needs: Needs) -> ObjectBaseline:
@@ -117,26 +113,27 @@ class ObjectBaseline:
         if opening is not None and width > opening - MARGIN:
             lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
             opening = None
-        possible = tuple(call for call, why in failures.items() if why is None)
-        return cls(item, needs, possible, tuple(lacks), unstable is None, opening)
+        rests = tuple(call for call, why in failures.items() if why is None)
+        return cls(item, replace(needs, rests=rests, opening=opening), tuple(lacks), unstable is None)
 
 
 def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
     """Yield the reasons for rejecting a lowered candidate. The cheapest checks are performed first."""
     yield from _open_meshes(item)
     yield from _size(item, twin.item, category_prior(category))
-    if twin.opening is not None:
+    opening = twin.needs.opening
+    if opening is not None:
         width = grasp_width(solid(item))
-        if width > twin.opening - MARGIN:
+        if width > opening - MARGIN:
             fits = math.isfinite(width)
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
-            text = f"it {narrow}, but the gripper opens only {length(twin.opening)}"
-            yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
+            text = f"it {narrow}, but the gripper opens only {length(opening)}"
+            yield Reason("grip", text, {"width": min(width, 1e3), "opening": opening})
     if twin.needs.joints:
         yield from _joint_faults(item, twin.item)
     if twin.steady and (why := instability(item)) is not None:
         yield Reason("stands", f"on a table, it {why}")
-    for call in twin.rests:
+    for call in twin.needs.rests:
         if (why := rest_failure(call, {**twin.needs.others, item.name: item})) is not None:
             yield Reason("affordance", f"{call} no longer holds: {why}")
 
@@ -148,8 +145,7 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
         for piece in pieces:
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)
-            gaps = open_edges(faces)
-            volume = mass.mesh(vertices, faces).volume if len(faces) else 0.0
+            gaps, volume = open_edges(faces), mass.mesh(vertices, faces).volume if len(faces) else 0.0
             if gaps or volume <= 0:
                 text = f"`{piece.name}` of `{link.name}` has {gaps} open edges and a volume of {volume:.3g} m^3"
                 yield Reason("mesh", text, {"gaps": float(gaps), "volume": volume})
@@ -308,11 +304,8 @@ def _jam(item: SceneObject) -> tuple[float, str]:
 
 def _opened(item: SceneObject) -> SceneObject:
     """Return the object with its joints opened for a trial."""
-    joints = tuple(
-        replace(j, position=j.limits[0] + OPENED * (j.limits[1] - j.limits[0])) if j.limits is not None else j
-        for j in item.joints
-    )
-    return replace(item, joints=joints)
+    at = {j.name: j.limits[0] + OPENED * (j.limits[1] - j.limits[0]) for j in item.joints if j.limits is not None}
+    return replace(item, joints=tuple(replace(j, position=at.get(j.name, j.position)) for j in item.joints))
 
 
 def _on_table(item: SceneObject) -> SceneObject:

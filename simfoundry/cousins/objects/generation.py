@@ -7,13 +7,13 @@ model reconstructs the objects. The resulting candidates are checked in the same
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import chain, zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -39,8 +39,6 @@ from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 
-T = TypeVar("T", bound=BaseModel)
-
 # Names used in recipes for the paper's dimensions.
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
 
@@ -52,13 +50,6 @@ ATTEMPTS = 3
 
 # Width and height of the images sent to models [px].
 SIDE = 512
-
-
-class PromptModel(Protocol):
-    """A vision-language model that returns structured responses."""
-
-    def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
-        """Return the response to a prompt about PNG images; raise :class:`SimfoundryError` on failure."""
 
 
 class VariationProposal(NamedTuple):
@@ -86,7 +77,7 @@ class Generation:
         counts: Numbers of proposals for each component in geometry, topology and appearance.
     """
 
-    vlm: PromptModel
+    vlm: Vlm
     images: HttpImages
     meshes: HttpMeshes
     scene: bytes

@@ -11,17 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from simfoundry.cousins.objects.components import MAIN, Component, Key, Kind, components, each, parts_of, with_parts
-from simfoundry.cousins.objects.parts import (
-    aimed,
-    at,
-    bounds,
-    is_radial,
-    moved,
-    rod,
-    scaled,
-    shaped,
-    with_rod,
-)
+from simfoundry.cousins.objects.parts import aimed, at, bounds, is_radial, moved, rod, scaled, shaped, with_rod
 from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, outside, swelled, thickened, walled
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose

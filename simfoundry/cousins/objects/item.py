@@ -1,4 +1,4 @@
-"""Convert an object to be varied to an asset document, whatever its form in the scene, and lower it."""
+"""Convert objects in a scene to asset documents, and lower asset documents to objects."""
 
 from __future__ import annotations
 
@@ -24,8 +24,6 @@ from simfoundry.spec.yaml.write import to_yaml
 # Name of the single link in the asset of a shape or mesh.
 LINK = "body"
 
-_OF_BODY = tuple(BodySpec.model_fields)
-
 
 @dataclass(frozen=True, eq=False)
 class ObjectAsset:
@@ -36,7 +34,7 @@ class ObjectAsset:
         category: Category of the object.
         spec: Flattened asset document.
         source: Human-readable origin.
-        files: Absolute paths of all files that the document refers to, by the names used in it.
+        files: Absolute paths of all files that the document refers to, by the names used in the document.
     """
 
     name: str
@@ -59,7 +57,7 @@ def item_of(scene: Loaded, name: str) -> ObjectAsset:
         assert used is not None and isinstance(used.spec, AssetSpec)
         item = item_of_asset(used)
         return replace(item, name=name, category=written.category or item.category)
-    return _item_of_body(scene, name, written, scene.spec.materials)
+    return _item_of_body(scene, name, written)
 
 
 def item_of_asset(asset: Loaded) -> ObjectAsset:
@@ -82,43 +80,33 @@ def item_of_mesh(path: Path, name: str, category: str, material: Material, scale
         material: Material of the object.
         scale: Scale factor from the mesh's unit to meters.
     """
-    link = LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})
-    spec = AssetSpec(
-        simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
-    )
+    links = {LINK: LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})}
+    spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links=links)
     return ObjectAsset(name, category, spec, path.name, MappingProxyType({path.name: path}))
 
 
-def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> ObjectAsset:
+def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
     """Return a primitive or mesh in a scene as an asset with one link."""
-    body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
-    files: dict[str, Path] = {}
-    if written.shape is not None:
-        part = PartSpec(shape=written.shape)
-    else:
-        mesh = Path(written.asset or "").name
-        files[mesh] = scene.file(written.asset or "")
-        part = PartSpec(mesh=mesh, scale=written.scale)
-    used = {} if written.material is None else {written.material: materials[written.material]}
+    assert isinstance(scene.spec, SceneSpec)
+    body = {key: getattr(written, key) for key in BodySpec.model_fields if key in written.model_fields_set}
+    mesh = Path(written.asset or "")
+    part = PartSpec(shape=written.shape) if written.shape is not None else PartSpec(mesh=mesh.name, scale=written.scale)
+    files = {} if written.shape is not None else {mesh.name: scene.file(written.asset or "")}
+    used = {} if written.material is None else {written.material: scene.spec.materials[written.material]}
+    links = {LINK: LinkSpec(**body, parts={"body": part})}
     category = written.category or name
-    spec = AssetSpec(
-        simfoundry="asset/1",
-        name=name,
-        category=category,
-        materials=used,
-        links={LINK: LinkSpec(**body, parts={"body": part})},
-    )
-    return ObjectAsset(name, category, spec, f"{scene.spec.name if scene.spec else ''}.{name}", MappingProxyType(files))
+    spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials=used, links=links)
+    return ObjectAsset(name, category, spec, f"{scene.spec.name}.{name}", MappingProxyType(files))
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:
-    """Lower an asset at the origin, as simulators receive it.
+    """Lower an asset at the origin.
 
-    The asset is converted to its canonical text first, so the result matches the document that is written.
+    The asset is first converted to its canonical text, so the result matches the document that is written.
 
     Args:
         spec: The asset.
-        folder: Folder that contains the files that the asset refers to.
+        folder: Folder that contains the files of the asset.
         name: Name of the lowered object.
         cache: Cache for lowering.
 
@@ -144,7 +132,7 @@ def alone(item: ObjectAsset, cache: Cache | None = None) -> SceneObject:
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:
-    """Copy mesh files to a folder under the given names, along with their materials and textures."""
+    """Copy mesh files with their materials and textures to a folder, under the given names."""
     for name, path in files.items():
         target = folder / name
         if target.exists():

@@ -25,14 +25,14 @@ RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": GEOMETRY, "topology": TOPOLOGY, "appearance": APPEARANCE}
 )
 
-# Rules that keep meshes and shapes consistent, for objects whose visual geometry is a mesh and whose collision geometry
-# consists of shapes.
+# Rules for objects whose visual geometry is a mesh and whose collision geometry consists of shapes. These rules keep
+# the mesh and the shapes consistent.
 TOGETHER: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": ((stretch, MAIN),), "topology": (), "appearance": ((recolor, MAIN),)}
 )
 
-# Probability that a variant differs in each allowed dimension. If the geometry may vary, it always does, because the
-# variant could otherwise be a recolored copy.
+# Probability that a variant differs in each allowed dimension. The geometry always varies if it is allowed to, because
+# the variant could otherwise be a copy with different colors.
 SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
 
 # Weights of rules relative to the default of 1. With these, three of four vessels get a different silhouette.
@@ -41,16 +41,16 @@ WEIGHTS: Mapping[Rule, float] = MappingProxyType({reshape: 16.0})
 # Probability that a variant whose appearance may change gets a pattern; many real objects are plain.
 SKINNED = 0.7
 
-# Kinds of components that usually look the same on one object; an edit of one is applied to all.
+# Kinds of components that usually look the same on an object. An edit of one of them is applied to all of them.
 ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
 
-# Maximum number of rules to try before giving up if none applies.
+# Maximum number of rules to try until a rule applies.
 TRIES = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A candidate without estimated masses and without a final name.
+    """A candidate without masses and without a final name.
 
     Attributes:
         spec: The asset document.
@@ -75,8 +75,7 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
         rng: Random generator.
     """
     spec, said = item.spec, list[str]()
-    files: dict[str, bytes] = {}
-    kept = dict(item.files)
+    files, kept = dict[str, bytes](), dict(item.files)
     wanted = [change for change in changes if rng.random() < SHARES[change]] or [changes[0]]
     rules = TOGETHER if _is_mixed(spec) else RULES
     if "geometry" in wanted and all(part.mesh is not None for part in parts_of(spec).values()):
@@ -100,14 +99,14 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Return whether an asset contains both meshes and shapes, which are usually visual and collision geometry."""
+    """Return True if an asset contains both meshes and shapes, which are usually visual and collision geometry."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 
 def _finished(
     spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
-    """Apply tubular handles and patterns, after which rules can no longer be applied.
+    """Apply tubular handles and patterns. Rules cannot be applied afterward.
 
     Returns:
         The asset, the new files by name, and descriptions of the changes.
@@ -153,5 +152,5 @@ def _edit(
 
 
 def rng_of(seed: int, name: str, k: int) -> np.random.Generator:
-    """Return the random generator for candidate ``k`` of the object ``name``."""
+    """Return the random generator of candidate ``k`` of the object ``name``."""
     return np.random.default_rng([seed, k, *name.encode()])

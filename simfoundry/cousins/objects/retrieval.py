@@ -1,8 +1,8 @@
-"""Measure the similarity of objects in size, shape and color.
+"""Measure the similarity of objects in size, shape and color, and retrieve similar objects from a library.
 
-This is used to keep variants distinct and to retrieve similar objects from a library. Shapes are compared by their D2
-descriptor, the distribution of distances between pairs of surface points (Osada et al., Shape Distributions, ACM ToG
-2002), here relative to the diagonal of the bounding box. Colors are compared in CIE 1976 L*a*b*.
+Shapes are compared by their D2 descriptor, which is the distribution of distances between pairs of surface points
+(Osada et al., Shape Distributions, ACM ToG 2002), relative to the diagonal of the bounding box. Colors are compared in
+CIE 1976 L*a*b*.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 
-# Number of surface point pairs and number of histogram bins; the noise of the shape distance is then below 0.02.
+# Number of surface point pairs and number of histogram bins. The noise of the shape distance is then below 0.02.
 PAIRS, BINS = 16_384, 24
 
+# Number of edges around a round shape.
 SEGMENTS = 32
 
-# Number of levels per texture channel; with finer levels, there would be too many colors to match.
+# Number of levels per texture channel; more levels would result in too many colors to match.
 LEVELS = 12
 
 # Thresholds for distinct objects: 6% in side length, 0.06 in shape (fraction of point pairs in different bins), or 12
@@ -87,12 +88,12 @@ class LikenessDistance:
 
     @property
     def form(self) -> float:
-        """The larger of the size and shape distances, in units of the thresholds for distinct objects."""
+        """The larger of the size and shape distances in units of the thresholds for distinct objects."""
         return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
 
     @property
     def distance(self) -> float:
-        """The largest of the three distances in units of the thresholds; objects are distinct if it is at least 1."""
+        """The largest of the three distances in units of the thresholds. Distinct objects have at least 1."""
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
@@ -113,19 +114,14 @@ def likeness(item: SceneObject, seed: int = 0) -> Likeness:
     histogram, _ = np.histogram(far / np.linalg.norm(high - low), bins=BINS, range=(0.0, 1.0))
     unique, which = np.unique(np.round(rgb, 4), axis=0, return_inverse=True)
     shares = np.bincount(which.reshape(-1), weights=areas) / areas.sum()
-    return Likeness(
-        frozen_array(high - low),
-        frozen_array(histogram / PAIRS),
-        frozen_array(lab(unique)),
-        frozen_array(shares),
-        sum(link.mass for link in item.links),
-    )
+    size, shape, colors, shares = map(frozen_array, (high - low, histogram / PAIRS, lab(unique), shares))
+    return Likeness(size, shape, colors, shares, sum(link.mass for link in item.links))
 
 
 def color_distance(a: Likeness, b: Likeness) -> float:
     """Return the mean color distance in L*a*b* between two surfaces.
 
-    Equal fractions of the surfaces are matched greedily, starting with the closest colors.
+    Equal fractions of the surfaces are matched greedily, beginning with the closest colors.
     """
     cost = np.linalg.norm(a.colors[:, None] - b.colors[None], axis=2)
     left, right = a.areas.copy(), b.areas.copy()
@@ -160,12 +156,10 @@ def _surface(item: SceneObject) -> tuple[Array, Array]:
     """Return the visible triangles in the object's frame [m], shape (n, 3, 3), and their sRGB colors, shape (n, 3)."""
     X_OL = link_poses(item)
     triangles, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-    for link in item.links:
-        for visual in link.visuals:
-            mesh = tessellate(visual.geometry, SEGMENTS)
-            corners = (X_OL[link.name] @ visual.X_LG).apply(mesh.vertices)[mesh.faces]
-            triangles.append(corners)
-            colors.append(visual.rgba[:3] * _tints(mesh))
+    for X_OG, visual in ((X_OL[link.name] @ v.X_LG, v) for link in item.links for v in link.visuals):
+        mesh = tessellate(visual.geometry, SEGMENTS)
+        triangles.append(X_OG.apply(mesh.vertices)[mesh.faces])
+        colors.append(visual.rgba[:3] * _tints(mesh))
     return np.concatenate(triangles), np.concatenate(colors)
 
 
@@ -184,13 +178,13 @@ def _tints(mesh: Mesh) -> Array:
     return np.asarray(pixels[((1 - v) * 63).round().astype(int), (u * 63).round().astype(int)])
 
 
-# Range of the factor by which a library object can be scaled to match the twin's size.
+# Range of the factors by which a library object can be scaled to the size of the twin's object.
 LEAST, MOST = 0.5, 2.0
 
-# Additional distance for objects in a different category, in the units of :attr:`LikenessDistance.distance`.
+# Additional distance of objects in different categories, in units of :attr:`LikenessDistance.distance`.
 STRANGER = 3.0
 
-# Material for meshes if the twin does not specify one.
+# Material of meshes if the twin does not specify a material.
 USUAL = Material(density=700.0, friction=0.5, restitution=0.1)
 
 
@@ -203,10 +197,10 @@ class VariantEntry:
 
 
 class VariantLibrary:
-    """A source of candidates that returns the objects in a folder, most similar to the twin first.
+    """A source of candidates that returns the objects in a folder, with the object most similar to the twin first.
 
-    The folder may contain asset documents and mesh files. A mesh takes its category from the name of its top-level
-    folder. ``left_out`` maps the paths of unusable files to the reasons.
+    The folder may contain asset documents and mesh files. The category of a mesh is the name of its top-level folder.
+    ``left_out`` maps the paths of unusable files to the reasons.
 
     Raises:
         SimfoundryError: The folder does not exist.
@@ -236,7 +230,7 @@ class VariantLibrary:
             like: Descriptor of the twin's object.
 
         Returns:
-            Tuples of the distance, the factor that scales the entry to the twin's size, and the entry.
+            Tuples of the distance, the factor that scales the entry to the size of the twin's object, and the entry.
         """
         found = []
         for entry in self.entries:
@@ -244,14 +238,14 @@ class VariantLibrary:
                 continue
             factor = float(np.exp(np.mean(np.log(like.size / entry.likeness.size))))
             factor = min(max(factor, LEAST), MOST)
-            sides = np.abs(np.log(entry.likeness.size * factor / like.size)).max() / np.log(1.06)
-            shape = np.abs(entry.likeness.shape - like.shape).sum() / 2 / 0.06
+            sides = np.abs(np.log(entry.likeness.size * factor / like.size)).max() / np.log(1 + SIZE)
+            shape = np.abs(entry.likeness.shape - like.shape).sum() / 2 / SHAPE
             away = float(sides + shape) + (0.0 if same_kind(entry.item.category, item.category) else STRANGER)
             found.append((away, factor, entry))
         return sorted(found, key=itemgetter(0))
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, which is generated from the next most similar entry."""
+        """Return candidate ``k``, which is generated from the next entry in order of similarity."""
         if item.name not in self._ranked:
             self._ranked[item.name] = self.ranked(item, likeness(alone(item)))
         ranked = self._ranked[item.name]

@@ -1,4 +1,4 @@
-"""Topology edits, which add, remove or replace parts if such objects exist in the real world."""
+"""Topology edits, which add, remove or replace parts. Only objects that exist in the real world are produced."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ from simfoundry.spec.models.base import BoxShape, PoseSpec, SphereShape
 
 FORWARD = np.array([1.0, 0.0, 0.0])
 
-# Minimum ratio of height to width for a loop handle; bowls and plates get lugs or a foot instead.
+# Minimum ratio of height to width for a loop handle. Bowls and plates get lugs or a foot instead.
 SHALLOW = 0.6
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """Remove a divider, band or stem. Handles are never removed, because a mug without a handle would be a cup."""
+    """Remove a divider, band or stem. Handles are not removed, because a mug without a handle would be a cup."""
     return with_added(spec, component.link, {}, component.parts), f"without its {component.name}"
 
 
 def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """Duplicate the handle on the other side of a solid of revolution."""
-    body = next((c for c in components(spec) if c.kind is Kind.VESSEL and c.link == component.link), None)
-    handles = [c for c in components(spec) if c.kind is Kind.HANDLE and c.link == component.link]
-    if body is None or len(handles) > 1:
+    kinds = [c.kind for c in components(spec) if c.link == component.link]
+    if Kind.VESSEL not in kinds or kinds.count(Kind.HANDLE) > 1:
         return None
     added = {}
     for (_, name), part in zip(component.parts, component.parts_in(spec), strict=True):
@@ -197,7 +196,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Duplicate or remove a layer of a stack other than the lowest and highest layers."""
+    """Duplicate or remove a layer of a stack. The lowest and highest layers stay unchanged."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: at(parts[k])[2] + bounds([parts[k]])[0][2])
     if len(order) < 4:
@@ -213,13 +212,12 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
             continue
         changed[key] = moved(part, at(part) + (thick if more else -thick) * UP) if above else part
     added = {f"{chosen[1]}_more": moved(parts[chosen], at(parts[chosen]) + thick * UP)} if more else {}
-    return with_added(
-        with_parts(spec, changed), component.link, added
-    ), f"{'a second' if more else 'without'} {chosen[1]}"
+    words = f"{'a second' if more else 'without'} {chosen[1]}"
+    return with_added(with_parts(spec, changed), component.link, added), words
 
 
 def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Remove a random berry from a bunch, except from its lowest layer, or add one beside the highest berry."""
+    """Remove a random berry that is not in the lowest layer of a bunch, or add a berry beside the highest berry."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: (at(parts[k])[2], k))
     top = [k for k in order if at(parts[k])[2] > at(parts[order[0]])[2] + 1e-6]
@@ -284,7 +282,8 @@ TOPOLOGY = (
 def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | None:
     """Return the profile of a vessel and its position in the link [m], shape (3,).
 
-    The result is None if the component is not a vessel, already has a handle, or belongs to an object with other links.
+    The result is None if the component is not a vessel, already has a handle, or belongs to an object with several
+    links.
     """
     lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):

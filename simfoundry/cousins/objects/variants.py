@@ -1,7 +1,7 @@
 """Generate variants of an object from numbered candidates, which may come from different sources.
 
-Candidate k depends only on the twin, the axis, the seed and k. The candidates are examined in order, and the first
-``count`` that pass all checks and differ from all previously accepted ones become variants, so equal calls produce
+Candidate k depends only on the twin, the axis, the seed and k. The candidates are examined in order. The first
+``count`` candidates that pass all checks and differ from all previous variants become variants, so equal calls produce
 equal variants.
 """
 
@@ -39,7 +39,7 @@ from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_val
 from simfoundry.spec.models.cousins import ObjectVariants
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
-# Maximum number of candidates per requested variant.
+# Maximum number of candidates for each requested variant.
 MOST_TRIES = 25
 
 # Maximum number of characters in a document's note.
@@ -53,7 +53,7 @@ class Origins(Protocol):
     """A source of candidates."""
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, or the reason why it could not be generated; must be a pure function."""
+        """Return candidate ``k``, or the reason why it could not be generated. Equal arguments give equal results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Variant:
         changed: Human-readable list of changes.
         item: The lowered object.
         likeness: Descriptor of the object.
-        distance: Distance to the most similar other variant or the twin, in units of the thresholds for distinct
+        distance: Distance to the most similar other variant or to the twin, in units of the thresholds for distinct
             objects.
     """
 
@@ -96,24 +96,24 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Refused:
-    """A rejected candidate and the reasons for its rejection."""
+    """A rejected candidate with the reason for its rejection."""
 
     k: int
     source: str
     changed: tuple[str, ...]
-    reasons: tuple[Reason, ...]
+    reason: Reason
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for manifests."""
-        reasons = [reason.to_json() for reason in self.reasons]
-        return {"candidate": self.k, "source": self.source, "changed": list(self.changed), "reasons": reasons}
+        data = {"candidate": self.k, "source": self.source, "changed": list(self.changed)}
+        return data | {"reasons": [self.reason.to_json()]}
 
 
 @dataclass(frozen=True, eq=False)
 class Variants:
     """Accepted and rejected variants of an object.
 
-    ``lacks`` describes requirements that the twin itself does not meet and that were therefore not checked.
+    ``lacks`` describes the requirements that the twin itself does not meet. They were not checked.
     """
 
     accepted: tuple[Variant, ...]
@@ -123,12 +123,12 @@ class Variants:
     @property
     def reasons(self) -> dict[str, int]:
         """Number of rejections for each reason, the most frequent first."""
-        counts = Counter(reason.code for one in self.refused for reason in one.reasons)
+        counts = Counter(one.reason.code for one in self.refused)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for manifests."""
-        accepted, refused = ([one.to_json() for one in of] for of in (self.accepted, self.refused))
+        accepted, refused = ([one.to_json() for one in some] for some in (self.accepted, self.refused))
         return {"accepted": accepted, "refused": refused, "reasons": self.reasons, "lacks": list(self.lacks)}
 
 
@@ -154,14 +154,14 @@ def variants(
 ) -> Variants:
     """Return the first ``axis.count`` distinct variants of an object that pass all checks.
 
-    Fewer variants are returned if :data:`MOST_TRIES` candidates per variant are not enough.
+    Fewer variants are returned if :data:`MOST_TRIES` candidates for each variant are not sufficient.
 
     Args:
         item: The twin's object.
         axis: Number, sources and kinds of variants.
         needs: Requirements on the variants.
         seed: Seed of the random generator.
-        sources: Sources by name, other than rules, which are always available.
+        sources: Sources by name, in addition to rules, which are always available.
         cache: Cache for lowering.
         progress: Called after each candidate that was generated.
 
@@ -179,8 +179,8 @@ def variants(
         lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
         twin, first = ObjectBaseline.of(base, needs), likeness(base)
-        # Rule-based variants must differ in shape or size, not just in color. This does not apply to library entries,
-        # which cannot be changed, or to balls, which have only one shape.
+        # Rule-based variants must differ in shape or size. Library entries and balls may also differ only in color,
+        # because library entries cannot be changed and balls have only one shape.
         form = "geometry" in axis.changes and not axis.components and not is_ball(item.spec)
         for k in range(MOST_TRIES * axis.count):
             if len(accepted) == axis.count:
@@ -188,7 +188,7 @@ def variants(
             name, origin = chosen[k % len(chosen)]
             made = origin(item, axis, seed, k)
             if isinstance(made, Reason):
-                refused.append(Refused(k, name, (), (made,)))
+                refused.append(Refused(k, name, (), made))
                 continue
             others = [first, *(v.likeness for v in accepted)]
             try:
@@ -203,7 +203,7 @@ def variants(
             if isinstance(result, Variant):
                 accepted.append(result)
             else:
-                refused.append(Refused(k, name, made.changed, (result,)))
+                refused.append(Refused(k, name, made.changed, result))
             if progress is not None:
                 progress(len(accepted), k + 1)
     return Variants(tuple(accepted), tuple(refused), twin.lacks)
@@ -212,7 +212,7 @@ def variants(
 def write(variant: Variant, folder: Path) -> Path:
     """Write a variant's document and its meshes to a folder, and return the path of the document.
 
-    File names are content-based, so an existing file with the same name has the same content.
+    File names depend on the content, so an existing file with the same name has the same content.
     """
     for name, data in variant.files.items():
         write_atomically(folder / name, data)
@@ -224,7 +224,7 @@ def write(variant: Variant, folder: Path) -> Path:
 def _variant(
     item: ObjectAsset, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
 ) -> Variant:
-    """Complete a draft by computing its masses, naming it and lowering it.
+    """Complete a draft with masses and a name, and lower it.
 
     Raises:
         SpecError: The resulting document is invalid.
@@ -248,9 +248,8 @@ def _variant(
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Reason:
     """Return the variant with its distance to the most similar other object, or a reason if it is too similar.
 
-    If ``form`` is true, a difference in color alone is not enough.
+    If ``form`` is true, a difference in color is not sufficient.
     """
-
     away = attrgetter("form" if form else "distance")
     nearest = min((variant.likeness.apart(other) for other in others), key=away)
     if away(nearest) >= 1:
@@ -260,7 +259,7 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
 
 
 def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
-    """Return the document with a content-based name and an origin note."""
+    """Return the document with a name that depends on its content, and with a note about its origin."""
     plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
     content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
     name = f"{item.name[:50]}_{hashlib.sha256(content.encode()).hexdigest()[:8]}"
@@ -271,14 +270,14 @@ def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str,
 
 
 def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
-    """Return the document with its category set and without unused materials."""
+    """Return the document with the item's category and without unused materials."""
     used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
     materials = {name: material for name, material in spec.materials.items() if name in used}
     return spec.model_copy(update={"category": item.category, "materials": materials})
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    """Return the volumes enclosed by the mesh files of an asset by name, in the cubed units of the files."""
+    """Return the volume that each mesh file of an asset encloses, by name, in the cubed unit of the file."""
     names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
@@ -286,6 +285,7 @@ def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
 # Relative uncertainty of the density of a material that is not in the tables.
 DOUBT = 0.15
 
+# Sources of estimated masses, written to the documents.
 BY = "volume and density"
 GIVEN = "the twin's mass, by volume"
 
@@ -293,8 +293,8 @@ GIVEN = "the twin's mass, by volume"
 def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], before: Mapping[str, float]) -> AssetSpec:
     """Return the asset with an estimated mass for each link.
 
-    If the twin specifies a link's mass, that mass is scaled in proportion to the volume. The twin's measured inertias
-    no longer apply and are removed.
+    If the twin specifies the mass of a link, the mass is scaled in proportion to the volume. The twin's measured
+    inertias no longer apply and are removed.
 
     Args:
         spec: The variant's asset.
@@ -310,11 +310,10 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
             links[name] = link.model_copy(update={"inertial": None})
             continue
         if own is not None and given is not None:
-            share = _mass(link, spec, volumes, 0) / _mass(own, twin, before, 0)
-            value, low, high, source = given * share, given * share * (1 - DOUBT), given * share * (1 + DOUBT), GIVEN
+            value, source = given * (_mass(link, spec, volumes, 0) / _mass(own, twin, before, 0)), GIVEN
+            low, high = value * (1 - DOUBT), value * (1 + DOUBT)
         else:
-            value, low, high = (_mass(link, spec, volumes, side) for side in (0, -1, 1))
-            source = BY
+            (value, low, high), source = (_mass(link, spec, volumes, side) for side in (0, -1, 1)), BY
         estimate = Estimate(value=_short(value), range=(_short(low), _short(high)), source=source)
         links[name] = link.model_copy(update={"mass": estimate, "inertial": None})
     return spec.model_copy(update={"links": links})
@@ -342,5 +341,5 @@ def _density(name: str | None, materials: Mapping[str, Material], side: int) -> 
 
 
 def _short(value: float) -> float:
-    """Round to three significant digits, which is sufficient for an estimate."""
+    """Round to three significant digits."""
     return float(f"{max(value, 1e-6):.3g}")

@@ -45,19 +45,6 @@ FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
 KEPT_TWINS = 16
 
 
-@dataclass(frozen=True)
-class SamplerSetup:
-    """The data that a process needs to sample candidates: the paths of the recipe and the output folder, and the seed.
-
-    ``vlm`` is the name of the vision-language model that the process that starts a run may query.
-    """
-
-    recipe: str
-    out: str
-    seed: int
-    vlm: str = ""
-
-
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
     """Samples the candidates of a recipe in one process; all candidates share the twin and the variant pool."""
@@ -69,11 +56,18 @@ class CandidateSampler:
     twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def load(cls, setup: SamplerSetup) -> CandidateSampler:
-        """Read the recipe, settle the twin, and collect the variant pool."""
-        recipe, out = read_recipe(Path(setup.recipe), setup.seed), Path(setup.out)
+    def load(cls, path: Path, out: Path, seed: int, vlm: str = "") -> CandidateSampler:
+        """Read a recipe, settle its twin, and collect the variant pool.
+
+        Args:
+            path: Path of the recipe.
+            out: Output folder.
+            seed: Seed of the run.
+            vlm: Name of the vision-language model that may be queried for the variant pool.
+        """
+        recipe = read_recipe(path, seed)
         twin = Twin.load(recipe.twin_file, Cache.default())
-        return cls(recipe, out, twin, variant_pool(recipe, out, twin, setup.vlm))
+        return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
 
     def require_possible(self) -> None:
         """Raise :class:`ImpossibleError` if no candidate can satisfy the recipe."""

@@ -151,6 +151,15 @@ def Xform "World" (
     variantSet "{set}" = {{
 """
 
+_PLACED = """\
+                over "{name}"{choice}
+                {{
+                    quatd xformOp:orient = ({quaternion})
+                    double3 xformOp:translate = ({xyz})
+                    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]
+                }}
+"""
+
 Objects = Mapping[str, Mapping[str, Any]]
 
 
@@ -164,8 +173,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
     if path.suffix != ".usda":
         raise OutputError(f"stages are written in text format; name the file {path.with_suffix('.usda').name}")
-    added: dict[str, Mapping[str, Any]] = {}
-    others: dict[str, dict[str, str]] = {}
+    added, others = dict[str, Mapping[str, Any]](), dict[str, dict[str, str]]()
     for _, objects in _cousins(ledger):
         for name, data in objects.items():
             if name not in recipe.scene_spec.objects:
@@ -176,8 +184,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
     home = {name: item.X_WO for name, item in whole.by_name.items()}
     build(whole, ("usd",), path.with_suffix(""))
     with writing_atomically(path) as stream:
-        head = _HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
-        stream.write(head.encode())
+        stream.write(_HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN).encode())
         stream.write(_block(TWIN, {}, added, home).encode())
         for index, objects in _cousins(ledger):
             stream.write(_block(f"c{index:06d}", objects, added, home).encode())
@@ -188,8 +195,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
     """Yield the index of each cousin that has its own scene, with the object entries in its document."""
     with Reader() as reader:
-        for place in ledger.counted():
-            candidate = reader.candidate(place) if place.accepted else Candidate(0)
+        for candidate in (reader.candidate(place) for place in ledger.counted() if place.accepted):
             if "scene" in candidate.documents:
                 yield candidate.index, parse(candidate.documents["scene"]).data.get("objects", {})
 
@@ -226,13 +232,6 @@ def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str,
         chosen = _variant(data["asset"]) if "asset" in data and own not in added else ""
         choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
         X_WO = pose(PoseSpec(**data["pose"])) if "pose" in data else home[own]
-        lines += [f'                over "{own}"{choice}', "                {", *_placed(X_WO), "                }"]
+        xyz, quaternion = (", ".join(number(float(v)) for v in values) for values in (X_WO.p, X_WO.q))
+        lines += _PLACED.format(name=own, choice=choice, quaternion=quaternion, xyz=xyz).splitlines()
     return "\n".join([*lines, "            }", "        }", ""])
-
-
-def _placed(X_WO: Pose) -> Iterator[str]:
-    pad = " " * 20
-    xyz, quaternion = (", ".join(number(float(v)) for v in values) for values in (X_WO.p, X_WO.q))
-    yield f"{pad}quatd xformOp:orient = ({quaternion})"
-    yield f"{pad}double3 xformOp:translate = ({xyz})"
-    yield f'{pad}uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]'

@@ -244,8 +244,8 @@ def _require_none_beyond(plan: RunPlan, ledger: Ledger) -> None:
 
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
     """Yield newly examined candidates as they finish, and keep the pool busy until the run ends."""
-    todo, running = ledger.unknown(), 0
-    index, ahead = next(todo, None), AHEAD * ledger.step * pool.size
+    todo, running, ahead = ledger.unknown(), 0, AHEAD * ledger.step * pool.size
+    index = next(todo, None)
     while ledger.end is RunEnd.OPEN:
         while index is not None and running < 2 * pool.size and index - ledger.next_index < ahead:
             pool.submit(index)

@@ -8,9 +8,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
-from operator import attrgetter
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, Protocol
 
 from simfoundry.cousins.recipe.candidate import Candidate, Reason
@@ -34,8 +33,7 @@ class Work:
 
     def sampler(self) -> Callable[[int], Candidate]:
         """Create the function that returns the candidate with a given index."""
-        module, _, name = self.factory.partition(":")
-        made: Callable[[int], Candidate] = attrgetter(name)(import_module(module))(*self.arguments)
+        made: Callable[[int], Candidate] = resolve_name(self.factory)(*self.arguments)
         return made
 
 
@@ -166,14 +164,12 @@ def _connect(ray: Any, size: int | None) -> None:
     from contextlib import chdir
     from tempfile import TemporaryDirectory
 
-    quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False}
     paths = os.pathsep.join(str(Path(p).absolute()) for p in sys.path if p)
-    environment = {"env_vars": {"PYTHONPATH": paths}}
+    local: dict[str, Any] = {"num_cpus": size or os.cpu_count(), "include_dashboard": False}
+    local["runtime_env"] = {"env_vars": {"PYTHONPATH": paths}}
     with TemporaryDirectory(prefix="simfoundry-ray-") as empty, chdir(empty):
-        if os.environ.get("RAY_ADDRESS"):
-            ray.init(log_to_driver=False, logging_level=logging.ERROR)
-        else:
-            ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
+        options = {} if os.environ.get("RAY_ADDRESS") else local
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
 
 
 def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> CandidatePool:

@@ -42,10 +42,10 @@ PATTERNS = {
     NAME: PatternText(
         "name", "name", "a name starts with a lower-case letter, followed by lower-case letters, digits and `_`"
     ),
-    PART_NAME: PatternText("name", "name or name.part", "a name as `cabinet`, or one of its links as `cabinet.drawer`"),
-    CODE: PatternText("SF402", "code", "the code of a warning, as `SF402`"),
-    JOINT_NAME: PatternText("joint", "joint", "the name of a joint, as the robot's own model has it"),
-    WIRE_KEY: PatternText("key", "key", "a key of the policy's own, as `observation/wrist_image_left`"),
+    PART_NAME: PatternText("name", "name or name.part", "a name such as `cabinet`, or a link such as `cabinet.drawer`"),
+    CODE: PatternText("SF402", "code", "the code of a warning, such as `SF402`"),
+    JOINT_NAME: PatternText("joint", "joint", "the name of a joint in the robot's model"),
+    WIRE_KEY: PatternText("key", "key", "a key that the policy expects, such as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
         "VARIABLE", "environment variable", "the name of an environment variable (uppercase), not the key itself"
     ),

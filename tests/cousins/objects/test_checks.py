@@ -59,7 +59,7 @@ def test_what_a_task_asks_of_its_things() -> None:
 
 def test_the_twin_passes_its_own_checks() -> None:
     bowl = twin("cup_in_bowl", "bowl", "bowl")
-    assert not bowl.lacks and len(bowl.rests) == 1
+    assert not bowl.lacks and len(bowl.needs.rests) == 1
     assert first(item("bowl").spec, "bowl", bowl, "bowl") == ("", "")
 
 

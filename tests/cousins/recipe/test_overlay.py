@@ -16,7 +16,7 @@ from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import claim_project, dependents, read_recipe, relative
-from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
+from simfoundry.cousins.run.candidates import CandidateSampler
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -71,12 +71,12 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def setup(project: Path, name: str, seed: int = 11) -> SamplerSetup:
-    return SamplerSetup(str(project / f"{name}.cousins.yaml"), str(project / "out"), seed)
+def setup(project: Path, name: str, seed: int = 11) -> tuple[Path, Path, int]:
+    return project / f"{name}.cousins.yaml", project / "out", seed
 
 
-def first_accepted(asked: SamplerSetup) -> Candidate:
-    return next(c for c in map(CandidateSampler.load(asked), range(1, 30)) if c.accepted)
+def first_accepted(asked: tuple[Path, Path, int]) -> Candidate:
+    return next(c for c in map(CandidateSampler.load(*asked), range(1, 30)) if c.accepted)
 
 
 def written(project: Path, one: Candidate) -> dict[str, Path]:
@@ -126,14 +126,14 @@ def test_a_task_comes_along_without_what_was_said_of_moved_things(project: Path)
 
 def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     asked = setup(project, "scenes")
-    one, other = CandidateSampler.load(asked), CandidateSampler.load(asked)
+    one, other = CandidateSampler.load(*asked), CandidateSampler.load(*asked)
     first = [one(k).line() for k in (1, 2, 3, 4)]
     assert [other(k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup;"
-        "print(CandidateSampler.load(SamplerSetup(sys.argv[1], sys.argv[2], 11))(3).line())"
+        "import sys; from pathlib import Path; from simfoundry.cousins.run.candidates import CandidateSampler;"
+        "print(CandidateSampler.load(Path(sys.argv[1]), Path(sys.argv[2]), 11)(3).line())"
     )
-    line = [sys.executable, "-c", program, asked.recipe, asked.out]
+    line = [sys.executable, "-c", program, str(asked[0]), str(asked[1])]
     done = subprocess.run(
         line,
         capture_output=True,
@@ -142,7 +142,7 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(REPOSITORY), "PYTHONHASHSEED": "7"},
     )
     assert done.stdout.strip() == first[2]
-    assert CandidateSampler.load(setup(project, "scenes", 12))(1).line() != first[0]
+    assert CandidateSampler.load(*setup(project, "scenes", 12))(1).line() != first[0]
 
 
 def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
+from simfoundry.cousins.run.candidates import CandidateSampler
 from simfoundry.cousins.run.log import log_file
 from tests.cli.command import Done, run
 from tests.cousins.conftest import TABLE
@@ -106,7 +106,7 @@ def test_a_table_too_full_of_distractors(project: Path) -> None:
 
 def test_a_table_that_may_hold_them_is_tried(project: Path) -> None:
     (project / "a.cousins.yaml").write_text(RECIPE.replace("count: [1, 2]", "count: [25, 25]"))
-    one = CandidateSampler.load(SamplerSetup(str(project / "a.cousins.yaml"), str(project / "out"), 0))(1)
+    one = CandidateSampler.load(project / "a.cousins.yaml", project / "out", 0)(1)
     assert one.accepted or {reason.code for reason in one.reasons} == {"no_room"}, one.reasons
 
 
