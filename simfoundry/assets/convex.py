@@ -108,8 +108,8 @@ MAX_HULL_VERTICES = 64
 # The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its
 # concave regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python
 # -m tests.benchmarks.colliders FOLDER`). Cans, bottles and the marker, which a gripper can treat as convex, fill 0.82
-# to 0.96 of their hulls with concave regions of 3 to 6.8 % in depth. Next are the pitcher (0.82, 8.3 %) and the banana
-# (0.65, 18 %), followed by containers and tools (below 0.45, above 10 %).
+# to 0.96 of their hulls with concave regions of 3 to 6.8% in depth. Next are the pitcher (0.82, 8.3%) and the banana
+# (0.65, 18%), followed by containers and tools (below 0.45, above 10%).
 SHALLOW_FILL, SHALLOW = 0.80, 0.07
 
 # How much farther from the mesh a primitive may be than the hull, as a fraction of the mesh's longest side.

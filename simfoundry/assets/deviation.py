@@ -19,7 +19,7 @@ TOGETHER = 256
 # Margin [m] added to a bound so that rounding cannot exclude the triangle from which it was computed.
 ROUNDING = 1e-12
 
-# Number of mesh samples whose distance to the parts is computed; one in five is enough for 1 % accuracy.
+# Number of mesh samples whose distance to the parts is computed; one in five is enough for 1% accuracy.
 CHECKED = 4_000
 
 # Gap between parts, relative to the longest side, below which they are treated as touching along a cut.

@@ -16,15 +16,15 @@ from simfoundry.assets.mass import Array, Faces
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
 
-# Number of sides of the visual mesh, whose radius is up to 0.2 % too small. The mass is that of the exact solid.
+# Number of sides of the visual mesh, whose radius is up to 0.2% too small. The mass is that of the exact solid.
 SIDES = 48
 
-# Number of sectors in a ring that is split into convex parts; they protrude inward by at most 2 % of its radius.
+# Number of sectors in a ring that is split into convex parts; they protrude inward by at most 2% of its radius.
 SECTORS = 16
 
 # Range for the number of sides of a part that reaches the axis.
 #
-# The radius is up to 3.4 % too small with 12 sides, and up to 0.9 % with 24.
+# The radius is up to 3.4% too small with 12 sides, and up to 0.9% with 24.
 LEAST_SIDES, MOST_SIDES = 12, 24
 
 _SIDE_COUNTS = (*range(LEAST_SIDES, MOST_SIDES + 1), SECTORS)

@@ -204,7 +204,7 @@ def correlate_command(
 
     REAL and SIM are results from `simfoundry eval`, or CSV tables with task, policy, and either a rate or the number of
     successes and rollouts. Each SIM is compared with REAL on the tasks and policies that both contain. The brackets
-    show 95 % intervals, which are computed by sampling the rates from their posteriors and resampling the policies. r
+    show 95% intervals, which are computed by sampling the rates from their posteriors and resampling the policies. r
     is undefined if all policies have the same success rate.
     """
     from simfoundry.evaluate.statistics import correlation

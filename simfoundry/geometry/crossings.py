@@ -173,7 +173,7 @@ def _clipped(parts: NDArray[np.intp], room: Array, slope: Array) -> tuple[Array,
     return np.maximum.reduceat(first, parts, axis=1), np.minimum.reduceat(last, parts, axis=1)
 
 
-class Run(NamedTuple):
+class SolidRun(NamedTuple):
     """The intersection of a line with one or more parts, from ``start`` to ``end`` along the line [m].
 
     ``first`` and ``last`` contain the line index and the part index at the start and at the end.
@@ -185,14 +185,14 @@ class Run(NamedTuple):
     last: tuple[int, int]
 
 
-def union(runs: Iterable[Run]) -> list[Run]:
+def union(runs: Iterable[SolidRun]) -> list[SolidRun]:
     """Return the union of runs sorted by their start; runs separated by at most :data:`TOGETHER` are merged."""
-    found: list[Run] = []
+    found: list[SolidRun] = []
     for run in runs:
         if not found or run.start > found[-1].end + TOGETHER:
             found.append(run)
         elif run.end > found[-1].end:
-            found[-1] = Run(found[-1].start, run.end, found[-1].first, run.last)
+            found[-1] = SolidRun(found[-1].start, run.end, found[-1].first, run.last)
     return found
 
 
@@ -201,7 +201,7 @@ def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: A
     ordered = inside[np.argsort(entry[inside], kind="stable")].tolist()
     spans = []
     for start, end, (_, first), (_, last) in union(
-        Run(float(entry[k]), float(leave[k]), (0, k), (0, k)) for k in ordered
+        SolidRun(float(entry[k]), float(leave[k]), (0, k), (0, k)) for k in ordered
     ):
         enter, exit_ = _facing(shape, room, slope, first, start, -1.0), _facing(shape, room, slope, last, end, 1.0)
         spans.append(Span(start, end, min(enter, exit_)))

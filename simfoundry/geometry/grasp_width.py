@@ -19,11 +19,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simfoundry.geometry.crossings import HalfSpaces, Run, bounds, face_normal, part_spans, union
+from simfoundry.geometry.crossings import HalfSpaces, SolidRun, bounds, face_normal, part_spans, union
 
 # Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
 # faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
-# makes the width at most 0.9 % too large.
+# makes the width at most 0.9% too large.
 DIRECTIONS = 12
 
 # Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM.
@@ -115,7 +115,7 @@ class _Closing:
         self._skipped = 2
         a, z = np.meshgrid(across, high[2] - depths, indexing="xy")
         self._starts = np.column_stack([a.ravel(), np.full(a.size, low[1]), z.ravel()]) @ axes.T
-        self._met: list[list[list[Run]]] = [[[] for _ in range(lines)] for _ in depths]
+        self._met: list[list[list[SolidRun]]] = [[[] for _ in range(lines)] for _ in depths]
         along = solid.corners @ axes
         for part in range(len(solid.first)):
             own = along[solid.owner == part]
@@ -124,12 +124,12 @@ class _Closing:
             enter, leave = part_spans(solid, part, self._starts[chosen], self._direction)
             for at, first, last in zip(chosen.tolist(), enter.tolist(), leave.tolist(), strict=True):
                 if last > first:
-                    self._met[at // lines][at % lines].append(Run(first, last, (at, part), (at, part)))
+                    self._met[at // lines][at % lines].append(SolidRun(first, last, (at, part), (at, part)))
 
     def narrowest(self, best: float) -> float:
         """Return the smallest width of a valid grasp [m], or ``best`` if none is smaller."""
         lines = len(self._met[0])
-        above: list[list[Run]] = [[] for _ in range(lines)]
+        above: list[list[SolidRun]] = [[] for _ in range(lines)]
         for row, met in enumerate(self._met):
             wider = [union(sorted([*old, *new])) for old, new in zip(above, met, strict=True)]
             changed = [new != old for new, old in zip(wider, above, strict=True)]
@@ -142,7 +142,7 @@ class _Closing:
                     best = self._between(above[line : line + LINES], best)
         return best
 
-    def _between(self, above: Sequence[list[Run]], best: float) -> float:
+    def _between(self, above: Sequence[list[SolidRun]], best: float) -> float:
         """Return the width of the narrowest part that a pad can grasp along its lines [m], or ``best`` if smaller."""
         runs = union(sorted(run for line in above for run in line))
         for i, first in enumerate(runs):
@@ -156,7 +156,7 @@ class _Closing:
                     best = last.end - first.start
         return best
 
-    def _holds(self, above: Sequence[list[Run]], first: Run, last: Run) -> bool:
+    def _holds(self, above: Sequence[list[SolidRun]], first: SolidRun, last: SolidRun) -> bool:
         within = [[run for run in line if first.start <= run.start and run.end <= last.end] for line in above]
         if not all(within):
             return False

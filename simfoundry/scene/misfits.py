@@ -27,7 +27,7 @@ POINTS = 600
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 
 # Maximum depth of hollows that a decomposition may fill, as a fraction of the longest side: CoACD splits only hollows
-# deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`).
+# deeper than 5% of half that side (`threshold` in :mod:`simfoundry.assets.convex`).
 RESOLUTION = 0.02
 
 

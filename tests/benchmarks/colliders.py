@@ -47,7 +47,7 @@ def row(file: Path) -> str:
     found = mesh_colliders(vertices, faces, "auto")
     took = time.perf_counter() - start
     kind = found.primitive.kind if found.primitive is not None else f"{len(found.parts)} convex"
-    shown = [f"{1e3 * v:5.1f} mm {100 * v / size:4.1f} %" for v in (plain, found.error)]
+    shown = [f"{1e3 * v:5.1f} mm {100 * v / size:4.1f}%" for v in (plain, found.error)]
     return f"{file.parent.name:28} fill {fill:.2f}  hull {shown[0]}  {kind:10} error {shown[1]}  {took:5.1f} s"
 
 

@@ -27,7 +27,7 @@ DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 # Between the middles of opposite faces of the scanned cartons, which bulge: their bounding boxes are up to 8 mm larger.
 CRACKERS, SUGAR = (0.0642, 0.1601, 0.2115), (0.0408, 0.0901, 0.1750)
 
-# What the inverse depth of the camera behind `posecnn_demo` is too large by [1/m], 3 % at one meter. A constant there
+# What the inverse depth of the camera behind `posecnn_demo` is too large by [1/m], 3% at one meter. A constant there
 # maps planes to planes, so no single object gives it away, but upright faces lean back by 4 to 6 degrees, lids lie low
 # far from any edge, and this one number brings cartons, bowl and pitcher of four frames to their sizes.
 TOO_NEAR = 0.03

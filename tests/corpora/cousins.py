@@ -3,7 +3,7 @@
 Parts, all by default:
 
 ``validity``    N cousins (100) of each recipe of ``specs/cousins`` that has layouts, read back from their files and let
-                go for 2 s in MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than
+                go for 2 s in MuJoCo and in PyBullet: what was asked for holds in 99%, nothing overlaps by more than
                 1 mm or moves farther than 1 cm, and no task of a cousin is done already. ``-r`` names one recipe.
 ``kills``       a run that is killed (SIGKILL) at ten random moments and resumed gives the same bytes.
 ``workers``     so do 1 and 2 processes, and shards in any order.

@@ -7,7 +7,7 @@ masses, joints, poses and, by MuJoCo at random joint states, its mass matrix. Re
 Then ``--mutations`` corrupted files are imported: each has to give documents or a sentence, in bounded time.
 
 Files belong to two halves by the hash of their path: `tuned`, which may be looked at while mending, and `held`.
-Exit code 1 where anything breaks, or where less than 90 % of what the engines load comes back equal.
+Exit code 1 where anything breaks, or where less than 90% of what the engines load comes back equal.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def policies(count: int, noise: float, rng: np.random.Generator) -> tuple[Array,
 
 
 def main() -> None:
-    """Print the share of 95 % intervals that hold the r of all policies."""
+    """Print the share of 95% intervals that hold the r of all policies."""
     rng = np.random.default_rng(0)
     for noise in (0.1, 0.3):
         truth = pearson(*policies(200_000, noise, rng))

@@ -6,7 +6,7 @@
 The first prints for each object how many candidates were tried, accepted and why not, re-reads every written document,
 and exits with 1 where an object has fewer than nine distinct variants, or one of them does not pass again. The second
 makes a task of each object cousin of Cup in Bowl, one object of another kind at a time, rolls the expert out, and exits
-with 1 below 70 %; it needs the robots' models (docs/robots.md).
+with 1 below 70%; it needs the robots' models (docs/robots.md).
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def test_mujoco_and_the_ray_caster_see_each_object_at_the_same_pixels() -> None:
         for number, item in enumerate(scene.objects, start=1):
             drawn = root[geoms] == world.model.body(item.name).id
             assert (seen == number).sum() > 200, item.name
-            # MuJoCo draws round shapes with 28 slices; 97 % leaves it the outline of a small plate.
+            # MuJoCo draws round shapes with 28 slices; 97% leaves it the outline of a small plate.
             assert iou(seen == number, drawn) > 0.97, item.name
     np.testing.assert_array_equal(render(scene, camera, OPEN, Engine.EGL), picture)
 

@@ -30,7 +30,7 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
     """Yield the losses of a scene in PyBullet for a time step of ``timestep`` [s], except those of its robots."""
     colliders = [collider for item in scene.objects for link in item.links for collider in link.colliders]
     if any(collider.friction > 0 for collider in colliders):
-        reason = "Bullet's friction depends on direction; between the two friction axes, it is up to 9 % too low."
+        reason = "Bullet's friction depends on direction; between the two friction axes, it is up to 9% too low."
         yield approximate("friction", "", reason, 9, "%")
     if any(collider.restitution > 0 for collider in colliders):
         reason = "Bullet resolves impacts at step boundaries; the rebound differs from the coefficient by up to 0.15."

@@ -131,7 +131,7 @@ def _columns(t: Array) -> Array:
 def _mirror_depths(fronts: list[_Slice]) -> Array:
     """Return the position of the mirror plane in each slice [m].
 
-    Over the inner 85 % of its width, an ellipse curves back by 0.47 of its half depth, which determines the plane. A
+    Over the inner 85% of its width, an ellipse curves back by 0.47 of its half depth, which determines the plane. A
     flat front provides no information, so the depth prior for boxes is used instead. Standing objects are usually
     symmetric about a single plane from base to cap, so all slices use the median, as far as their widths allow.
     """

@@ -76,7 +76,7 @@ class Evidence:
 
     @property
     def top(self) -> float:
-        """Height of the object [m], robust to noise: the median of its highest 2 % of points, but at least ten."""
+        """Height of the object [m], robust to noise: the median of its highest 2% of points, but at least ten."""
         z = self.points[:, 2]
         count = max(min(10, len(z)), len(z) // 50)
         return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))

@@ -103,7 +103,7 @@ def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
     """Return the confidence in a fit, in [0, 1].
 
     The confidence is the product of five factors: the fraction of measured pixels explained within the noise scale; the
-    fraction of rays without intrusion into free space; ``exp(-fit / (5 % of the size))``; ``min(1, sqrt(points /
+    fraction of rays without intrusion into free space; ``exp(-fit / (5% of the size))``; ``min(1, sqrt(points /
     400))``; and a factor that is 0.6 if a prior supplied an extent that was not visible, 0.7 for a completed shape,
     because its entire far side is a guess, and otherwise 1.
     """

@@ -40,7 +40,7 @@ class _Texels:
 def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
     """Return the robust mean color of the pixels under ``mask`` (bool, shape (h, w)), as sRGB in [0, 1].
 
-    The rim of the mask is excluded because colors mix there, as are the darkest 10 % (shadows) and the lightest 20 %
+    The rim of the mask is excluded because colors mix there, as are the darkest 10% (shadows) and the lightest 20%
     (highlights).
     """
     core = _eroded(mask, 2)

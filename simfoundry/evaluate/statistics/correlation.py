@@ -197,9 +197,9 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
     Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that rates of 0 and 25 out
     of 25 are not treated as certain. It also samples the policies with a Bayesian bootstrap (Rubin, 1981), with weights
     from a flat Dirichlet distribution. Resampling three to five policies with replacement would mostly leave only two
-    distinct policies, for which r is always 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99 % of the 95 %
+    distinct policies, for which r is always 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99% of the 95%
     intervals contain the r of the population of policies (``tests/corpora/intervals.py``). With a bootstrap over the
-    rollouts alone, 57 to 94 % of them do.
+    rollouts alone, 57 to 94% of them do.
 
     Raises:
         ScoresError: If no pair of task and policy is in both tables.

@@ -13,7 +13,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array
 
-# The two-sided 95 % quantile of the standard normal distribution, which leaves 2.5 % in each tail.
+# The two-sided 95% quantile of the standard normal distribution, which leaves 2.5% in each tail.
 Z_95 = 1.959963984540054
 
 
@@ -96,7 +96,7 @@ class Rate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the rate."""
+        """Wilson's 95% interval of the rate."""
         return wilson(self.done, self.of)
 
     def __str__(self) -> str:

@@ -23,7 +23,7 @@ CRACKER_BOX_HEIGHT = {"posecnn_demo_000001": 0.164, "posecnn_demo_000005": 0.213
 
 STANDING = frozenset({"posecnn_demo_000005"})
 """Where it stands, and its height is promised. Where it lies its height is a figure without a bar: the depth of that
-picture reads about 4 % short everywhere (mustard bottle, soup can and box alike), and the fit follows the depth."""
+picture reads about 4% short everywhere (mustard bottle, soup can and box alike), and the fit follows the depth."""
 
 RED_SHARE = 0.4
 """An object is red if this share of what the photograph shows in its place is."""

@@ -80,7 +80,7 @@ def test_the_same_call_gives_the_same_documents_and_another_seed_others(bowl: Ob
 def test_what_is_refused_says_why_with_numbers() -> None:
     ball = item_of(load_kind(REPOSITORY / "specs" / "scenes" / "clear_table.scene.yaml", "scene/1"), "baseball")
     found = variants(ball, ObjectVariants(changes=("geometry",), count=2))
-    assert len(found.accepted) < 2  # balls for one game do not differ by 6 % twice
+    assert len(found.accepted) < 2  # balls for one game do not differ by 6% twice
     assert found.reasons.keys() <= {"alike", "size"} and sum(found.reasons.values()) == len(found.refused)
     alike = next(one.reason for one in found.refused if one.reason.code == "alike")
     assert alike.text.startswith("it is too similar to another") and alike.numbers["size"] < 0.06
