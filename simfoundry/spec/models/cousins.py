@@ -26,6 +26,7 @@ Change = Literal["geometry", "topology", "appearance"]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Gap = Annotated[tuple[NonNegative, NonNegative], Ordered]
 Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
+WorldName = Annotated[str, StringConstraints(min_length=1, max_length=64)]  # not the name of a member
 ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
@@ -117,7 +118,7 @@ class TaskAxis(Model):
         "affordances", description="Source of the tasks: enumerated from `affordances`, or proposed by a `model`."
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
-    engines: tuple[Name, ...] = Field(
+    engines: tuple[WorldName, ...] = Field(
         ("mujoco",), min_length=1, description="Simulators in which goals must be stable."
     )
 
