@@ -124,7 +124,10 @@ class TaskAxis(Model):
 
 
 class CousinsSpec(DocumentSpec):
-    """A cousin recipe: the twin, the axes to vary, and the number of cousins. The same seed always produces the same cousins."""
+    """A cousin recipe: the twin, the axes to vary, and the number of cousins.
+
+    The same seed always produces the same cousins.
+    """
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")
