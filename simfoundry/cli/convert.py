@@ -27,10 +27,9 @@ HEADINGS = {
 
 @output.subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path),
-    help="Output document (NAME.scene.yaml or NAME.asset.yaml) or folder. Default: named after the input file.",
-)  # fmt: skip
+@click.option("-o", "--out", type=click.Path(path_type=Path),
+              help="Output document (NAME.scene.yaml or NAME.asset.yaml) or folder. "
+                   "Default: named after the input file.")  # fmt: skip
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
               help="Folder in which to resolve `package://NAME/…`; may be repeated.")  # fmt: skip
 @click.option("--scene", type=FILE, help="Scene for the imported task.")

@@ -78,11 +78,8 @@ def status(as_json: bool) -> int:
             other = "" if value == wanted[key] else "  (from another installation; run install to update it)"
             click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
         have = "have" if attributes else "do not have"
-        click.echo(
-            "this is not a git repository, so there are no attributes"
-            if folder is None
-            else f"documents in this repository {have} the attributes diff and merge"
-        )
+        text = f"documents in this repository {have} the attributes diff and merge"
+        click.echo("this is not a git repository, so there are no attributes" if folder is None else text)
         if not complete:
             click.echo("to add the missing settings: simfoundry git install")
     return output.DONE if complete else output.FINDINGS

@@ -29,9 +29,8 @@ P = ParamSpec("P")
 DONE, FINDINGS, CANNOT = 0, 1, 2
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-force_option = click.option(
-    "--force", is_flag=True, help="Replace the output file even if simfoundry did not write it."
-)
+force_option = click.option("--force", is_flag=True,
+                            help="Replace the output file even if simfoundry did not write it.")  # fmt: skip
 
 
 class CannotError(click.ClickException):

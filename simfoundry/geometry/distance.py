@@ -348,9 +348,8 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
     low_b, high_b, ball_b, size_b = pair.other.pieces
     b_in_a = X_AB.p[:, None] + ball_b @ X_AB.R.transpose(0, 2, 1)
     reach = most[:, None, None] + (size_a[:, None] + size_b)
-    square = (
-        (b_in_a**2).sum(axis=2)[:, None] + (ball_a**2).sum(axis=1)[:, None] - 2 * (ball_a @ b_in_a.transpose(0, 2, 1))
-    )
+    squares = (b_in_a**2).sum(axis=2)[:, None] + (ball_a**2).sum(axis=1)[:, None]
+    square = squares - 2 * (ball_a @ b_in_a.transpose(0, 2, 1))
     state, i, j = np.nonzero(square < reach**2 * (reach > 0))
     a_in_b = (ball_a - X_AB.p[:, None]) @ X_AB.R
     bound = _beyond(b_in_a[state, j], low_a[i], high_a[i]) - size_b[j]

@@ -104,7 +104,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield pairs of colliders in different objects that can touch but whose frictions differ, with their friction."""
+    """Yield pairs of colliders of different objects that can touch and differ in friction, and the pair's friction."""
     excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:

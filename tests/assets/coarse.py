@@ -10,6 +10,7 @@ from typing import Any
 from unittest import mock
 
 from simfoundry.assets import convex
+from simfoundry.assets.mass import Array, Faces
 
 COARSE = "tests.assets.coarse:run"
 
@@ -20,7 +21,7 @@ SETTINGS: dict[str, float | int] = {
 }
 
 
-def run(vertices: convex.Array, faces: convex.Faces) -> list[Any]:
+def run(vertices: Array, faces: Faces) -> list[Any]:
     """Decompose in this process."""
     with mock.patch.dict(convex.SETTINGS, SETTINGS):
         return convex.run(vertices, faces)

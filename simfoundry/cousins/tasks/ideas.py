@@ -134,7 +134,7 @@ def _boards(setting: TaskContext, name: str) -> list[str]:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return True if an object's highest level surface is a top rather than a floor, that is, in its upper half."""
+    """Return True if the highest level surface of an object is in its upper half, so it is a top and not a floor."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2

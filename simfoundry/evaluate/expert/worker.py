@@ -178,8 +178,7 @@ class ExpertWorker:
 
     def check(self, robot: str) -> None:
         """Raise :class:`FailedError` if the hand has lost its object."""
-        held = self.held.get(robot)
-        if held is None:
+        if (held := self.held.get(robot)) is None:
             return
         X_HO = self.now.robots[robot].X_WH.inverse() @ self.now.state.poses[held.name]
         if np.linalg.norm(X_HO.p - held.X_HO.p) > LOST:

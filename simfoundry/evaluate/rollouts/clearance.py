@@ -52,10 +52,8 @@ class Clearances:
         objects = [name for name in owners if name in self._rigid]
         if len(robots) + len(objects) < len(owners) or not objects or not set(self._bodies.robots) <= set(state.robots):
             return False
-        if call.predicate == "Grasped":
+        if call.predicate == "Grasped" or (call.predicate == "Touching" and robots):
             return all(self._apart(robot, objects[0], state) for robot in robots or self._bodies.robots)
-        if call.predicate == "Touching" and robots:
-            return self._apart(robots[0], objects[0], state)
         if call.predicate in ("OnTop", "Inside", "Touching") and len(objects) == 2:
             a, b = objects
             return math.dist(state.poses[a].p, state.poses[b].p) > self._rigid[a] + self._rigid[b] + TOUCH

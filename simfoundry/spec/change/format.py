@@ -141,7 +141,7 @@ def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> st
 
 
 def _parsed(file: str, text: str | None = None) -> Document:
-    """Parse a text, or the content of the file if no text is passed."""
+    """Parse the given text, or the contents of the file if no text is passed."""
     try:
         return read(Path(file)) if text is None else parse(text, file)
     except YamlError as error:

@@ -38,7 +38,9 @@ class PartSpec(Model):
     material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
     color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
-        "both", description="A `visual` part is only rendered; a `collision` part only collides and has mass."
+        "both",
+        description="A `visual` part is rendered but neither collides nor has mass; a `collision` part collides and "
+        "has mass but is not rendered.",
     )
 
     @consistent
@@ -53,7 +55,9 @@ class Inertial(Model):
 
     com: Point3 = Field((0.0, 0.0, 0.0), description="Center of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
-        None, description="ixx, iyy, izz, ixy, ixz, iyz about `com` in link axes [kg m^2]; default: from the parts."
+        None,
+        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: the "
+        "inertia of the parts about their own center of mass.",
     )
 
     @consistent
@@ -138,16 +142,23 @@ class JointSpec(Model):
     type: JointKind = Field(description="Type of motion between the parent and the child.")
     parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the child in the parent at position zero.")
+    pose: PoseSpec = Field(
+        PoseSpec.model_construct(),
+        description="Pose of the child's frame in the parent's frame at joint position zero.",
+    )
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: Range | None = Field(None, description="Lower and upper limit of a prismatic joint [m].")
     limits_deg: Range | None = Field(None, description="Lower and upper limit of a revolute joint [deg].")
     closed: Literal["lower", "upper"] | None = Field(
-        None, description="The limit at which `Closed` holds; default: zero, or the limit closest to zero."
+        None,
+        description="The limit at which `Open` and `Closed` treat the joint as closed; default: zero, or the limit "
+        "closest to zero.",
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
-    armature: NonNegative = Field(0.0, description="Added inertia, such as the inertia of a rotor [kg, or kg m^2].")
+    armature: NonNegative = Field(
+        0.0, description="Inertia added to the joint, such as the rotor inertia of a motor [kg, or kg m^2]."
+    )
     mimic: MimicSpec | None = Field(None, description="Coupling to another joint that this joint follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
@@ -181,9 +192,13 @@ class AssetSpec(DocumentSpec):
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
     category: Name | None = Field(None, description="Category, such as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials for the asset's links, by name.")
-    links: dict[Name, LinkSpec] = Field(min_length=1, description="Rigid bodies by name; the first one is the root.")
+    links: dict[Name, LinkSpec] = Field(
+        min_length=1, description="Rigid bodies of the asset by name; the first one is the root."
+    )
     joints: dict[Name, JointSpec] = Field({}, description="Joints between the links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
-        (), max_length=1000, description="Pairs of links that do not collide, besides links connected by a joint."
+        (),
+        max_length=1000,
+        description="Pairs of links that do not collide, in addition to links connected by a joint.",
     )
     origin: Origin | None = Field(None, description="Origin of the asset.")

@@ -175,9 +175,11 @@ class PoseSpec(Model):
 class CameraPose(Model):
     """Pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
 
-    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center in the world [m].")
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
-    quat_wxyz: Quaternion | None = Field(None, description="Camera rotation (x right, y down, z forward), w first.")
+    quat_wxyz: Quaternion | None = Field(
+        None, description="Rotation of the camera axes (x right, y down, z forward), w first."
+    )
 
     @consistent
     def _one_rotation(self) -> None:
@@ -214,7 +216,9 @@ class Round(Model):
     """Radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
-    height: Length = Field(description="Height [m]; for a capsule, the height of the cylinder without the caps.")
+    height: Length = Field(
+        description="Height [m]; for a capsule, the height of the cylindrical part without the caps."
+    )
 
 
 class Prism(Model):
@@ -301,7 +305,7 @@ class CousinOf(Model):
 
 
 class Origin(Model):
-    """Origin of a description, including how well it fits the observations."""
+    """The source of a description and how well it fits the observations."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
@@ -316,14 +320,22 @@ class Material(Model):
     """Physical properties and color of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
-    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; contacts use the geometric mean.")
+    friction: NonNegative = Field(
+        0.5, description="Coulomb friction coefficient; contacts use the geometric mean of the two surfaces."
+    )
     torsional_friction: NonNegative = Field(
-        0.0, description="Resistance to spinning: torque divided by normal force [m]; contacts use the larger value."
+        0.0,
+        description="Resistance to spinning at a contact: torque divided by normal force [m]; contacts use the "
+        "larger value of the two surfaces.",
     )
     rolling_friction: NonNegative = Field(
-        0.0, description="Resistance to rolling: torque divided by normal force [m]; contacts use the larger value."
+        0.0,
+        description="Resistance to rolling at a contact: torque divided by normal force [m]; contacts use the larger "
+        "value of the two surfaces.",
     )
-    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; contacts use the geometric mean.")
+    restitution: Fraction = Field(
+        0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
+    )
     color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
 
 
@@ -347,7 +359,9 @@ class BodySpec(Model):
         "convex parts otherwise. Primitives are not affected.",
     )
     solid: Solid = Field(
-        "exact", description="Volume for mass properties: `exact` for the mesh, which must be closed, or `hull`."
+        "exact",
+        description="Volume used for the mass properties of a mesh: `exact` uses the mesh, which must be closed, and "
+        "`hull` uses its convex hull.",
     )
 
 
@@ -376,7 +390,7 @@ class DocumentSpec(Model):
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
-        {}, description="Silenced warnings, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."
+        {}, description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."
     )
     conflicts: dict[str, Conflict] = Field(
         {}, description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry."

@@ -48,7 +48,9 @@ class DepthImage(Model):
 class Masks(Model):
     """Instance masks: an image whose pixel values identify the objects."""
 
-    image: FileName = Field(description="Mask image, relative to this document; same size as the color image.")
+    image: FileName = Field(
+        description="Mask image, relative to this document; must be the same size as the color image."
+    )
     background: tuple[int, ...] = Field((0,), max_length=256, description="Pixel values that belong to no object.")
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Pixel value of each object, by name.")
 

@@ -26,6 +26,7 @@ Change = Literal["geometry", "topology", "appearance"]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Gap = Annotated[tuple[NonNegative, NonNegative], Ordered]
 Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
+WorldName = Annotated[str, StringConstraints(min_length=1, max_length=64)]  # not the name of a member
 ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
@@ -44,14 +45,16 @@ class ValueRange(Model):
 class SceneAxis(Model):
     """Layout variations: objects are placed at new positions around an anchor object, which does not move."""
 
-    anchor: Name | None = Field(None, description="The object that stays in place; default: the object in the goal.")
+    anchor: Name | None = Field(
+        None, description="The object that stays in place; default: the object in the task's goal."
+    )
     objects: dict[Name, tuple[Side, ...]] = Field(
         min_length=1, description="Objects to place at new positions, each with the allowed relations to the anchor."
     )
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
         1, description="Number of relations to the anchor that each object must satisfy simultaneously."
     )
-    gap: Gap = Field((0.02, 0.2), description="Minimum and maximum gap to the anchor [m].")
+    gap: Gap = Field((0.02, 0.2), description="Minimum and maximum gap between an object and the anchor [m].")
     yaw_deg: Interval = Field((-180.0, 180.0), description="Minimum and maximum rotation about z [deg].")
 
 
@@ -59,10 +62,14 @@ class ObjectVariants(Model):
     """Substitutes for one object, with the same affordances."""
 
     sources: tuple[Source, ...] = Field(
-        ("procedural",), min_length=1, description="Sources: procedural rules, a mesh library, or generative models."
+        ("procedural",),
+        min_length=1,
+        description="Sources of variants: procedural rules, a mesh library, or generative models.",
     )
     changes: tuple[Change, ...] = Field(
-        ("geometry", "appearance"), min_length=1, description="Aspects that may differ: shape, parts, or appearance."
+        ("geometry", "appearance"),
+        min_length=1,
+        description="Aspects that may differ: the shape, the parts, or the color and material.",
     )
     components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all.")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
@@ -72,12 +79,16 @@ class ObjectModels(Model):
     """Models that generate variants if a source is `model`; URLs and API keys are read from environment variables."""
 
     vlm: ModelName | None = Field(
-        None, description="Vision-language model, such as `openai:gpt-5`; default: the value of `--vlm`."
+        None,
+        description="Vision-language model that names parts, proposes changes and judges images, such as "
+        "`openai:gpt-5`; default: the value of `--vlm`.",
     )
     images: ModelName | None = Field(
         None, description="Image-editing model, by its name on the server; default: the model set in the environment."
     )
-    meshes: Literal["hunyuan3d"] = Field("hunyuan3d", description="Interface of the image-to-mesh server.")
+    meshes: Literal["hunyuan3d"] = Field(
+        "hunyuan3d", description="Interface of the server that turns an image into a mesh."
+    )
     texture: bool = Field(True, description="Generate textures for the meshes; not every server supports this.")
 
 
@@ -86,16 +97,24 @@ class ObjectAxis(Model):
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects to vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    models: ObjectModels = Field(ObjectModels.model_construct(), description="Models for the source `model`.")
+    models: ObjectModels = Field(
+        ObjectModels.model_construct(), description="Models that generate variants if a source is `model`."
+    )
 
 
 class DistractorAxis(Model):
     """Distractors: library objects that the task does not involve, placed without collisions."""
 
-    count: Annotated[tuple[Count, Count], Ordered] = Field((1, 4), description="Minimum and maximum number per scene.")
+    count: Annotated[tuple[Count, Count], Ordered] = Field(
+        (1, 4), description="Minimum and maximum number of distractors in a scene."
+    )
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    builtin_library: Annotated[bool, FormerKey("shipped")] = Field(True, description="Also use SimFoundry's assets.")
-    categories: tuple[Name, ...] = Field((), description="Categories to use; default: all that are not in the twin.")
+    builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
+        True, description="Also choose from the assets that come with SimFoundry."
+    )
+    categories: tuple[Name, ...] = Field(
+        (), description="Categories to choose from; default: all categories that do not occur in the twin."
+    )
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Excluded categories."
     )
@@ -114,16 +133,21 @@ class TaskAxis(Model):
 
     count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="Number of tasks.")
     proposals: Literal["affordances", "model"] = Field(
-        "affordances", description="Source of the tasks: enumerated from `affordances`, or proposed by a `model`."
+        "affordances",
+        description="Source of the tasks: `affordances` enumerates them from the affordances, and `model` has a "
+        "vision-language model propose them.",
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
-    engines: tuple[Name, ...] = Field(
+    engines: tuple[WorldName, ...] = Field(
         ("mujoco",), min_length=1, description="Simulators in which goals must be stable."
     )
 
 
 class CousinsSpec(DocumentSpec):
-    """A cousin recipe: the twin, the axes to vary, and the number of cousins. Equal seeds produce equal cousins."""
+    """A cousin recipe: the twin, the axes to vary, and the number of cousins.
+
+    The same seed always produces the same cousins.
+    """
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")

@@ -128,16 +128,20 @@ class CameraView(Model):
 
     camera: Name = Field(description="A camera in the scene.")
     size: ImageSize = Field(description="Width and height that the policy expects [px].")
-    render: ImageSize | None = Field(None, description="Width and height before resizing [px]; default: `size`.")
+    render: ImageSize | None = Field(
+        None, description="Width and height of the rendered image before resizing [px]; default: `size`."
+    )
 
 
 class GripperConvention(Model):
-    """Numbers that the policy uses for the gripper, in observations and in actions."""
+    """The gripper values that the policy uses, in both observations and actions."""
 
     open: Number = Field(0.0, description="Number that means fully open.")
     closed: Number = Field(1.0, description="Number that means fully closed.")
     threshold: Number | None = Field(
-        None, description="Closing fraction above which the gripper closes fully; default: intermediate positions."
+        None,
+        description="Closing fraction, 0 to 1, above which the gripper closes fully; by default, intermediate "
+        "positions are used.",
     )
 
     @consistent
@@ -159,23 +163,36 @@ class PolicySpec(DocumentSpec):
         description="Server address, such as `localhost:8000`, `wss://policies.example.org` or `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="Meaning of the arm values in an action, which protocols do not specify."
+        description="How to interpret the arm values in an action; protocols do not specify this."
     )
     velocity_unit: Positive | None = Field(
-        None, description="Velocity [rad/s or m/s] for the value 1; for DROID, 3. Default: values are in rad/s or m/s."
+        None,
+        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
+        "DROID, 3. By default, velocities are in rad/s or m/s.",
     )
-    horizon: Annotated[int, Field(ge=1, le=1000)] = Field(description="Number of steps to execute per action chunk.")
-    cameras: dict[WireKey, CameraView] = Field({}, description="Images that the policy receives, by its keys.")
+    horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
+        description="Number of steps of each action chunk to execute before the policy is queried again."
+    )
+    cameras: dict[WireKey, CameraView] = Field(
+        {}, description="Images that the policy receives, by the keys it expects."
+    )
     state: dict[WireKey, Reading] | None = Field(
         None, description="Robot state that the policy receives, by the keys it expects; default: as in DROID."
     )
-    gripper: GripperConvention = Field(GripperConvention(threshold=0.5), description="Numbers used for the gripper.")
+    gripper: GripperConvention = Field(
+        GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
+    )
     timeout: Positive = Field(60.0, le=86400, description="Timeout for a response [s].")
     warm_up: Positive = Field(
-        600.0, le=86400, description="Timeout for the first response, for which the server may compile its model [s]."
+        600.0,
+        le=86400,
+        description="Timeout for the first response on a connection, which the server may delay to compile its model "
+        "[s].",
     )
     retries: Whole = Field(3, description="Number of attempts to restore a lost connection before a rollout fails.")
-    api_key: Variable | None = Field(None, description="Name of the environment variable with the server's API key.")
+    api_key: Variable | None = Field(
+        None, description="Name of the environment variable that contains the server's API key, not the key itself."
+    )
 
     @consistent
     def _fits(self) -> None:

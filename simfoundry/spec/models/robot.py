@@ -38,7 +38,9 @@ class RobotFiles(Model):
     Rollouts need to know the robot's hand and gripper (if it has one), which only a robot ``file`` defines.
     """
 
-    file: FileName | None = Field(None, description="A robot file: its models, hand, arm joints and gripper.")
+    file: FileName | None = Field(
+        None, description="A robot file, which defines the models, the hand, the arm joints and the gripper."
+    )
     mjcf: FileName | None = Field(
         None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
     )
@@ -66,8 +68,12 @@ class RobotSpec(Model):
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; joints not listed are at home.")
-    reach: Positive | None = Field(None, description="Horizontal reach from the base [m]; default: the known value.")
-    opening: Positive | None = Field(None, description="Maximum gripper opening [m]; default: the known value.")
+    reach: Positive | None = Field(
+        None, description="Horizontal reach from the base [m]; default: the known robot's reach."
+    )
+    opening: Positive | None = Field(
+        None, description="Maximum opening between the fingers [m]; default: the known robot's opening."
+    )
 
     def known(self) -> KnownRobot | None:
         """Return the known robot with this name.

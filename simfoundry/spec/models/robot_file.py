@@ -49,9 +49,12 @@ class GripperSpec(Model):
     """Commands and joint travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Actuator commands; default: the joint positions.")
-    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first measures the opening.")
+    joints: dict[JointName, Travel] = Field(
+        description="Joint positions [rad or m]; the first joint is used to measure the opening."
+    )
     follow: dict[JointName, FollowSpec] = Field(
-        {}, description="Joints that the model moves by closed loops or equations, for targets without either."
+        {},
+        description="Joints that the model moves through closed loops or equations, for targets that support neither.",
     )
 
 
@@ -60,14 +63,20 @@ class AttachSpec(Model):
 
     file: Reference | list[Reference]
     to: str = Field(description="The link to which the model is attached.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the model's base in the link's frame.")
+    pose: PoseSpec = Field(
+        PoseSpec.model_construct(), description="Pose of the attached model's base in the link's frame."
+    )
 
 
 class ModelSpec(Model):
     """A robot model in one format. Names in an attached model are prefixed with its name, as in `gripper.base`."""
 
-    file: Reference | list[Reference] = Field(description="The model file, or a list; its first existing file is used.")
-    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to links, such as a gripper, by name.")
+    file: Reference | list[Reference] = Field(
+        description="The model file, or a list of files from which the first existing one is used."
+    )
+    attach: dict[Name, AttachSpec] = Field(
+        {}, description="Models attached to links of this model, such as a gripper, by name."
+    )
     links: dict[Name, FrameSpec] = Field({}, description="Frames that scenes can refer to, such as `hand`, by name.")
     joints: list[JointName] = Field([], description="Names of the arm joints, in the order `joint1`, `joint2`, ...")
     gripper: GripperSpec | None = None
@@ -92,7 +101,9 @@ class RobotFileSpec(Model):
     reach: Positive | None = Field(None, description="Horizontal reach from the base [m].")
     opening: Positive | None = Field(None, description="Maximum opening between the fingers [m].")
     payload: Positive | None = Field(None, description="Mass of the heaviest object that the robot should lift [kg].")
-    home: list[Number] | None = Field(None, description="Home positions of the arm joints in order [rad or m].")
+    home: list[Number] | None = Field(
+        None, description="Home positions of the arm joints, starting with `joint1` [rad or m]."
+    )
     mjcf: ModelSpec | None = None
     urdf: ModelSpec | None = None
     usd: Annotated[ModelSpec | None, Field(description="A USD file whose default prim is the robot.")] = None

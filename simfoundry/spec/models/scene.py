@@ -53,9 +53,13 @@ class Place(Model):
     """
 
     on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
-    inside: PartName | None = Field(None, description="Container: a hollow object, or its link (`cabinet.drawer`).")
+    inside: PartName | None = Field(
+        None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
+    )
     xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
-    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(None, description="Position in the support frame [m].")
+    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
+        None, description="Position of its frame in the frame of its support [m]."
+    )
     left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
     right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
     in_front_of: Name | None = Field(None, description="Reference object; this object is placed closer to the viewer.")
@@ -136,7 +140,9 @@ class VariantSpec(GeometrySpec):
 class ObjectSpec(GeometrySpec):
     """An object in the scene: a primitive `shape` or an `asset` (a mesh file or an asset document)."""
 
-    visual: FileName | None = Field(None, description="A mesh to render instead of the shape; not used for physics.")
+    visual: FileName | None = Field(
+        None, description="A mesh to render instead of the shape; it has no effect on physics."
+    )
     category: Name | None = Field(None, description="Category, such as `mug`; default: the object's name.")
     labels: Labels = Field((), description="Labels for vision systems, most specific first; default: the category.")
     fixed: bool = Field(False, description="If true, the object is welded to the world.")
@@ -147,9 +153,13 @@ class ObjectSpec(GeometrySpec):
         description="Joint positions by name: in meters, in radians, or as `{deg: 30}`. A ball joint accepts a "
         "rotation such as `{rpy_deg: [10, 0, 20]}`, and a free joint accepts a pose. Default: 0.",
     )
-    variant: Name | None = Field(None, description="The variant to compile; default: `default`, without overrides.")
+    variant: Name | None = Field(
+        None, description="The variant to compile, one of `variants`; default: `default`, the object without overrides."
+    )
     variants: dict[Name, VariantSpec] = Field(
-        {}, description="Variants by name, each with overrides of the object; stored in one variant set in USD."
+        {},
+        description="Variants by name, each of which overrides properties of the object; USD stores them in one "
+        "variant set.",
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
 
@@ -183,7 +193,9 @@ class LightSpec(Model):
     """A light source."""
 
     type: Literal["distant", "point", "dome"] = Field(description="Kind of light: parallel rays, a point, or a dome.")
-    intensity: NonNegative = Field(1.0, description="Relative; 1 fully lights a white surface that faces the light.")
+    intensity: NonNegative = Field(
+        1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
+    )
     color: Color = Field((1.0, 1.0, 1.0), description="sRGB color, 0 to 1.")
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
@@ -212,7 +224,9 @@ class SceneSpec(DocumentSpec):
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
     viewpoint: Name | None = Field(
-        None, description="Camera or robot whose view defines left, right, front and behind; default: looking along x."
+        None,
+        description="Camera or robot whose view defines left, right, front and behind; by default, x points away "
+        "from the viewer and y points left.",
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
     materials: dict[Name, Material] = Field({}, description="Materials by name.")

@@ -45,9 +45,15 @@ class Start(Model):
 class Subtask(Model):
     """A step of the task, complete once its goal has been satisfied."""
 
-    goal: Condition = Field(description="Condition that ends the step: predicates, with `all`, `any` and `not`.")
-    instruction: Instruction | None = Field(None, description="Instruction for the policy when the step is run alone.")
-    start: Start | None = Field(None, description="Initial state when run alone, on top of the task's `start`.")
+    goal: Condition = Field(
+        description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
+    )
+    instruction: Instruction | None = Field(
+        None, description="Instruction for the policy when the step is run on its own."
+    )
+    start: Start | None = Field(
+        None, description="Initial state when the step is run on its own, applied on top of the task's `start`."
+    )
 
 
 class ResetRegion(Model):
@@ -55,7 +61,9 @@ class ResetRegion(Model):
 
     x: Annotated[Point2, Ordered] = Field(description="Minimum and maximum x in the world [m].")
     y: Annotated[Point2, Ordered] = Field(description="Minimum and maximum y in the world [m].")
-    yaw_deg: Interval = Field((0.0, 0.0), description="Minimum and maximum rotation added about z [deg].")
+    yaw_deg: Interval = Field(
+        (0.0, 0.0), description="Minimum and maximum rotation about z, added to the scene's pose [deg]."
+    )
 
 
 class Reset(Model):
@@ -74,12 +82,16 @@ class TaskSpec(DocumentSpec):
     robots: tuple[Name, ...] | None = Field(
         None, min_length=1, max_length=8, description="Robots that the policy controls; default: all in the scene."
     )
-    goal: Condition = Field(description="Condition that ends the task: predicates, with `all`, `any` and `not`.")
+    goal: Condition = Field(
+        description="Condition that ends the task: a predicate, or conditions combined with `all`, `any` and `not`."
+    )
     subtasks: dict[Name, Subtask] = Field({}, description="Steps by name, in order.")
     start: Start = Field(Start(), description="Differences between the initial state and the scene.")
     reset: Reset = Field(Reset(), description="Variation of the initial state between rollouts.")
     control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
-    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(600, description="Maximum number of control steps.")
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
+        600, description="Maximum number of control steps, after which the rollout fails."
+    )
     origin: Origin | None = Field(None, description="Origin of the task.")
 
 

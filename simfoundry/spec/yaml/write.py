@@ -181,7 +181,7 @@ class _Writer:
         yield from lines
 
     def entry(self, key: str, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """Yield the lines of one key with its value."""
+        """Yield the lines for a key and its value."""
         pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
         if len(key) > MAX_KEY:
