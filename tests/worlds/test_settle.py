@@ -298,7 +298,7 @@ def test_settling_to_another_folder_is_refused(scene_file: Path) -> None:
     other = scene_file.parent / "other"
     other.mkdir()
     done = run("settle", scene_file, "-o", other / "rest.scene.yaml")
-    assert done.code == 2 and "to the folder of the original" in done.err and not list(other.iterdir())
+    assert done.code == 2 and "to the original folder" in done.err and not list(other.iterdir())
 
 
 def test_a_failing_scene_exits_with_1_and_names_the_object(scene_file: Path) -> None:
