@@ -12,6 +12,7 @@ from simfoundry.geometry.hulls import Hulls
 # Number of horizontal directions in which to look for walls.
 DIRECTIONS = 16
 
+# Angles [rad] that avoid the axes, along which rays would graze the edges of axis-aligned boxes.
 _ANGLES = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
 # Unit vectors in the horizontal directions, shape (DIRECTIONS, 3).
 LEVEL_RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(DIRECTIONS)])

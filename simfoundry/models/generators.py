@@ -58,6 +58,7 @@ def post(url: str, server: str, timeout_s: float = TIMEOUT_S, max_bytes: int = M
     return data
 
 
+# First bytes of the image formats that servers may return.
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 
@@ -129,7 +130,7 @@ def _picture(answer: bytes, url: str) -> bytes:
 
 MESHES_URL = "SIMFOUNDRY_MESHES_URL"  # Environment variable with the URL of the mesh model
 
-GLB = b"glTF"
+GLB = b"glTF"  # first bytes of a binary glTF file
 
 SEEDS = 2**32  # Exclusive upper bound on the seeds that servers accept
 

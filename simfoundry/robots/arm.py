@@ -32,8 +32,8 @@ WIDEST = 0.12
 # The pads cover the depths at which the gap exceeds its minimum by at most this distance [m].
 PAD = 0.002
 
-HIDDEN = 5
 # The geom group that rays ignore, and a mask of the groups that they can hit, which contain moving collision geoms.
+HIDDEN = 5
 FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 
 
@@ -129,6 +129,7 @@ NEAR = 5e-4
 # Orientation tolerance of a solution [rad].
 TURNED = 4e-3
 
+# Maximum number of iterations of a solve, which is rarely reached: most solves converge or stall earlier.
 ITERATIONS = 40
 # Margin between solutions and the joint limits [rad or m].
 SLACK = 0.02

@@ -56,6 +56,7 @@ _SLID_M = 0.01
 
 _SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
 _INERTIA, _TORQUE = rigs.pendulum_constants()
+# Period of the pendulum [s], expanded in the amplitude, and decay rate of its damped swings [1/s].
 _PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
 _DAMPING = 0.02  # N m s/rad; the amplitude halves in 5.6 s, which is more than four periods
 _RATE = _DAMPING / (2 * _INERTIA)

@@ -85,7 +85,7 @@ def define_camera(scope: Prim, camera: Camera) -> None:
 # A white diffuse surface has radiance 1 at irradiance pi. A normalized distant light's intensity is its irradiance. A
 # normalized sphere light yields intensity / (4 d^2) at distance d, here 1 m. A dome light's intensity is its radiance.
 FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
-_POINT_RADIUS = 0.02
+_POINT_RADIUS = 0.02  # m, about the size of a light bulb; a sphere light needs a radius
 
 
 def define_light(scope: Prim, light: Light) -> None:

@@ -20,7 +20,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parse_call, parts, texts
 
-QUARTER = math.pi / 2
+QUARTER = math.pi / 2  # a quarter turn [rad]
 # Roll and pitch [rad] relative to an object's standing orientation: unchanged, lying on each of four sides, and upside
 # down.
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))

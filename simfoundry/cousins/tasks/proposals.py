@@ -185,6 +185,7 @@ def _released(goal: Any) -> Any:
     return every[0] if len(every) == 1 else {"all": every}
 
 
+# Maximum number of tasks to read from a response; requests ask for far fewer.
 MOST_TASKS = 200
 # Maximum number of characters of a response to parse; the rest is ignored.
 MOST_TEXT = 100_000

@@ -22,7 +22,7 @@ import numpy as np
 
 # Accepted kinds of NumPy types: floats, integers and booleans.
 PLAIN = "fiub"
-MAX_DIMENSIONS = 8
+MAX_DIMENSIONS = 8  # images and action chunks have at most four; this bounds hostile messages
 
 
 class CodecError(ValueError):

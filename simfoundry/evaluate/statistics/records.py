@@ -23,7 +23,7 @@ from simfoundry.runtime.files import write_atomically
 
 VERSION = "rollout/2"
 _MISSING = ".missing.json"
-MOST_BYTES = 16 * 2**20
+MOST_BYTES = 16 * 2**20  # maximum size of a record to read; a long rollout takes a few hundred kilobytes
 
 
 @dataclass(frozen=True)

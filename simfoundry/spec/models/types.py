@@ -138,6 +138,7 @@ def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:
         yield from file_patterns(kind, seen)
 
 
+# The rank of keys that come first or last in a mapping; all other keys have rank 0.
 _RANK = {name: rank - len(_KEYS["first"]) for rank, name in enumerate(_KEYS["first"])} | dict.fromkeys(_KEYS["last"], 1)
 
 
