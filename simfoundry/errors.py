@@ -1,15 +1,15 @@
-"""Errors that every layer may raise and the command line turns into a sentence."""
+"""Errors that any layer can raise and that the command line reports as a single sentence."""
 
 from __future__ import annotations
 
 
 class SimfoundryError(Exception):
-    """Something that cannot be done here; the message says why, and what to do about it."""
+    """An operation could not be completed; the message explains why and what to do about it."""
 
 
 class MissingEngineError(SimfoundryError, RuntimeError):
-    """A simulator that is not installed; the message says how to install it."""
+    """A required simulator is not installed; the message explains how to install it."""
 
 
 class OutputError(SimfoundryError):
-    """A place where nothing may be written: what lies there would be lost."""
+    """An output was not written because it would have replaced a file that must be kept."""

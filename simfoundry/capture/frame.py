@@ -66,7 +66,7 @@ class Frame:
         """
         finite = np.isfinite(self.depth) & (self.depth > 0)
         if not finite.any():
-            hint = "check that the depth file belongs to the color image, and which values are declared invalid"
+            hint = "check that the depth file belongs to the color image, and check which values are declared invalid"
             raise CaptureError("SF502", "the depth image has no valid pixels", hint)
         valid = finite & (self.depth >= NEAREST) & (self.depth <= FARTHEST)
         if not valid.any():

@@ -184,7 +184,10 @@ class _Reader:
             self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply implausible pixels")
 
     def center(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """Check that the principal point is plausible; if not, the intrinsics may be swapped or for another image."""
+        """Check that the principal point is plausible.
+
+        If it isn't, the intrinsics may be swapped or may belong to a different image.
+        """
         x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
         message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
         if abs(x - 0.5) > 0.2 and abs(x - y) < 0.05:  # scaling moves it along the diagonal, cropping does not

@@ -29,6 +29,7 @@ TOUCHING = Predicate(
     f"their surfaces are at most {TOUCH * 1000:g} mm apart",
     effect=Effect.MOVE,
     aliases=("touching",),
+    contact=True,
 )
 
 
@@ -67,6 +68,7 @@ ON_TOP = Predicate(
     "on a hook rests on the hook, and an object that leans on an edge rests on the edge",
     effect=Effect.PLACE,
     aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
+    contact=True,
 )
 
 
@@ -101,4 +103,5 @@ INSIDE = Predicate(
     "held by a robot",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),
+    contact=True,
 )

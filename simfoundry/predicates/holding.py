@@ -40,6 +40,7 @@ GRASPED = Predicate(
     aliases=("grasped", "IsGrasping"),
     robot_first=("grasped", "IsGrasping"),
     before_motion=False,
+    contact=True,
 )
 
 

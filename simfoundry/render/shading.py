@@ -136,7 +136,10 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """Return sample ``k`` of ``count`` samples on a distant lamp; a point lamp or a single sample is at the center."""
+    """Return sample ``k`` of ``count`` on a distant lamp.
+
+    For a point lamp, or if ``count`` is 1, the sample is at the center.
+    """
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k

@@ -1,7 +1,7 @@
 """A page that shows the changes to a document: images of the scene before and after, and a list of changes.
 
 The page is a single file without scripts or links, so it can be attached to a pull request. All text from documents is
-escaped, and equal documents give equal bytes.
+escaped, and identical documents produce identical output.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ _FIRM = 2
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
-    """Add a robot with all elements of its file, or return None if it has no model that MuJoCo can read.
+    """Add a robot, including every element in its file, or return None if it has no model that MuJoCo can read.
 
-    The finger contacts are as stiff as a time step of ``timestep`` [s] permits.
+    The finger contacts are as stiff as a time step of ``timestep`` [s] allows.
     """
     native = mujoco_model(robot)
     if native is None:

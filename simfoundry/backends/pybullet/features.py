@@ -27,7 +27,10 @@ _LIGHTS = {
 
 
 def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> Iterator[Loss]:
-    """Yield the losses of a scene in PyBullet for a time step of ``timestep`` [s], except those of its robots."""
+    """Yield what is lost when a scene is loaded in PyBullet, excluding the losses of its robots.
+
+    ``timestep`` is the time step of the simulation [s].
+    """
     colliders = [collider for item in scene.objects for link in item.links for collider in link.colliders]
     if any(collider.friction > 0 for collider in colliders):
         reason = "Bullet's friction depends on direction; between the two friction axes, it is up to 9% too low."

@@ -101,9 +101,9 @@ def _resistance(scene: Scene, field: str) -> Resistance:
 
 
 def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[float]:
-    """Return, for each of the ``others``, the value of ``a`` that is exact for this pair.
+    """Return the values of ``a`` that would be exact for its pairs with the ``others``.
 
-    If both links have resistance, each of them contributes its share.
+    If both links have resistance, each contributes its share.
     """
     if not a.resistance:
         return []

@@ -21,7 +21,7 @@ def _drop(feature: str, element: str = "") -> Loss:
 
 
 def urdf_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses of a scene in URDF, except those of its robots."""
+    """Yield what is lost when a scene is written as URDF, excluding the losses of its robots."""
     yield _drop("gravity")
     for item in scene.objects:
         colliders = [collider for link in item.links for collider in link.colliders]

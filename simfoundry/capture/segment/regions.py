@@ -81,7 +81,10 @@ def edges_of(depth: Array, K: Array, reach: int) -> tuple[Array, Array, Array]:
 
 
 def cut(crop: Crop) -> Labels:
-    """Cut the crop's mask into regions 1..n by a watershed of the edge strength, seeded in flat areas; 0 is outside."""
+    """Segment the crop's mask into regions 1..n with a watershed on the edge strength, seeded in flat areas.
+
+    Pixels outside the mask are 0.
+    """
     import cv2
 
     mask = crop.mask

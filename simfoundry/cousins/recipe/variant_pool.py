@@ -215,11 +215,11 @@ def prepare(
         axis: The axis that lists the objects to vary.
         scene: Document of the twin's scene.
         tasks: Tasks that the variants must support.
-        seed: Seed of the random generator.
+        seed: Seed for the random number generator.
         folder: Folder that the variants are written to.
         sources: Function that opens the sources other than rules; called only if variants must be generated.
         cache: Cache for lowered objects.
-        progress: Callback that receives the numbers of variants and of examined candidates.
+        progress: Callback that receives the number of variants and the number of candidates examined.
         library: Folder of the library source, if one is used.
 
     Returns:

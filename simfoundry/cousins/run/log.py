@@ -35,7 +35,7 @@ class LogEntry(NamedTuple):
 
 
 def log_file(out: Path, shard: tuple[int, int] | None) -> Path:
-    """Return the path of the log of a full run, or of the shard (i, n)."""
+    """Return the path to the log of a full run, or of shard (i, n)."""
     return out / WORK / (WHOLE if shard is None else f"log-{shard[0]}-of-{shard[1]}.jsonl")
 
 

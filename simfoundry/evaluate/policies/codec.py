@@ -73,7 +73,7 @@ def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: s
 
 
 def type_of(name: Any) -> np.dtype[Any]:
-    """Return the NumPy type with a name such as ``<f4``.
+    """Return the NumPy type for a name such as ``<f4``.
 
     Names longer than eight characters are not parsed.
 

@@ -47,17 +47,17 @@ class Clearances:
         return tag == "any" and bool(below) and all(self.excludes(part, state) for part in below)
 
     def _excludes(self, call: Call, state: SceneState) -> bool:
+        if not call.declaration.contact:
+            return False
         owners = [argument.partition(".")[0] for argument in call.args]
         robots = [name for name in owners if name in self._bodies.robots]
         objects = [name for name in owners if name in self._rigid]
         if len(robots) + len(objects) < len(owners) or not objects or not set(self._bodies.robots) <= set(state.robots):
             return False
-        if call.predicate == "Grasped" or (call.predicate == "Touching" and robots):
-            return all(self._apart(robot, objects[0], state) for robot in robots or self._bodies.robots)
-        if call.predicate in ("OnTop", "Inside", "Touching") and len(objects) == 2:
+        if len(objects) == 2:
             a, b = objects
             return math.dist(state.poses[a].p, state.poses[b].p) > self._rigid[a] + self._rigid[b] + TOUCH
-        return False
+        return all(self._apart(robot, objects[0], state) for robot in robots or self._bodies.robots)
 
     def _apart(self, robot: str, name: str, state: SceneState) -> bool:
         """Return True if a robot is certainly too far from an object to touch it."""

@@ -146,9 +146,9 @@ DRAWN_FLIPS = 20_000
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
     """Return the two-sided p-value of a paired permutation test that the mean of ``differences``, shape (n,), is zero.
 
-    Under the null hypothesis the two members of each pair are exchangeable, which flips the sign of their difference
-    (Fisher, 1935). For up to :data:`EXACT_FLIPS` differences, all sign changes are enumerated. Beyond that, they are
-    sampled with ``seed``, and the observed signs are included as one of the samples.
+    Under the null hypothesis, the two members of each pair are exchangeable, and swapping them flips the sign of their
+    difference (Fisher, 1935). For up to :data:`EXACT_FLIPS` differences, all sign changes are enumerated. Beyond that,
+    they are sampled with ``seed``, and the observed signs are included as one of the samples.
     """
     rest = np.asarray([d for d in differences if abs(d) > 1e-12], dtype=float)
     if not len(rest):

@@ -117,7 +117,7 @@ class _SceneReader:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                why = "it is only informative; the URDF contains the actual values"
+                why = "it is for information only; the URDF contains the actual values"
                 self.draft.dropped(f"`{word}` of `{name}` in the scene", why)
         if args.get("visual_only"):
             for link in body.links.values():

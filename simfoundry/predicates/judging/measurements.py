@@ -293,7 +293,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """Return True if ``a`` is at most ``limit`` [m] away from ``b`` and ``b`` pushes it up, shape (n,)."""
+    """Return the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up, shape (n,)."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

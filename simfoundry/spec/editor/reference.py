@@ -15,11 +15,11 @@ INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec; edit the models, not this page. -->
 
-A document is a YAML 1.2 file whose first key names its kind. Lengths are in meters, masses in kilograms, times in
-seconds; the key of an angle contains its unit. A *name* consists of lower-case letters, digits and `_`, starts with a
-letter and has at most 64 characters. Unknown and duplicate keys are errors. In the tables, `[number] × 3` is a
-list of three numbers and *name → number* a mapping from names. Frames, the order of components and the meaning of
-friction are defined in [conventions.md](conventions.md).
+A document is a YAML 1.2 file whose first key names its kind. Lengths are in meters, masses in kilograms, and
+times in seconds; keys for angles include the unit. A *name* consists of lowercase letters, digits and `_`, starts with
+a letter, and is at most 64 characters long. Unknown and duplicate keys are errors. In the tables, `[number] × 3` means
+a list of three numbers, and *name → number* means a mapping from names to numbers. Frames, the order of components and
+the meaning of friction are defined in [conventions.md](conventions.md).
 """
 
 

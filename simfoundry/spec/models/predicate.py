@@ -53,11 +53,11 @@ class Predicate:
         name: Name of the predicate in expressions.
         meaning: Short description of the predicate.
         parameters: Kind of each argument. ``thing`` is an object or part of an object, ``body`` is a thing or a robot,
-            and ``joint`` is a single joint, or an object to refer to all of its joints. The remaining kinds are
+            and ``joint`` is a single joint, or an object, which stands for all of its joints. The remaining kinds are
             ``robot`` and ``number``.
-        rule: Function that is called with :class:`~simfoundry.predicates.judging.judge.Terms` and the arguments, and
-            adds the conditions that must hold to the terms. ``simfoundry check`` imports the module that defines the
-            rule, so numpy must be imported inside the function.
+        rule: Function called with :class:`~simfoundry.predicates.judging.judge.Terms` and the arguments; it adds the
+            required conditions to the terms. ``simfoundry check`` imports the module that defines the rule, so numpy
+            must be imported inside the function.
         definition: Exact condition under which the predicate is true, including thresholds.
         unit: Unit of the margin.
         optional: Number of trailing arguments that may be omitted.
@@ -65,6 +65,8 @@ class Predicate:
         aliases: Names of the predicate in other formats.
         robot_first: Aliases whose arguments list the robot before the object.
         before_motion: Value before any robot has moved, or None if it depends on the scene.
+        contact: True if the predicate is false unless its two objects, or its object and the robot, touch or overlap.
+            Rollouts then skip the rule while they are far apart.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Predicate:
     aliases: tuple[str, ...] = ()
     robot_first: tuple[str, ...] = ()
     before_motion: bool | None = None
+    contact: bool = False
 
     @property
     def counts(self) -> str:

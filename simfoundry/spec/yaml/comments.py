@@ -25,7 +25,7 @@ _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
 
 @dataclass(slots=True)
 class Notes:
-    """The comments of a value and, by key or index, of its members."""
+    """The comments attached to a value and to its members, which are indexed by key or position."""
 
     above: list[str] = field(default_factory=list)
     beside: str = ""

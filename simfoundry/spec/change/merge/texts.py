@@ -188,7 +188,7 @@ def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
 
 
 def _with_new_names(tree: YamlTree, renames: Iterable[Rename]) -> YamlTree:
-    """Return the tree with members under their new names, which preserves their comments."""
+    """Return the tree with its members renamed and their comments preserved."""
     for rename in renames:
 
         def with_new(members: YamlTree, old: str = rename.old, new: str = rename.new) -> YamlTree:
