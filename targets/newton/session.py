@@ -27,8 +27,8 @@ class Names(NamedTuple):
 
     ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints added
     by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping`` contains
-    the damping of each joint without its motor, or is None if Newton stores the damping of motors, and the resistance
-    to spinning and rolling, in MuJoCo's custom attributes.
+    the damping of each joint without its motor, or is None if Newton stores the damping of motors, the resistance to
+    spinning and rolling, and the restitution in MuJoCo's custom attributes.
     """
 
     link: Callable[[str], str]
@@ -147,9 +147,10 @@ class NewtonSession(rb.Session):
                 X_LG = self.names.static[link].inverse() @ X_LG
             kind = _KINDS.get(int(kinds[k]), "other")
             bounds = self._bounds(k, kind, scales[k], X_LG)
-            told = self.names.own_damping is not None
-            resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
-            facts = rb.ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
+            surface: tuple[float | None, ...] = (float(restitution[k]), float(spinning[k]), float(rolling[k]))
+            if self.names.own_damping is None:  # in MJCF, the solver's own attributes define these
+                surface = (None, None, None)
+            facts = rb.ColliderReadback(name, kind, bounds, float(mu[k]), *surface)
             found.setdefault(link, []).append(facts)
         return found
 
