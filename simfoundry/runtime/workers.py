@@ -128,10 +128,12 @@ class Worker:
                 self.close()
             if self._process is None:
                 self._start()
-            assert self._process is not None and self._process.stdin is not None
+            process = self._process
+            if process is None or process.stdin is None:  # closed by another thread
+                raise WorkerError("was stopped")
             try:
-                self._process.stdin.write(len(message).to_bytes(_LENGTH, "little") + message)
-                self._process.stdin.flush()
+                process.stdin.write(len(message).to_bytes(_LENGTH, "little") + message)
+                process.stdin.flush()
                 return
             except OSError:
                 self.close()
@@ -153,9 +155,10 @@ class Worker:
         if message is not None:
             kind, content = pickle.loads(message)
             return kind, content
-        if self._process is None:
+        process = self._process
+        if process is None:
             raise WorkerError("was stopped", last)
-        how = _ending(self._process.wait()) + self._last_output()
+        how = _ending(process.wait()) + self._last_output()
         self.close()
         raise WorkerError(how, last)
 
@@ -303,8 +306,12 @@ class WorkerPool:
         for worker in self._workers:
             self._calls.put(None)
             worker.close(grace_s)
-        for thread in self._threads:
-            thread.join(GRACE_S)
+        deadline = time.monotonic() + GRACE_S
+        for worker, thread in zip(self._workers, self._threads, strict=True):
+            while thread.is_alive() and time.monotonic() < deadline:
+                thread.join(0.05)
+                worker.close()  # a call that was about to start its process starts it after the first close
+            worker.close()
 
     def _serve(self, worker: Worker) -> None:
         while (call := self._calls.get()) is not None and not self._closed:

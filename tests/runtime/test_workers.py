@@ -174,6 +174,22 @@ def test_a_failed_call_is_made_again_if_asked(tmp_path: Path) -> None:
     assert isinstance(results["once"], WorkerError) and results["twice"] == 7
 
 
+def test_a_process_that_starts_while_its_pool_closes_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed, start = threading.Event(), Worker._start
+
+    def start_late(worker: Worker) -> None:
+        closed.wait(10.0)
+        start(worker)
+
+    monkeypatch.setattr(Worker, "_start", start_late)
+    pool = WorkerPool(1, Limits(30.0, 4 * 2**30))
+    pool.submit(0, "time:sleep", 0.01)
+    time.sleep(0.2)  # the call is about to start its process
+    threading.Timer(0.2, closed.set).start()
+    pool.close()
+    assert pool._workers[0]._process is None and not pool._threads[0].is_alive()
+
+
 def test_exit_functions_run_if_the_worker_has_time(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     pool = WorkerPool(1, Limits(30.0, 4 * 2**30))
