@@ -77,11 +77,11 @@ def commands(runs: int, path: Path) -> dict[str, float]:
     ours, theirs = path.with_name("ours.scene.yaml"), path.with_name("theirs.scene.yaml")
     ours.write_text(text.replace("yaw_deg: 35}", "yaw_deg: 36}"))
     theirs.write_text(text.replace("name: many", "name: more"))
-    out = str(path.with_name("merged.scene.yaml"))
+    merge = ("merge", str(path), str(ours), str(theirs), "-o", str(path.with_name("merged.scene.yaml")), "--force")
     return {
         "fmt of 1000 objects": seconds(runs, *command, "fmt", "--diff", str(path)),
         "diff of 1000 objects": seconds(runs, *command, "diff", str(path), str(ours)),
-        "merge of 1000 objects": seconds(runs, *command, "merge", str(path), str(ours), str(theirs), "-o", out),
+        "merge of 1000 objects": seconds(runs, *command, *merge),
     }
 
 
