@@ -20,7 +20,7 @@ from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
 from simfoundry.spec.models.predicate import Call, parse_call, texts
 from simfoundry.spec.models.scene import Place, SceneSpec
-from simfoundry.spec.models.task import Start, TaskSpec
+from simfoundry.spec.models.task import Start, TaskSpec, with_starts
 from simfoundry.worlds import open_world
 from simfoundry.worlds.rest import is_ball
 from simfoundry.worlds.settle import SettleResult, settle
@@ -121,19 +121,10 @@ def set_up(path: Path, starts: list[Start | None]) -> Scene:
     loaded, task = task_at(path)
     scene: Loaded = load(loaded.file(task.scene))
     assert isinstance(scene.spec, SceneSpec)
-    objects = dict(scene.spec.objects)
-    for start in starts:
-        if start is None:
-            continue
-        for name, place in start.place.items():
-            objects[name] = objects[name].model_copy(update={"place": place})
-        for name, pose in start.pose.items():
-            objects[name] = objects[name].model_copy(update={"place": None, "pose": pose})
-        for name, joints in start.joints.items():
-            objects[name] = objects[name].model_copy(update={"joints": {**objects[name].joints, **joints}})
-    carried = [(n, o.place.on or o.place.inside or "") for n, o in objects.items() if o.place is not None]
+    spec = with_starts(scene.spec, [start for start in starts if start is not None])
+    carried = [(n, o.place.on or o.place.inside or "") for n, o in spec.objects.items() if o.place is not None]
     relations = tuple(f"OnTop({name}, {carrier.partition('.')[0]})" for name, carrier in carried)
-    return lower(replace(scene, spec=scene.spec.model_copy(update={"objects": objects, "relations": relations})))
+    return lower(replace(scene, spec=spec.model_copy(update={"relations": relations})))
 
 
 def end_of(name: str, task: TaskSpec) -> Start:

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.usd.compiled.loading import Imported, import_usd
@@ -17,6 +17,8 @@ from simfoundry.scene.model import Scene
 
 if TYPE_CHECKING:
     from pxr import Usd
+
+OBJECTS = "/World/Objects"
 
 DESK = """\
 # Our desk, as it was on Monday.
@@ -171,3 +173,23 @@ def project(folder: Path, name: str = "desk") -> Project:
     scene = lower_file(document)
     compile_usd(scene).write(folder / "build" / "usd")
     return Project(document, folder / "build" / "usd" / "scene.usda", scene)
+
+
+def translate(stage: Usd.Stage, path: str, x: float, y: float, z: float) -> None:
+    from pxr import Gf, UsdGeom
+
+    UsdGeom.XformCommonAPI(stage.GetPrimAtPath(path))
+    attribute = stage.GetPrimAtPath(path).GetAttribute("xformOp:translate")
+    attribute.Set(Gf.Vec3d(x, y, z))
+
+
+def put(stage: Usd.Stage, path: str, name: str, value: Any) -> None:
+    attribute = stage.GetPrimAtPath(path).GetAttribute(name)
+    assert attribute, f"{path} has no {name}"
+    attribute.Set(value)
+
+
+def lines(text: str, original: str) -> tuple[list[str], list[str]]:
+    """The lines that went and those that came."""
+    before, after = original.splitlines(), text.splitlines()
+    return [ln for ln in before if ln not in after], [ln for ln in after if ln not in before]
