@@ -110,7 +110,7 @@ def _or_mark(target: Path, root: Path) -> str:
 
 
 def shown(reference: str, document: Path) -> Path:
-    """Return the path of a file for display, relative if the path of the document is."""
+    """Return the path of a file for display; it is relative if the document's own path is."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
     return plain if plain.resolve() == target else target
 
@@ -162,5 +162,5 @@ class Loaded:
         return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
-        """Return the path of a file for display, relative if the path of this document is."""
+        """Return the path of a file for display; it is relative if this document's own path is."""
         return shown(reference, self.path)

@@ -171,6 +171,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """Return the form of a link; it is cached, so that scenes with a common object compute it only once."""
+    """Return the form of a link, which is cached, so scenes that share an object compute the form only once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

@@ -54,7 +54,7 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
 
 
 def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
-    """Return the ends of plumb lines within the entity itself, relative to the given points [m], (n,).
+    """Return the ends of plumb lines within the entity itself, relative to the given points [m], shape (n,).
 
     Both ends are 0 if the line does not hit the entity.
     """
