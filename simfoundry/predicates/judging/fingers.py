@@ -96,7 +96,7 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
     """Return how much closer to the object a side of the gripper gets by closing by :data:`PRESS` [m], shape (n,).
 
-    Deeper penetration counts as getting closer. The result is the smaller value of the two sides. It is
+    Deeper penetration counts as getting closer. The result is the smaller value of the two sides. This value is
     small for a side that touches the object without holding it, because that side slides along the object.
     """
     X_WB = view.link(hand.sides[0].owner, hand.base)
