@@ -8,7 +8,7 @@ radius if it is greater than 10 m. All other shapes are exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -102,44 +102,67 @@ class Hulls:
 
 def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
     """Return the convex parts of shapes, each specified with its pose and link index."""
-    points, sides, rods, part = [], [], [], []
-    radii: list[float] = []
-    links: list[int] = []
-    count = 0
+    links, parts = [], []
     for geometry, pose, link in shapes:
-        corners, triangles, rod, radius = _core(geometry)
-        points.append(pose.apply(corners))
-        sides.append(triangles + count)
-        rods.append(rod + count)
-        part.append(np.full(len(corners), len(radii)))
-        radii.append(radius)
         links.append(link)
-        count += len(corners)
-    corners = np.concatenate([np.zeros((0, 3)), *points])
-    triangles, rod = np.concatenate([NO_TRIANGLES, *sides]), np.concatenate([NO_EDGES, *rods])
+        parts.append(_part(geometry).posed(pose))
+    corners = _starts([len(part.corners) for part in parts])
+    triangles = _starts([len(part.triangles) for part in parts])
+    beside = [np.where(p.beside >= 0, p.beside + k, -1) for p, k in zip(parts, triangles, strict=False)]
+    return Hulls(
+        np.concatenate([NO_CORNERS, *(part.corners for part in parts)]),
+        np.concatenate([NO_EDGES, *(part.edges + k for part, k in zip(parts, corners, strict=False))]),
+        np.concatenate([NO_TRIANGLES, *(part.triangles + k for part, k in zip(parts, corners, strict=False))]),
+        np.concatenate([NO_CORNERS, *(part.normals for part in parts)]),
+        np.concatenate([NO_EDGES, *beside]),
+        np.repeat(np.arange(len(parts)), np.diff(corners)),
+        np.array([part.radius[0] for part in parts]),
+        np.array(links, dtype=np.int64),
+    )
+
+
+def _starts(counts: Sequence[int]) -> Index:
+    """Return the indices at which consecutive groups of these sizes start, and the total."""
+    return np.cumsum([0, *counts], dtype=np.int64)
+
+
+def _part(geometry: Geometry) -> Hulls:
+    """Return the convex part of a geometry in its own frame."""
+    return _box_part(*geometry.size.tolist()) if isinstance(geometry, Box) else _other_part(geometry)
+
+
+@lru_cache(maxsize=256)  # boxes of equal size share their parts
+def _box_part(x: float, y: float, z: float) -> Hulls:
+    return _assembled(SIGNS * np.array([x, y, z]), BOX, NO_EDGES, 0.0)
+
+
+@lru_cache(maxsize=256)
+def _other_part(geometry: Mesh | Sphere | Capsule | Cylinder) -> Hulls:
+    return _assembled(*_core(geometry))
+
+
+def _assembled(corners: Array, triangles: Index, rods: Index, radius: float) -> Hulls:
     normals = _normals(corners, triangles)
     edges, beside = _edges(triangles, normals)
-    edges, beside = np.concatenate([edges, rod]), np.concatenate([beside, np.full(rod.shape, -1)])
-    number, link_of = np.concatenate([np.zeros(0, np.int64), *part]), np.array(links, dtype=np.int64)
-    return Hulls(corners, edges, triangles, normals, beside, number, np.array(radii), link_of)
+    edges, beside = np.concatenate([edges, rods]), np.concatenate([beside, np.full(rods.shape, -1)])
+    none = np.zeros(len(corners), np.int64)
+    return Hulls(corners, edges, triangles, normals, beside, none, np.array([radius]), none[:1])
 
 
 # Corners, triangles, edges that have no adjacent triangles, and radius of a geometry in its own frame.
 Core = tuple[Array, Index, Index, float]
 
-NO_TRIANGLES, NO_EDGES = np.zeros((0, 3), np.int64), np.zeros((0, 2), np.int64)
+NO_CORNERS, NO_TRIANGLES, NO_EDGES = np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 2), np.int64)
 
 SIGNS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
 BOX = np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
                 (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)])  # fmt: skip
 
 
-def _core(geometry: Geometry) -> Core:
+def _core(geometry: Mesh | Sphere | Capsule | Cylinder) -> Core:
     match geometry:
         case Mesh():
             return geometry.vertices, geometry.faces.astype(np.int64), NO_EDGES, 0.0
-        case Box():
-            return SIGNS * geometry.size, BOX, NO_EDGES, 0.0
         case Sphere():
             return np.zeros((1, 3)), NO_TRIANGLES, NO_EDGES, geometry.radius
         case Capsule():

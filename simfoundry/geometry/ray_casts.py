@@ -181,15 +181,24 @@ def _bounds(triangles: Array) -> tuple[Array, Array]:
 
     The part of a triangle in front of the near clipping plane (:data:`NEAREST`) is cut off.
     """
-    following = np.roll(triangles, -1, axis=1)
-    z, z_next = triangles[:, :, 2], following[:, :, 2]
+    front = triangles[:, :, 2] >= NEAREST
     with np.errstate(divide="ignore", invalid="ignore"):
-        corner = np.where((z >= NEAREST)[..., None], triangles[:, :, :2] / z[..., None], np.nan)
+        a, b, c = (triangles[:, :, :2] / triangles[:, :, 2:]).swapaxes(0, 1)
+    if front.all():
+        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    for corner, before in zip((a, b, c), front.T, strict=True):
+        corner[~before] = np.nan
+    low, high = np.fmin(np.fmin(a, b), c), np.fmax(np.fmax(a, b), c)
+    cut = np.flatnonzero(front.any(axis=1) & ~front.all(axis=1))
+    here, following = triangles[cut], np.roll(triangles[cut], -1, axis=1)
+    z, z_next = here[:, :, 2], following[:, :, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
         t = (NEAREST - z) / (z_next - z)
-        crossing = (triangles + t[..., None] * (following - triangles))[:, :, :2] / NEAREST
+        crossing = (here + t[..., None] * (following - here))[:, :, :2] / NEAREST
     crossing[(z >= NEAREST) == (z_next >= NEAREST)] = np.nan
-    points = np.concatenate([corner, crossing], axis=1)
-    return np.fmin.reduce(points, axis=1), np.fmax.reduce(points, axis=1)
+    low[cut] = np.fmin(low[cut], np.fmin.reduce(crossing, axis=1))
+    high[cut] = np.fmax(high[cut], np.fmax.reduce(crossing, axis=1))
+    return low, high
 
 
 def _cells(low: Array, high: Array, origin: float, step: float, width: float, count: int) -> tuple[Index, Index]:

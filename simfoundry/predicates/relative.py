@@ -25,7 +25,7 @@ def viewer_axis(viewer: Pose | None, column: int) -> Array:
     x, y = (1.0, 0.0) if viewer is None else viewer.rotation[:2, 0]
     size = float(np.hypot(x, y))
     away = np.array([1.0, 0.0, 0.0]) if size < LEVEL else np.array([x, y, 0.0]) / size
-    return away if column == 0 else np.cross([0.0, 0.0, 1.0], away)
+    return away if column == 0 else np.array([-away[1], away[0], 0.0])
 
 
 # Length of the horizontal component of the unit viewing direction below which the viewer looks straight up or down.
@@ -85,7 +85,7 @@ def next_to(terms: Terms, a: Entity, b: Entity) -> None:
         apart = np.hypot(*(boxes[0].middle - boxes[1].middle)[:, :2].T) - boxes[0].reach - boxes[1].reach
         close = np.flatnonzero(apart < near)
         if len(close):
-            apart[close] = ground_gap(view.at(close), a, b)
+            apart[close] = ground_gap(view if len(close) == view.n else view.at(close), a, b)
         return np.asarray(near - apart)
 
     def overlap(view: View) -> Array:

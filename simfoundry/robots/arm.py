@@ -9,6 +9,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -131,6 +132,10 @@ TURNED = 4e-3
 
 # Maximum number of iterations of a solve, which is rarely reached: most solves converge or stall earlier.
 ITERATIONS = 40
+
+# Distance beyond the length of the arm up to which solutions are searched for [m]; ten times the position tolerance.
+BEYOND = 10 * NEAR
+
 # Margin between solutions and the joint limits [rad or m].
 SLACK = 0.02
 
@@ -171,6 +176,46 @@ class Arm:
         task = mink.FrameTask(self._body.name, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
         return mink.Configuration(self.model), task, mink.ConfigurationLimit(self.model)
 
+    @cached_property
+    def _longest(self) -> tuple[Array, Array, float]:
+        """A point of the base, a point of the hand link, and the maximum distance between them [m].
+
+        A point on the axis of a hinge is fixed in both links, so the distance between points on consecutive axes never
+        changes. The bound is the length of the shortest path over such points: the anchor of each joint, and the points
+        on its axis that are closest to the anchors of its neighbors.
+        """
+        import mujoco
+
+        data, model = mujoco.MjData(self.model), self.model
+        mujoco.mj_kinematics(model, data)
+        joints, body = list[int](), self._body.id
+        while body:
+            joints[:0] = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+            body = int(model.body_parentid[body])
+        if not joints or any(model.jnt_type[k] != mujoco.mjtJoint.mjJNT_HINGE for k in joints):
+            return np.zeros(3), np.zeros(3), np.inf
+        anchors, axes = data.xanchor[joints], data.xaxis[joints]
+        numbers = np.arange(len(joints))
+        beside = anchors[np.clip(numbers[:, None] + (0, -1, 1), 0, len(joints) - 1)] - anchors[:, None]
+        points = anchors[:, None] + np.einsum("nij,nj->ni", beside, axes)[..., None] * axes[:, None]
+        length, start = np.zeros(3), points[0]
+        for before, after in pairwise(points):
+            whole = length[:, None] + np.linalg.norm(before[:, None] - after, axis=2)
+            best = whole.argmin(axis=0)
+            length, start = whole[best, range(3)], start[best]
+        end = int(length.argmin())
+        X_BL = Pose.of(data.xpos[self._body.id], data.xquat[self._body.id])
+        return start[end], X_BL.inverse().apply(points[-1, end]), float(length[end])
+
+    def is_too_short(self, X_WH: Pose, slack: float = 0.0) -> bool:
+        """Return True if the arm is too short to bring the hand within ``slack`` [m] of a pose.
+
+        If the result is False, the hand may still be unable to reach the pose.
+        """
+        start, end, longest = self._longest
+        X_BL = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
+        return float(np.linalg.norm(X_BL.apply(end) - start)) > longest + BEYOND + slack
+
     def _posed(self, q: Array) -> Any:
         """Return Mink's configuration at ``q``."""
         configuration = self._ik[0]
@@ -188,9 +233,11 @@ class Arm:
         """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if it fails."""
         import mink
 
-        X_BF = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
+        if self.is_too_short(X_WH):
+            return None
+        X_BL = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
         _, task, limit = self._ik
-        task.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BF.q, X_BF.p])))
+        task.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BL.q, X_BL.p])))
         q = np.clip(near, self.low, self.high)
         configuration = self._posed(q)
         best, since = np.inf, 0

@@ -6,10 +6,11 @@ Both methods consider only the arm: obstacles are ignored, and the fingers may n
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -163,20 +164,40 @@ class ArmReach:
             self._known[key] = self._solved(low, high, np.array(side), np.array(way))
         return self._known[key]
 
-    def _solved(self, low: Array, high: Array, side: Array, way: Array) -> Reached:
+    def is_too_short(self, low: Array, high: Array, slack: float) -> bool:
+        """Return True if all arms are too short to grasp a box from above, even if the box moves by ``slack`` [m].
+
+        This test is much faster than inverse kinematics. The result is False if reach cannot be checked.
+        """
+        up = np.array(UP)
+        return not self.missing and not any(
+            self._is_near(arm, away, slack)
+            and any(not arm.is_too_short(Pose.of(hand + OVER * up, turn), slack) for turn in _hand_turns(up))
+            for arm, hand, away in self._grasps(low, high, up)
+        )
+
+    def nearest(self, low: Array, high: Array) -> Reached:
+        """Return the arm whose base is nearest to a box, as the result of a test that failed."""
+        found = ((away, arm.robot.name) for arm, _, away in self._grasps(low, high, np.array(UP)))
+        away, name = min(found, key=itemgetter(0), default=(math.inf, ""))
+        return Reached(False, True, name, away)
+
+    def _grasps(self, low: Array, high: Array, side: Array) -> Iterator[tuple[Arm, Array, float]]:
+        """Yield each arm, the position of its hand at the grasp [m], and the distance of the box from its base [m]."""
         middle = (low + high) / 2
         grasp = middle + max(float(np.abs(side) @ (high - low)) / 2 - DEEP, 0.0) * side
-        nearest = Reached(False, True, away=math.inf)
         for arm, tip in self._arms:
-            base = arm.robot.X_WB.p
-            away = math.hypot(*(middle - base)[:2].tolist())
-            if away < nearest.away:
-                nearest = Reached(False, True, arm.robot.name, away)
-            if arm.robot.reach is not None and away > arm.robot.reach + BEYOND:
-                continue
-            if self._takes(arm, grasp + tip * side, side, way):
+            yield arm, grasp + tip * side, math.hypot(*(middle - arm.robot.X_WB.p)[:2].tolist())
+
+    @staticmethod
+    def _is_near(arm: Arm, away: float, slack: float = 0.0) -> bool:
+        return arm.robot.reach is None or away <= arm.robot.reach + BEYOND + slack
+
+    def _solved(self, low: Array, high: Array, side: Array, way: Array) -> Reached:
+        for arm, hand, away in self._grasps(low, high, side):
+            if self._is_near(arm, away) and self._takes(arm, hand, side, way):
                 return Reached(True, True, arm.robot.name, away)
-        return nearest
+        return self.nearest(low, high)
 
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
         """Return True if the hand can reach the start of its approach and move from there to the grasp."""

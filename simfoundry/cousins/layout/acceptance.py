@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +15,14 @@ from simfoundry.cousins.layout.views import SEEN, best_view
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.evaluate.resets.placement import rounded
 from simfoundry.geometry.frames import Pose
-from simfoundry.predicates import StateBatch, Verdict
+from simfoundry.predicates import StateBatch
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import is_ball, is_confined, run_to_rest, tilt_deg
+
+if TYPE_CHECKING:
+    from simfoundry.robots.reach import Reached
 
 # Maximum penetration depth at rest [m].
 PENETRATION = 0.001
@@ -32,7 +37,7 @@ class Examined:
 
     Attributes:
         reasons: Reasons for rejection; empty if the layout was accepted.
-        state: Settled state of all objects.
+        state: Settled state of all objects, or their initial state if an object is too far away for all arms.
         unchecked: Checks that could not be performed.
     """
 
@@ -48,8 +53,10 @@ class Examined:
 
 def examine(twin: Twin, layout: Layout) -> Examined:
     """Settle a layout and check it. If a cheap check fails, the more expensive checks are skipped."""
-    absent = twin.absent - set(layout.poses)
-    settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
+    absent, start = twin.absent - set(layout.poses), twin.posed(layout.poses)
+    if too_far := tuple(_too_far(twin, layout, start)):
+        return Examined(too_far, start, ())
+    settled = settle_layout(twin.world, start, absent)
     reasons = list(_at_rest(layout, settled))
     unchecked: list[str] = []
     if not reasons:
@@ -77,25 +84,22 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
     """Yield a reason for each required relation that does not hold, and a reason if the goal is already true."""
-    batch = StateBatch.of(twin.scene, [state])
     required = (
         ("not_as_asked", "does not hold at rest", layout.asked),
         ("relation_lost", "no longer holds", kept_relations(twin, layout.poses)),
     )
+    conditions: dict[str, Any] = {code: {"all": texts} for code, _, texts in required if texts}
+    if twin.goal is not None:
+        conditions["goal_true"] = twin.goal
+    holds = twin.judge.holds(conditions, StateBatch.of(twin.scene, [state]))
     for code, says, texts in required:
-        if texts and not twin.judge.batch({"all": texts}, batch)[0][0]:  # usually, all texts are true
+        if texts and not holds[code][0]:  # usually, all texts are true
             for text, verdict in ((text, twin.judge(text, state)) for text in texts):
                 if not verdict.value:
                     yield Reason(code, f"{text} {says}: {verdict.why}", {"margin": verdict.margin})
-    if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
+    if twin.goal is not None and holds["goal_true"][0]:
+        goal = twin.judge(twin.goal, state)
         yield Reason("goal_true", f"the goal is already true: {goal.why}", {"margin": goal.margin})
-
-
-def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
-    """Return the verdict on a condition if it is true, else None. Evaluation stops at the first part that is false."""
-    tag, below = parts(condition)
-    holds = all(twin.judge.batch(one, batch)[0][0] for one in (below if tag == "all" else (condition,)))
-    return twin.judge(condition, state) if holds else None
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
@@ -140,13 +144,28 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
     if twin.goal is None:
         unchecked.append("reach: no task specifies which objects must be reached")
         return
-    for name in twin.task_objects:
-        if twin.scene.object(name).fixed:
-            continue
+    for name in _grasped(twin):
         result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
-            where = f"it is {result.away:.2f} m from the base of `{result.robot}`"
-            yield Reason("out_of_reach", f"no arm can reach `{name}` from above: {where}", {"away_m": result.away})
+            yield _out_of_reach(name, result)
+
+
+def _too_far(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
+    """Yield a reason for each task object that all arms are too short to reach, even if it moves while it settles."""
+    for name in _grasped(twin) if twin.goal is not None else ():
+        box = twin.box(name, state.poses[name])
+        slack = DRIFT + math.sin(math.radians(TILT_DEG)) * float(np.linalg.norm(box[1] - box[0]))
+        if name not in layout.dropped and twin.robots.reach.is_too_short(*box, slack):
+            yield _out_of_reach(name, twin.robots.reach.nearest(*box))
+
+
+def _grasped(twin: Twin) -> tuple[str, ...]:
+    return tuple(name for name in twin.task_objects if not twin.scene.object(name).fixed)
+
+
+def _out_of_reach(name: str, result: Reached) -> Reason:
+    where = f"it is {result.away:.2f} m from the base of `{result.robot}`"
+    return Reason("out_of_reach", f"no arm can reach `{name}` from above: {where}", {"away_m": result.away})
 
 
 # Minimum settling time, interval between rest checks, and maximum settling time [s]. Settling ends before the minimum

@@ -184,8 +184,8 @@ class Solids:
         self._model = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
         self._data = mujoco.MjData(self._model)
         self._own: dict[str, tuple[Index, Array, Array]] = {}
-        self._boxes: dict[str, tuple[Array, Array]] = {}
-        self._at: dict[str, tuple[Array, Array, Array]] = {}
+        self._balls: dict[str, tuple[Array, Array]] = {}
+        self._at: dict[str, tuple[Array, Array]] = {}
         self._waiting: dict[str, Pose] = {}
         for item in items:
             self._own[item.name] = self._in_frame(item, joints.get(item.name, {}))
@@ -206,19 +206,15 @@ class Solids:
             turned.append(X_OL.rotation @ rotations(self._model.geom_quat[geoms].reshape(-1, 4)))
         every = np.concatenate(ids)
         box = self._model.geom_aabb[every]
-        self._boxes[item.name] = box[:, :3].copy(), box[:, 3:].copy()
+        self._balls[item.name] = box[:, :3].copy(), np.linalg.norm(box[:, 3:], axis=1)
         return every, np.concatenate(p), np.concatenate(turned)
 
     def put(self, name: str, X_WO: Pose) -> None:
         """Set the pose of an object. The poses of its parts are updated at the next query."""
         self._waiting[name] = X_WO
 
-    def _posed(self, name: str) -> tuple[Array, Array, Array]:
-        """Return the bounding boxes of an object's parts in the world frame.
-
-        Returns:
-            Centers [m], shape (k, 3), rotations, shape (k, 3, 3), and bounding sphere radii [m], shape (k,).
-        """
+    def _posed(self, name: str) -> tuple[Array, Array]:
+        """Return the bounding spheres of an object's parts: centers in the world [m], (k, 3), and radii [m], (k,)."""
         X_WO = self._waiting.pop(name, None)
         if X_WO is None:
             return self._at[name]
@@ -226,9 +222,8 @@ class Solids:
         points, turns = X_WO.apply(p), X_WO.rotation @ turned
         self._data.geom_xpos[geoms] = points
         self._data.geom_xmat[geoms] = turns.reshape(-1, 9)
-        middle, half = self._boxes[name]
-        middles = points + np.einsum("kij,kj->ki", turns, middle)
-        self._at[name] = middles, turns, np.sqrt((half * half).sum(axis=1))
+        middle, radius = self._balls[name]
+        self._at[name] = points + np.einsum("kij,kj->ki", turns, middle), radius
         return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
@@ -252,20 +247,14 @@ class Solids:
         """
         if not len(self._own[a][0]) or not len(self._own[b][0]):
             return
-        (middle_a, turn_a, size_a), (middle_b, turn_b, size_b) = self._posed(a), self._posed(b)
+        (middle_a, size_a), (middle_b, size_b) = self._posed(a), self._posed(b)
         off = middle_b[None] - middle_a[:, None]
-        between = np.sqrt((off * off).sum(axis=2)) - size_a[:, None] - size_b
-        i, j = np.nonzero(between < far)
-        if not len(i):
-            return
-        off = off[i, j]
-        bound = np.maximum(
-            _beyond(off, turn_a[i], self._boxes[a][1][i]) - size_b[j],
-            _beyond(off, turn_b[j], self._boxes[b][1][j]) - size_a[i],
-        )
-        kept = np.flatnonzero(bound < far)
-        for k in kept[np.argsort(bound[kept], kind="stable")]:
-            yield int(self._own[a][0][i[k]]), int(self._own[b][0][j[k]]), float(bound[k])
+        bound = np.sqrt((off * off).sum(axis=2)) - size_a[:, None] - size_b
+        i, j = np.nonzero(bound < far)
+        bounds = bound[i, j]
+        order = np.argsort(bounds, kind="stable")
+        geoms_a, geoms_b = self._own[a][0][i[order]], self._own[b][0][j[order]]
+        yield from zip(geoms_a.tolist(), geoms_b.tolist(), bounds[order].tolist(), strict=True)
 
 
 def _bare(link: Link) -> Link:
@@ -274,15 +263,3 @@ def _bare(link: Link) -> Link:
         replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
     )
     return replace(link, visuals=(), colliders=colliders)
-
-
-def _beyond(off: Array, turn: Array, half: Array) -> Array:
-    """Return the distances of points from boxes [m], shape (k,); the distance of a point inside a box is 0.
-
-    Args:
-        off: Vectors from the box centers to the points [m], shape (k, 3).
-        turn: Rotations of the boxes, shape (k, 3, 3).
-        half: Half extents of the boxes [m], shape (k, 3).
-    """
-    outside = np.maximum(np.abs(np.einsum("kij,ki->kj", turn, off)) - half, 0.0)
-    return np.asarray(np.sqrt((outside * outside).sum(axis=1)))

@@ -32,13 +32,14 @@ class VisibleSurface:
     """The visible surface of an object.
 
     Attributes:
-        triangles: Triangles in the surface frame S [m], shape (m, 3, 3).
+        corners: Coordinates of the three corners of each triangle in the surface frame S [m], shape (3, 3, m): x, y and
+            z of all first corners, then of all second and all third corners.
         center: Center of the bounding sphere in S [m], shape (3,).
         radius: Radius of the bounding sphere [m].
         X_WS: Pose of S in the world.
     """
 
-    triangles: Array
+    corners: Array
     center: Array
     radius: float
     X_WS: Pose = IDENTITY
@@ -57,18 +58,20 @@ class VisibleSurface:
             parts = visuals or (() if link.visuals else link.colliders)
             found += [(X_OL[link.name] @ part.X_LG).apply(_triangles(part.geometry)) for part in parts]
         triangles = np.concatenate(found)
+        corners = np.ascontiguousarray(triangles.transpose(1, 2, 0))
         if not len(triangles):
-            return cls(triangles, np.zeros(3), 0.0)
+            return cls(corners, np.zeros(3), 0.0)
         low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-        return cls(triangles, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
+        return cls(corners, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
 
     def at(self, X_WS: Pose) -> VisibleSurface:
         """Return the surface at another pose."""
-        return VisibleSurface(self.triangles, self.center, self.radius, X_WS)
+        return VisibleSurface(self.corners, self.center, self.radius, X_WS)
 
-    def seen_from(self, camera: Camera) -> Array:
-        """Return the triangles in the camera frame [m], shape (m, 3, 3)."""
-        return (camera.X_WC.inverse() @ self.X_WS).apply(self.triangles)
+    def seen_from(self, X_CW: Pose) -> Array:
+        """Return the corners in the frame of a camera C [m], shape (3, 3, m)."""
+        X_CS = X_CW @ self.X_WS
+        return np.asarray(X_CS.rotation @ self.corners + X_CS.p[:, None])
 
 
 @lru_cache(maxsize=512)
@@ -79,7 +82,8 @@ def _triangles(geometry: Geometry) -> Array:
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
     """Return the fraction of an object's silhouette that is inside the image and not occluded by ``others``."""
-    local = thing.seen_from(camera)
+    X_CW = camera.X_WC.inverse()
+    local = thing.seen_from(X_CW).transpose(2, 0, 1)
     corners = local.reshape(-1, 3)
     ahead = corners[corners[:, 2] > CLOSEST]
     if not len(ahead):
@@ -96,7 +100,7 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
     if not len(seen):
         return 0.0
     farthest = float(ahead[:, 2].max())
-    before = [_before(other, camera, low, high, farthest) for other in others]
+    before = [_before(other, X_CW, low, high, farthest) for other in others]
     triangles = np.concatenate([np.zeros((0, 3, 3)), *before])
     if len(triangles):
         hidden = first_hits(triangles, scattered_rays(x[seen], y[seen]), own.inverse_depth[seen]).triangle >= 0
@@ -104,17 +108,17 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
     return len(seen) / len(met)
 
 
-def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, depth: float) -> Array:
+def _before(other: VisibleSurface, X_CW: Pose, low: Array, high: Array, depth: float) -> Array:
     """Return the triangles of a surface that may occlude an object, in the camera frame [m], shape (m, 3, 3).
 
     Args:
         other: Surface that may be in front of the object.
-        camera: The camera.
+        X_CW: Pose of the world in the camera frame.
         low: Lower bounds of the object's rectangle in the plane z = 1, shape (2,).
         high: Upper bounds of the rectangle, shape (2,).
         depth: Greatest depth of the object [m].
     """
-    x, y, z = camera.X_WC.inverse().apply(other.X_WS.apply(other.center))
+    x, y, z = X_CW.apply(other.X_WS.apply(other.center))
     near = max(z - other.radius, CLOSEST)
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))
@@ -124,13 +128,22 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
         beyond = center - high * z > other.radius * np.hypot(1, high)
         if (before | beyond).any():
             return np.zeros((0, 3, 3))
-    local = other.seen_from(camera)
-    z = local[:, :, 2]
-    may_hide = (z.min(axis=1) < depth) & (z.max(axis=1) > CLOSEST)
-    whole = z.min(axis=1) > CLOSEST  # triangles that extend behind the camera may cover anything
-    across = local[:, :, :2] / np.where(z > CLOSEST, z, 1.0)[:, :, None]
-    apart = (across.max(axis=1) < low).any(axis=1) | (across.min(axis=1) > high).any(axis=1)
-    return np.asarray(local[may_hide & ~(whole & apart)])
+    local = other.seen_from(X_CW)
+    nearest, deepest = _range(local[:, 2])
+    may_hide = (nearest < depth) & (deepest > CLOSEST)
+    apart = nearest > CLOSEST  # triangles that extend behind the camera may cover anything
+    z = np.where(local[:, 2] > CLOSEST, local[:, 2], 1.0)
+    outside = np.zeros(len(apart), dtype=bool)
+    for k in (0, 1):
+        least, most = _range(local[:, k] / z)
+        outside |= (most < low[k]) | (least > high[k])
+    return np.asarray(local[:, :, may_hide & ~(apart & outside)].transpose(2, 0, 1))
+
+
+def _range(values: Array) -> tuple[Array, Array]:
+    """Return the minimum and maximum of the values, shape (3, m), at the corners of each triangle, shape (m,) each."""
+    a, b, c = values
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def best_view(

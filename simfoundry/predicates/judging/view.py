@@ -73,6 +73,10 @@ def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
 
 UP = np.array([0.0, 0.0, 1.0])
 
+# The axes of both bounding boxes as indices in TURNED, and as columns of rotation matrices.
+BOX_AXES = np.array([[0, 1, 2], [3, 4, 2]])
+BOX_BASES = TURNED[BOX_AXES].transpose(0, 2, 1)
+
 
 class Boxes(NamedTuple):
     """The bounding box of an entity in its own frame, and a second one rotated by 45 degrees about the z axis.
@@ -196,18 +200,20 @@ class View:
     def span(self, thing: Entity, axis: Array) -> tuple[Array, Array]:
         """Return the minimum and maximum coordinates [m] of an entity along an axis, shape (n,) each.
 
-        ``axis`` is a unit vector with shape (3,), or one unit vector per state with shape (n, 3).
+        ``axis`` is a unit vector with shape (3,), or one unit vector per state with shape (n, 3). For several axes at
+        once, shape (m, n, 3), the results have the shape (m, n).
         """
-        low, high = np.full(self.n, np.inf), np.full(self.n, -np.inf)
+        axis = np.broadcast_to(axis, (*axis.shape[:-2], self.n, 3))
+        low, high = np.full(axis.shape[:-1], np.inf), np.full(axis.shape[:-1], -np.inf)
         for k, form in self.forms(thing):
             X_WL = self.link(thing.owner, k)
-            along = np.broadcast_to(axis, (self.n, 3))
-            local = np.einsum("nji,nj->ni", X_WL.R, along)
-            offset = np.einsum("ni,ni->n", X_WL.p, along)
+            local = np.einsum("nji,...nj->...ni", X_WL.R, axis)
+            offset = np.einsum("ni,...ni->...n", X_WL.p, axis)
             points, radius = form.support(self.n)
             reach = local @ points.T
-            low = np.minimum(low, offset + (reach - radius).min(axis=1))
-            high = np.maximum(high, offset + (reach + radius).max(axis=1))
+            below, above = (reach - radius, reach + radius) if radius.any() else (reach, reach)
+            low = np.minimum(low, offset + below.min(axis=-1))
+            high = np.maximum(high, offset + above.max(axis=-1))
         return low, high
 
     def heights(self, thing: Entity) -> tuple[Array, Array]:
@@ -231,12 +237,10 @@ class View:
                 spans = [self.span(thing, X_WF.R @ u) for u in TURNED]
                 origin = np.einsum("nij,ni->nj", X_WF.R, X_WF.p) @ TURNED.T
                 low, high = (np.stack([s[k] for s in spans], axis=1) - origin for k in (0, 1))
-            # Each row contains the indices in :data:`TURNED` of the three axes of a box.
-            rows = np.array([[0, 1, 2], [3, 4, 2]])
-            bases = TURNED[rows].transpose(0, 2, 1)
-            middles = [rotate(X_WF.R, (low + high)[:, k] / 2 @ basis.T) for k, basis in zip(rows, bases, strict=True)]
-            halves, axes = [(high - low)[:, k] / 2 for k in rows], [X_WF.R @ basis for basis in bases]
-            self._boxes[thing] = Boxes(X_WF.p + np.stack(middles), np.stack(halves), np.stack(axes))
+            span = (low + high)[:, BOX_AXES].transpose(1, 0, 2) / 2  # (box, n, axis)
+            axes = X_WF.R @ BOX_BASES[:, None]
+            center = X_WF.p + np.einsum("bnij,bnj->bni", axes, span)
+            self._boxes[thing] = Boxes(center, (high - low)[:, BOX_AXES].transpose(1, 0, 2) / 2, axes)
         return self._boxes[thing]
 
 
@@ -246,17 +250,13 @@ def over(points: Array, boxes: Boxes) -> Array:
     The outline of a box is its silhouette as seen from above, a hexagon whose sides are edges of the box. The distance
     is negative outside the outline of either box.
     """
-    margin = np.full(len(points), np.inf)
-    for center, half, axes in zip(boxes.center, boxes.half, boxes.R, strict=True):
-        edges = half[:, :, None] * axes[:, :2, :].transpose(0, 2, 1)  # (n, edge, xy)
-        away = (points - center)[:, :2]
-        for k in range(3):
-            length = np.linalg.norm(edges[:, k], axis=1)
-            lying = length > 1e-9
-            normal = np.stack([-edges[:, k, 1], edges[:, k, 0]], axis=1) / np.where(lying, length, 1.0)[:, None]
-            reach = np.abs(np.einsum("nej,nj->ne", edges, normal)).sum(axis=1)
-            margin = np.where(lying, np.minimum(margin, reach - np.abs((away * normal).sum(axis=1))), margin)
-    return margin
+    edges = boxes.half[..., None] * boxes.R[:, :, :2, :].swapaxes(2, 3)  # (box, n, edge, xy)
+    length = np.linalg.norm(edges, axis=3)
+    lying = length > 1e-9
+    normal = np.stack([-edges[..., 1], edges[..., 0]], axis=3) / np.where(lying, length, 1.0)[..., None]
+    reach = np.abs(edges @ normal.swapaxes(2, 3)).sum(axis=2)
+    away = np.abs(((points - boxes.center)[:, :, None, :2] * normal).sum(axis=3))
+    return np.asarray(np.where(lying, reach - away, np.inf).min(axis=(0, 2)))
 
 
 def ground_gap(view: View, a: Entity, b: Entity) -> Array:
@@ -265,14 +265,15 @@ def ground_gap(view: View, a: Entity, b: Entity) -> Array:
     This is the largest of the gaps across the edges of their boxes and along the line between their middles.
     """
     boxes = view.boxes(a), view.boxes(b)
-    ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]
-    ways += [np.stack([-box.R[0, :, 1, k], box.R[0, :, 0, k]], axis=1) for box in boxes for k in range(3)]
-    gap = np.full(view.n, -np.inf)
-    for way in ways:
-        size = np.linalg.norm(way, axis=1)
-        lying = size > 1e-6
-        axis = np.zeros((view.n, 3))
-        axis[:, :2] = way / np.where(lying, size, 1.0)[:, None]
-        (low_a, high_a), (low_b, high_b) = view.span(a, axis), view.span(b, axis)
-        gap = np.maximum(gap, np.where(lying, np.maximum(low_a - high_b, low_b - high_a), -np.inf))
-    return gap
+    ways = np.zeros((7, view.n, 2))
+    ways[0] = (boxes[0].middle - boxes[1].middle)[:, :2]
+    for first, box in zip((1, 4), boxes, strict=True):
+        for k in range(3):
+            ways[first + k, :, 0], ways[first + k, :, 1] = -box.R[0, :, 1, k], box.R[0, :, 0, k]
+    size = np.linalg.norm(ways, axis=2)
+    lying = size > 1e-6
+    axes = np.zeros((7, view.n, 3))
+    axes[:, :, :2] = ways / np.where(lying, size, 1.0)[:, :, None]
+    (low_a, high_a), (low_b, high_b) = view.span(a, axes), view.span(b, axes)
+    gap = np.where(lying, np.maximum(low_a - high_b, low_b - high_a), -np.inf)
+    return np.asarray(gap.max(axis=0))
