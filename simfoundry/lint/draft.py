@@ -2,8 +2,8 @@
 
 A draft is lowered by the same passes as in a compilation, but without expensive steps: meshes are not decomposed into
 convex parts. Instead, the draft uses the cached parts of a mesh if there are any, or else its convex hull. If only the
-hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if they
-are certain.
+hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if the
+findings are certain.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class StartJudge:
         return None if None in values or not values else not decisive
 
     def explanation(self, condition: Any) -> str:
-        """Return the reasons, with measured values, for the value of a condition; the value must be certain."""
+        """Explain the value of a condition, including measured values; the value must be certain."""
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(below[0])

@@ -46,7 +46,7 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
         angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
         message = f"`{name}` is outside the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
         seen = f"whose image extends {half_angle(cameras[nearest]):.0f} deg to the corners"
-        hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move the object or the camera"
+        hint = f"it is {angle:.0f} deg off the optical axis of `{nearest}`, {seen}; move the object or the camera"
         yield warning(subject.loaded, "SF409", path_of(name), message, hint)
 
 

@@ -54,13 +54,13 @@ _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
 # Distance [m] that a box must move in one second to count as slipping, which happens 0.1 degrees above the slip angle.
 _SLID_M = 0.01
 
-_SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
+_SWING = 0.1  # [rad], small enough for the series expansion of the period below to be accurate to 1e-6
 _INERTIA, _TORQUE = rigs.pendulum_constants()
 # Period of the pendulum [s], expanded in the amplitude, and decay rate of its damped swings [1/s].
 _PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
 _DAMPING = 0.02  # N m s/rad; the amplitude halves in 5.6 s, which is more than four periods
 _RATE = _DAMPING / (2 * _INERTIA)
-_WEIGHT = rigs.GRAVITY  # of one kilogram [N]
+_WEIGHT = rigs.GRAVITY  # weight of one kilogram [N]
 
 
 def free_fall() -> Measurement:

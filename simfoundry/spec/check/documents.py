@@ -1,4 +1,4 @@
-"""Run the checks for each document kind that go beyond types, and apply ``allow``."""
+"""Run the checks that go beyond types, which differ between document kinds, and apply ``allow``."""
 
 from __future__ import annotations
 
