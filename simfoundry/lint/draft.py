@@ -216,7 +216,7 @@ class StartJudge:
         return self._judged(call)
 
     def _is_apart(self, call: Call) -> bool:
-        """Return True if a predicate's two objects are certain not to touch, because their hulls do not."""
+        """Return True if a predicate's two objects are certain not to touch, because their hulls do not touch."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
         may_be_apart = bool(approximate) and call.predicate in NEEDS_TOUCH
         return may_be_apart and self._judged(Call("Touching", call.args)) is False

@@ -60,13 +60,13 @@ def sees(camera: Camera, low: Array, high: Array) -> bool:
 
 
 def off_axis(camera: Camera, point: Array) -> float:
-    """Return the angle between the optical axis and the direction to a point in the world frame [deg]."""
+    """Return the angle [deg] between the optical axis and the direction to a point in the world frame."""
     x, y, z = camera.X_WC.inverse().apply(point)
     return math.degrees(math.atan2(math.hypot(x, y), z))
 
 
 def half_angle(camera: Camera) -> float:
-    """Return the angle between the optical axis and the farthest corner of the image [deg]."""
+    """Return the angle [deg] between the optical axis and the farthest corner of the image."""
     across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx) / camera.fx
     down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy) / camera.fy
     return math.degrees(math.atan(math.hypot(across, down)))

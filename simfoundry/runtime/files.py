@@ -53,7 +53,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file name to OS errors without one, such as the error for a full disk."""
+    """Add the file name to OS errors that do not include it, such as the error for a full disk."""
     try:
         yield
     except OSError as error:

@@ -111,7 +111,7 @@ def common_project(*files: Path) -> Project:
     try:
         closest = Path(os.path.commonpath(folders))
     except ValueError:  # on different drives
-        raise NoProjectError(f"no folder contains {_listed(files)}; move them into one") from None
+        raise NoProjectError(f"no folder contains {_listed(files)}; move them into one folder") from None
     here = Path.cwd()
     below = closest.is_relative_to(here) and not _is_shared(here)
     project = find_project(closest) or Project(here if below else closest)

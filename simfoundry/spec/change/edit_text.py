@@ -273,7 +273,10 @@ class _Round:
         return self._entry(path)
 
     def _entry(self, path: Path_) -> Splice | None:
-        """Rewrite the nearest block mapping entry at or above a path in canonical form, with its comments."""
+        """Return the edit that rewrites the nearest block mapping entry at or above a path in canonical form.
+
+        The comments of the entry are kept.
+        """
         while path:
             steps = self._steps(path)
             span, parent = steps[-1], steps[-2]

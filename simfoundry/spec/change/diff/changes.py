@@ -280,7 +280,7 @@ def _space(section: Path_) -> str:
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
-    """Rename the references in the value at ``path``, which already uses the new names."""
+    """Rename the references in the value at ``path``; the names in ``path`` itself are already the new ones."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
         if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):

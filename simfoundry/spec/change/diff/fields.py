@@ -27,7 +27,7 @@ class Verbs(list[str]):
     moved = False
 
     def add_motion(self, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-        """Add the motion from the pose ``old`` to the pose ``new``."""
+        """Add phrases that describe the motion from the pose ``old`` to the pose ``new``."""
         found = values.motion(old, new)
         self.extend(values.motion_words(found))
         self.moved = found.moved or found.turned

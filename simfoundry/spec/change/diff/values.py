@@ -66,7 +66,7 @@ def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
 
 
 def value(key: str, item: Any) -> str:
-    """Describe the value ``item`` of ``key``."""
+    """Describe ``item``, the value of the field ``key``."""
     match item:
         case None:
             return "none"
