@@ -16,7 +16,7 @@ GROUPS = {
     "SF1": "Keys and values",
     "SF2": "Names, files and parts that belong together",
     "SF3": "Meshes",
-    "SF4": "Lints: warnings that can be silenced by giving a reason",
+    "SF4": "Lints: warnings, most of which can be silenced with a reason",
     "SF5": "Captures",
 }
 
@@ -91,8 +91,8 @@ _INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
 
-Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, and can be
-silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
+Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, most of
+which can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
 [checking.md](checking.md) explains how to run the checks before each commit and in CI.
 """
 
