@@ -146,9 +146,7 @@ def test_missing_rollouts_and_invalid_answers_are_said_and_engines_are_tables(tm
     rows.append({**row, "policy": "pi0", "from": "stack"})
     (tmp_path / "results.json").write_text(json.dumps({"scores": rows}))
     result = run("correlate", RESULTS / "real.csv", tmp_path)
-    assert "pi0 on stack_dishware: 2 of 25 rollouts are missing and not included in the rate" in result.out, (
-        result.err
-    )
+    assert "pi0 on stack_dishware: 2 of 25 rollouts are missing and not included in the rate" in result.out, result.err
     assert "pi05 on stack_dishware: 3 rollouts failed because of an invalid response" in result.out
     both = rows + [{**r, "engine": "pybullet"} for r in rows]
     (tmp_path / "results.json").write_text(json.dumps({"scores": both}))
