@@ -16,7 +16,7 @@ GROUPS = {
     "SF1": "Keys and values",
     "SF2": "Names, files and parts that belong together",
     "SF3": "Meshes",
-    "SF4": "Lints: warnings that can be silenced by giving a reason",
+    "SF4": "Lints: warnings, most of which can be silenced with a reason",
     "SF5": "Captures",
 }
 

@@ -112,7 +112,7 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """Coupling of a joint to a leader joint: its position is ``multiplier`` times the leader's, plus ``offset``."""
+    """Coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
 
     joint: Name = Field(description="The leader joint.")
     multiplier: Number = Field(1.0, description="Ratio of this joint's motion to the leader's motion.")

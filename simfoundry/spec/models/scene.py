@@ -45,7 +45,7 @@ PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
 
 
 class Place(Model):
-    """A placement on or inside a support, from which the pose is computed by lowering the object onto the shapes below.
+    """A placement on or inside a support; the pose is computed by lowering the object onto the shapes below it.
 
     Left, right, front and behind are relative to the scene's viewpoint. If no horizontal position is specified, the
     object is placed at the center of its support. If only one of `left_of`, `right_of`, `in_front_of` and `behind` is
