@@ -24,7 +24,7 @@ VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]; wider vie
 # Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)
 
-# Margin of the default camera around the objects, as a factor on their radius; smaller values would cut off outlines.
+# Margin that the default camera leaves around the objects, as a factor of their radius; less would cut off outlines.
 MARGIN = 1.08
 
 RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales down an image

@@ -116,7 +116,7 @@ def find_engine(name: str) -> VerifyEngine:
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Return the interpreters by engine or family; the key ``""`` contains the interpreters for all engines.
+    """Return the interpreters keyed by engine or family; the ones under ``""`` are for all engines.
 
     Interpreters specified with ``--python`` precede those in the environment variable.
     """

@@ -104,7 +104,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield pairs of colliders of different objects that can touch and differ in friction, and the pair's friction."""
+    """Yield pairs of colliders on different objects that can touch and differ in friction, with the pair's friction."""
     excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
@@ -198,7 +198,7 @@ def _expected(robot: Robot, target: str) -> RobotReadback | None:
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
-    """Return the joints of the robot's file in their initial state, renamed to the ``names`` of a conversion."""
+    """Return the joints in the robot's file in their initial state; ``names`` maps their names to converted names."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)

@@ -140,7 +140,7 @@ class Checker:
         """Warn about each unused material."""
         for name in materials if self.whole else ():
             if name not in used:
-                self.warn("SF401", ("materials", name), f"the material `{name}` is not used", "remove it")
+                self.warn("SF401", ("materials", name), f"the `{name}` material is not used", "remove it")
 
 
 # Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity.

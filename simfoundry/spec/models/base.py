@@ -121,7 +121,7 @@ class Model(BaseModel):
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error that is reported as finding ``code`` at the key ``at`` of the model."""
+    """Return a validation error that is reported as finding ``code`` at the model's key ``at``."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 

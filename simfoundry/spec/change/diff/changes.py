@@ -162,7 +162,7 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
     """Return the members of ``a`` that were renamed in ``b``. Within each section, the best match comes first."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
-        # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
+        # Each rename may make references match and thus reveal further renames, so repeat until no more are found.
         known = len(found)
         spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
         # Sections that define names come first, before those that only refer to them.
