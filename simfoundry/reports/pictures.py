@@ -130,7 +130,7 @@ def _overview(scenes: list[Scene]) -> Camera:
 
 
 def _corners(scene: Scene, free: bool) -> Array:
-    """Return the corners of the visible triangles in the world [m], shape (n, 3), optionally only of free objects."""
+    """Return the corners of the visible triangles in the world [m], shape (n, 3); if ``free``, only of free objects."""
     surface = scene_surface(scene)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))

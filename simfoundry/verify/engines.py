@@ -138,7 +138,7 @@ def interpreters(
 def find_installed(
     engines: Mapping[str, VerifyEngine], places: Mapping[str, Sequence[Path]]
 ) -> dict[str, InstalledEngine | None]:
-    """Return each engine by name with the first interpreter that meets its requirements, or None if there is none."""
+    """Return the first interpreter that meets an engine's requirements, or None, keyed by the name of the engine."""
     modules = tuple(sorted({module for engine in engines.values() for module in engine.modules}))
     found: dict[str, InstalledEngine | None] = {}
     for engine in engines.values():

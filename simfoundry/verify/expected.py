@@ -130,7 +130,7 @@ _MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class RobotReadback:
-    """A robot: its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
+    """A robot with its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
 
     Only the limits and the position of each joint are compared. None means that a value is not reported.
     """

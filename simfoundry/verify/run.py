@@ -87,7 +87,7 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """The measured value of a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
+    """The value measured for a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
 
     behavior: str
     engine: str

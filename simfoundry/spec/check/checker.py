@@ -123,7 +123,7 @@ class Checker:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
     def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
-        """Check that a body's density, given or computed as mass over the ``solid`` volume [m^3], is plausible."""
+        """Check that a body's density is plausible; by default, this is its mass over its ``solid`` volume [m^3]."""
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:
             self.plausible(str(path[-1]), given, (*path, "density"))

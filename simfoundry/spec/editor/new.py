@@ -163,7 +163,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Return the template variables for a task, which is to put one object onto another, or to lift the only object."""
+    """Return the template variables for a task: putting one object onto another, or lifting the only object."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}

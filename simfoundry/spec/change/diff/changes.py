@@ -87,7 +87,7 @@ def to_json(change: Change) -> dict[str, Any]:
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping keyed by name, or the items of a list of expressions keyed by text, else None."""
+    """Return the members of a mapping keyed by name, or a list of expressions keyed by text; None for other values."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):

@@ -64,7 +64,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides, or return None if either is invalid or any error occurs, so that `git diff` can continue."""
+    """Compare both sides; return None if a side is invalid or an error occurs, so that `git diff` can continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
