@@ -51,7 +51,7 @@ def _sections(parts: dict[str, Schema]) -> Iterator[str]:
         by_title.setdefault(_title(name), []).append(part)
     for heading, alike in sorted(by_title.items()):
         yield f"### {heading}\n"
-        yield f"{alike[0]['description'] if len(alike) == 1 else 'One of these keys.'}\n"
+        yield f"{alike[0]['description'] if len(alike) == 1 else 'A shape, defined by exactly one of these keys.'}\n"
         merged = {n: {"description": p["description"], **f} for p in alike for n, f in p["properties"].items()}
         yield from _table(alike[0] if len(alike) == 1 else {"properties": merged})
 

@@ -43,7 +43,7 @@ class Start(Model):
 
 
 class Subtask(Model):
-    """A step of the task, complete once its goal has been satisfied."""
+    """A step of the task; it is complete once its goal has been satisfied."""
 
     goal: Condition = Field(
         description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
