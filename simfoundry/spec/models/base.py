@@ -144,7 +144,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
         return
     listed = ", ".join(f"`{n}`" for n in names)
     if given:
-        raise fault("sf107", f"give one of {listed}, not {len(given)}", given[1])
+        raise fault("sf107", f"set only one of {listed}, not {len(given)}", given[1])
     raise fault("sf107", f"one of {listed} is needed")
 
 
@@ -337,7 +337,7 @@ class Material(Model):
     restitution: Fraction = Field(
         0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
     )
-    color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color: red, green, blue and optionally opacity, each 0 to 1.")
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]

@@ -167,8 +167,8 @@ class PolicySpec(DocumentSpec):
     )
     velocity_unit: Positive | None = Field(
         None,
-        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
-        "DROID, 3. By default, velocities are in rad/s or m/s.",
+        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; "
+        "DROID uses 3. By default, velocities are in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
         description="Number of steps of each action chunk to execute before the policy is queried again."
