@@ -217,7 +217,7 @@ class Task:
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """Return a single step as a task, with the initial state and the goal of that step.
+        """Return a single step as a task of its own, with the initial state and goal of that step.
 
         Objects placed by the step's ``start`` keep that placement; the other objects are placed in their cells.
 

@@ -66,7 +66,7 @@ def _extras() -> Iterator[Part]:
 
 
 def _robots() -> Iterator[Part]:
-    """Yield the known robots, with the command that installs missing models."""
+    """Yield the known robots, along with the command that installs missing models."""
     from simfoundry.scene.robot import lower_robot
     from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec

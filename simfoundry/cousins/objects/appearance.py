@@ -124,7 +124,7 @@ JITTER = 0.035
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of a component, and of all parts of the same link that have the same color."""
+    """Change the color of a component and of all same-colored parts of its link."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 

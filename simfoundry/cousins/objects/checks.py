@@ -111,7 +111,7 @@ class ObjectBaseline:
             lacks.append(f"stands: {unstable}")
         width, opening = grasp_width(solid(item)), needs.opening
         if opening is not None and width > opening - MARGIN:
-            lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
+            lacks.append(f"the object is {length(width)} wide, but the gripper only opens to {length(opening)}")
             opening = None
         rests = tuple(call for call, why in failures.items() if why is None)
         return cls(item, replace(needs, rests=rests, opening=opening), tuple(lacks), unstable is None)
@@ -127,7 +127,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
         if width > opening - MARGIN:
             fits = math.isfinite(width)
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
-            text = f"it {narrow}, but the gripper opens only {length(opening)}"
+            text = f"it {narrow}, but the gripper only opens to {length(opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": opening})
     if twin.needs.joints:
         yield from _joint_faults(item, twin.item)

@@ -239,7 +239,7 @@ def scene_reference(scene: Path, out: Path) -> str:
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """Run ``simfoundry check`` on the accepted proposals as documents in ``out``; reject those with findings."""
+    """Run ``simfoundry check`` on the accepted proposals, as documents in ``out``, and reject any with findings."""
     found = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:

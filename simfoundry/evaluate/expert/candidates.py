@@ -235,7 +235,7 @@ class _Target:
         return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
 
     def _walled(self, foot: Array) -> bool:
-        """Return True if a point at an object's base, or slightly above it, has walls on most sides."""
+        """Return True if a point at or slightly above an object's base has walls on most sides."""
         return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
@@ -295,7 +295,7 @@ def _turned(pose: Pose) -> list[Pose]:
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, with their costs."""
+    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, along with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return

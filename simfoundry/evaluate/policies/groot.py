@@ -289,7 +289,7 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
         if step > 0 or -step % spec.horizon:
             fits = ", ".join(str(n) for n in range(1, -step + 1) if -step % n == 0)
             reason = f"with `horizon: {spec.horizon}` there is no request at that step"
-            raise PolicyError(f"the server looks {-step} steps back, but {reason}; set `horizon` to {fits}")
+            raise PolicyError(f"the server needs data from {-step} steps back, but {reason}; set `horizon` to {fits}")
 
 
 def _joined(answer: Any) -> Array:

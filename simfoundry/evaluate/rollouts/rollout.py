@@ -117,7 +117,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """The images to record during a rollout: one from each of ``cameras`` after every ``every`` control steps."""
+    """The images to record during a rollout: one from each camera in ``cameras`` every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
