@@ -138,7 +138,7 @@ class _Reader:
         return np.where(usable, meters, np.nan)
 
     def masks(self) -> NDArray[np.int32] | None:
-        """Return the object number at each pixel, where 0 is the background, or None if the frame has no masks."""
+        """Return the object number at each pixel (0 for the background), or None if the frame has no masks."""
         masks = self.shot.masks
         if masks is None:
             return None

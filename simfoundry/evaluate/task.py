@@ -52,7 +52,7 @@ class TaskSetup:
 
     @property
     def own_start(self) -> Start | None:
-        """The start that the step itself defines, or None."""
+        """The start that the step itself defines, or None if it does not define one."""
         return self.task_spec.subtasks[self.step].start if self.step else None
 
     @property
@@ -211,7 +211,7 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """Robots that should act but whose model was not found, each with the reason."""
+        """The robots that should act but whose model was not found, along with the reason for each."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}

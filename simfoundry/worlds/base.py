@@ -1,4 +1,4 @@
-"""The interfaces of a world and its robots, which allow predicates, tasks and checks to run in any simulator.
+"""The interfaces for worlds and their robots, which allow predicates, tasks and checks to run in any simulator.
 
 This module also provides cameras, including those mounted on links, at their current poses and for any image size.
 """

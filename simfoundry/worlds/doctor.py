@@ -51,7 +51,7 @@ def _packages() -> Iterator[Part]:
 
 
 def _extras() -> Iterator[Part]:
-    """Yield the extras, locating packages that are slow to load without importing them."""
+    """Yield the extras. Packages that are slow to load are located without importing them."""
     for extra in EXTRAS.values():
         found, problem = "", ""
         if extra.name == "pybullet":
@@ -111,7 +111,7 @@ def _models() -> Iterator[Part]:
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """Return the version of a package, and a note about the error if the package is installed but fails to import.
+    """Return the version of a package and, if the package is installed but cannot be imported, a note about the error.
 
     The version is empty if the package cannot be imported, and the note is empty if there is no such error.
     """

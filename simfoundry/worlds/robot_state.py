@@ -25,7 +25,7 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """Return the rows for MuJoCo's model, which is the canonical model, or no rows if there is no such model."""
+    """Return the rows for MuJoCo's model, which is the canonical model, or nothing if there is no such model."""
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 

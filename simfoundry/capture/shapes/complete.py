@@ -142,7 +142,7 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """Return a percentile of ``s`` near each column; columns without points are interpolated."""
+    """Return a percentile of the depths ``s`` near each column; columns without points are interpolated."""
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))

@@ -342,7 +342,7 @@ def too_full(
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Return a lower bound on the total shadow area [m^2] of ``count`` objects, each item being used in turn.
+    """Return a lower bound on the total shadow area [m^2] of ``count`` objects chosen from ``items`` in turn.
 
     If the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed and the result is 0.
     """

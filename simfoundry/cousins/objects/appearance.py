@@ -170,7 +170,7 @@ def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """Assign a color to the link instead of its parts if all parts have the same color."""
+    """Assign a color to a link instead of its parts if all its parts have that color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec

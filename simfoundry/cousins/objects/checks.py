@@ -261,7 +261,7 @@ def _release_failure(call: Call, a: SceneObject, b: SceneObject) -> str | None:
 
 
 def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
-    """Yield a reason if a joint has a much smaller range than the twin's joint or if the links jam."""
+    """Yield a reason if a joint has a much smaller range than in the twin or if the links jam."""
     limits = {joint.name: joint.limits for joint in twin.joints if joint.limits is not None}
     for joint in item.joints:
         if joint.limits is None or joint.name not in limits:

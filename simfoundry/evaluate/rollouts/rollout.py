@@ -238,7 +238,7 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Run until the rollout ends; return the reason, and the details of a failure."""
+        """Run until the rollout ends; return the reason and, for a failure, its details."""
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)

@@ -144,7 +144,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """Return the number of samples for each link, in proportion to its mass."""
+    """Return the number of samples for each link, which is proportional to the link's mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -154,7 +154,7 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """Return the margin [m] before the opening of a cavity faces too far down, shape (n,).
+    """Return the margin [m] that remains before the opening of a cavity faces too far down, shape (n,).
 
     The margin is scaled by the depth of the cavity.
     """
@@ -264,7 +264,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Return, as a mask of shape (n,) per object, the states in which ``a`` supports it directly or indirectly.
+    """Return a mask for each object, shape (n,), of the states in which ``a`` supports it directly or indirectly.
 
     ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
     something touches ``a``.
