@@ -1,4 +1,4 @@
-"""Load the images of a capture as a registered frame, and report all problems with them together."""
+"""Load the images of a capture as a registered frame, reporting all problems with them together."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _Reader:
         raise SpecError([self.loaded.finding(code, (*self.place, *path), message, hint)])
 
     def read(self, image: Callable[[], T]) -> T | None:
-        """Return an image, or None if reading it raised findings, which are added."""
+        """Read an image. If this fails, add the findings to the reader's own and return None."""
         try:
             return image()
         except SpecError as error:
@@ -181,7 +181,11 @@ class _Reader:
                 message = f"`{key}` {focal:g} px is implausible for an image of {extent} px"
                 self.fail("SF501", (*path, key), message, "specify the focal length in pixels of this image")
         if not 0.5 <= camera.fx / camera.fy <= 2:
-            self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply implausible pixels")
+            self.fail(
+                "SF501",
+                path,
+                f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply pixels with an implausible aspect ratio",
+            )
 
     def center(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
         """Check that the principal point is plausible.

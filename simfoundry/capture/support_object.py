@@ -28,7 +28,7 @@ MARGIN = 0.01  # Distance [m] by which a support extends past the objects on it 
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
-    """Return the outline [m], shape (n, 2), extended to contain the footprint of every object on it."""
+    """Extend the outline of the support [m], shape (n, 2), to contain the footprint of every object on it."""
     import shapely
 
     whole = shapely.Polygon(outline)
@@ -97,7 +97,7 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
 
 
 def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Fill the pixels that were not visible from a blurred copy of the visible pixels near them."""
+    """Fill pixels that were not visible with a blurred copy of the visible pixels nearby."""
     import cv2
 
     weight = seen.astype(np.float32)

@@ -34,7 +34,7 @@ GRASPED = Predicate(
     ("thing", "robot"),
     grasped,
     f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
-    f"toward the other reduces its distance to `a`, or increases its penetration, by at least {PRESS * 500:g} mm",
+    f"toward the other reduces its distance to `a`, or deepens its overlap with `a`, by at least {PRESS * 500:g} mm",
     optional=1,
     effect=Effect.GRASP,
     aliases=("grasped", "IsGrasping"),

@@ -121,7 +121,7 @@ class Reached:
 
 
 class ArmReach:
-    """Tests which grasps the arms in a scene can reach."""
+    """A test of which grasps the arms in a scene can reach."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
         self._names, self._robots = robots, [robot for robot in scene.robots if robot.name in robots]
@@ -177,7 +177,7 @@ class ArmReach:
         )
 
     def nearest(self, low: Array, high: Array) -> Reached:
-        """Return the arm whose base is nearest to a box, as the result of a test that failed."""
+        """Return the result of a failed test, which names the arm whose base is nearest to the box."""
         found = ((away, arm.robot.name) for arm, _, away in self._grasps(low, high, np.array(UP)))
         away, name = min(found, key=itemgetter(0), default=(math.inf, ""))
         return Reached(False, True, name, away)

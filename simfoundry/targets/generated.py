@@ -23,7 +23,7 @@ def cells_of(target: Target) -> dict[str, SupportCell]:
     for name, how in profile.restores.items():
         cells[name] = SupportCell(None, how)
     for name, rule in profile.combines.model_dump(exclude_none=True).items():
-        reason = f"uses {RULES[rule][0]} of a pair; exact if both values are equal"
+        reason = f"uses {RULES[rule][0]} of the two values; exact if the values are equal"
         cells[name] = SupportCell(Fidelity.APPROXIMATED, reason)
     for name, gap in profile.gaps.items():
         cells[name] = SupportCell(Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")

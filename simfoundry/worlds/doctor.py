@@ -26,7 +26,7 @@ GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; 
 
 @dataclass(frozen=True)
 class Part:
-    """A component that SimFoundry can use; ``version`` is the installed version, or empty if none is installed."""
+    """A component that SimFoundry can use; ``version`` is empty if the component is not installed."""
 
     section: str
     name: str
@@ -127,7 +127,7 @@ def _found(name: str, module: str) -> tuple[str, str]:
 
 
 def _version(name: str) -> str:
-    """Return the version of an installed distribution, or nothing if its name differs, as for some OpenCV variants."""
+    """Return a distribution's version, or an empty string if none has this name, as for some OpenCV variants."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -106,7 +106,7 @@ STILL_M, STILL_RAD = 1e-4, 1e-3
 
 
 def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
-    """Return the objects that moved, rotated, or moved a joint between two states, ignoring balls rotating in place."""
+    """Return the objects whose pose or joints changed between two states, except for balls rotating in place."""
     poses = before.poses.items()
     moving = {n for n, start in poses if _differ(start, after.poses[n], turns=not is_ball(scene.object(n)))}
     joints = [joint for joint, start in before.joints.items() if abs(after.joints[joint] - start) > STILL_RAD]
@@ -115,7 +115,7 @@ def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
 
 
 def _differ(start: Pose, end: Pose, turns: bool = True) -> bool:
-    """Return true if two poses differ by more than an object at rest creeps; ``turns`` includes the rotation."""
+    """Return true if two poses differ by more than the creep of an object at rest; ``turns`` compares rotations too."""
     return float(np.linalg.norm(end.p - start.p)) > STILL_M or (turns and end.angle_to(start) > STILL_RAD)
 
 

@@ -79,7 +79,7 @@ def positions_of(rows: Rows, at: Mapping[str, float]) -> dict[str, float]:
 
 
 def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, float]:
-    """Convert canonical joint positions to engine positions [rad or m], using the first row if a joint has several."""
+    """Convert canonical joint positions to engine positions [rad or m], using the first row for each engine joint."""
     found: dict[str, float] = {}
     for row in rows:
         if row.joint in canonical:

@@ -256,7 +256,7 @@ BAD = {
     "intrinsics smaller": (_smaller_intrinsics, "SF501", (9, 5), "far from the middle", "an image of 80 x 60"),
     "focal": (_absurd_focal, "SF501", (9, 18), "`fx` 15000 px", "in pixels"),
     "swapped": (_swapped, "SF501", (9, 5), "far from the middle", "swapped"),
-    "aspect": (_flat_pixels, "SF501", (9, 5), "imply implausible pixels", ""),
+    "aspect": (_flat_pixels, "SF501", (9, 5), "implausible aspect ratio", ""),
     "looks elsewhere": (_looks_elsewhere, "SF501", (10, 7), "almost none of the points", "inverted"),
 }
 

@@ -109,7 +109,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """Return the label of the smallest part that belongs to another part, followed by the label of that other part."""
+    """Return the labels of the smallest part that belongs to another part and of the part that it belongs to."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:

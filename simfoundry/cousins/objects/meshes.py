@@ -116,7 +116,7 @@ LOOK = "handle_look"
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A loop handle that consists of a bar on two posts.
+    """A loop handle, which consists of a bar on two posts.
 
     Attributes:
         feet: Attachment points of the posts [m], shape (2, 3).
@@ -155,11 +155,11 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """Maximum depth by which the ends extend into the body [m]."""
+        """Maximum depth to which the ends of the handle extend into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Move points [m], shape (n, 3), that are deeper inside the wall than :attr:`sunk` outward to that depth."""
+        """Return the points [m], shape (n, 3), with those deeper inside the wall than :attr:`sunk` moved out to it."""
         if self.wall is None:
             return points
         profile, base = self.wall

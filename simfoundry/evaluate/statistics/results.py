@@ -1,4 +1,4 @@
-"""Success rates of tasks and their steps with intervals, computed from rollout records, for ``results.json``.
+"""Compute the success rates in ``results.json`` for tasks and their steps, with intervals, from rollout records.
 
 Rates are also pooled over multiple tasks, such as a folder of cousins. A rollout with an invalid response counts as a
 failure. A rollout without a response has no result: it is counted as missing and excluded from all rates.
@@ -72,7 +72,7 @@ class RatePool:
 
     @property
     def is_balanced(self) -> bool:
-        """True if all tasks have the same number of rollouts; the stratified and pooled rates are then equal."""
+        """True if all tasks have the same number of rollouts, so that the stratified and pooled rates are equal."""
         return len({of for _, of in self.counts}) == 1
 
     @property
@@ -189,7 +189,7 @@ class ScoreRow:
 
     @property
     def exceptions(self) -> str:
-        """The numbers of invalid responses and missing rollouts as text, which is empty if both are zero."""
+        """The numbers of invalid responses and missing rollouts as text; empty if both numbers are zero."""
         counts = {"with an invalid response": self.invalid, "missing": self.missing}
         return ", ".join(f"{count} {words}" for words, count in counts.items() if count)
 
@@ -202,7 +202,7 @@ class ScoreRow:
     def to_json(self) -> dict[str, Any]:
         """Return the row as an entry of ``scores``, which `simfoundry correlate` reads.
 
-        A single step is listed as a separate task.
+        Results of a single step are listed as a separate task.
         """
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
@@ -260,7 +260,7 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of an evaluation as plain data; equal rollouts give identical bytes.
+    """Return the results of an evaluation as plain data. Identical rollouts produce identical bytes.
 
     ``rollouts`` contains the rollouts with a result, and ``unanswered`` those that were tried but have no result.
     """

@@ -27,7 +27,7 @@ class NoCavityError(PredicateError):
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """An object or a robot as an ``item``, with the ``forms`` of its links; the form is None without a shape."""
+    """An object or robot (``item``) with the ``forms`` of its links; the form of a link without a shape is None."""
 
     item: SceneObject
     forms: tuple[Form | None, ...]
@@ -88,7 +88,7 @@ class Bodies:
         return self._bodies[name]
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """Return the collision shapes of each link of all bodies, by the name of the body and the index of the link."""
+        """Return the collision shapes of each link of all bodies, keyed by body name and link index."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in (self[name].item for name in (*self.objects, *self.robots))
@@ -133,7 +133,7 @@ class Bodies:
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
-        """Return the joints that an argument refers to: a single joint, or all joints of an object that have limits."""
+        """Return the joints that an argument refers to: a single joint, or all of an object's limited joints."""
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
@@ -171,6 +171,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """Return the form of a link, which is cached, so scenes that share an object compute the form only once."""
+    """Return the form of a link. Forms are cached, so scenes that share an object compute its forms only once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

@@ -26,7 +26,7 @@ Explain = Callable[[float, bool], str]
 
 
 class Context:
-    """Measurements that are prepared once for each scene."""
+    """Measurements that are prepared once for each scene and reused for all conditions."""
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self.bodies = bodies
@@ -133,7 +133,7 @@ class Verdict(NamedTuple):
 
 
 class Judge:
-    """Evaluates conditions on states of one scene; preprocessed scene data is reused.
+    """An evaluator of conditions on states of one scene, which reuses preprocessed scene data.
 
     A condition is text such as ``"OnTop(cup, desk)"``, or a combination of conditions with ``all``, ``any`` and
     ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.predicate`.

@@ -263,7 +263,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Return the states in which ``a`` supports each object, directly or indirectly, shape (n,) each.
+    """Return, as a mask of shape (n,) per object, the states in which ``a`` supports it directly or indirectly.
 
     ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
     something touches ``a``.
@@ -293,7 +293,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """Return the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up, shape (n,)."""
+    """Return a mask of the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up, shape (n,)."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

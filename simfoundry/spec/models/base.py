@@ -144,7 +144,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
         return
     listed = ", ".join(f"`{n}`" for n in names)
     if given:
-        raise fault("sf107", f"give one of {listed}, not {len(given)}", given[1])
+        raise fault("sf107", f"specify only one of {listed}, not {len(given)}", given[1])
     raise fault("sf107", f"one of {listed} is needed")
 
 
@@ -198,7 +198,7 @@ class Estimate(Model):
     @consistent
     def _inside(self) -> None:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
-            raise fault("sf104", "`value` lies outside `range`", "value")
+            raise fault("sf104", "`value` is outside `range`", "value")
 
 
 Quantity = Annotated[
@@ -236,7 +236,8 @@ class Lathe(Model):
     profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
         max_length=256,
-        description="Corners as (radius, height) [m] in order, from the axis around the solid back to the axis.",
+        description="Corners as (radius, height) pairs [m], in order; they start on the axis, trace the cross-section "
+        "and end on the axis.",
     )
 
 
@@ -296,7 +297,7 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Origin of a cousin; the same recipe, seed and index reproduce it."""
+    """Origin of a cousin, which can be reproduced from the recipe, the seed and the index."""
 
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
@@ -309,7 +310,7 @@ class Origin(Model):
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
-        None, description="Median distance of the observed points from the fitted surface [m]."
+        None, description="Median distance between the observed points and the fitted surface [m]."
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
@@ -384,10 +385,10 @@ class DocumentSpec(Model):
 
     extends: FileName | None = Field(
         None,
-        description="Path of a base document of the same kind, relative to this document, which overrides parts of it. "
-        "Mappings are merged key by key, all other values are replaced, and `null` removes a key.",
+        description="Path of a base document of the same kind, relative to this document. This document overrides "
+        "parts of the base: mappings are merged key by key, all other values are replaced, and `null` removes a key.",
     )
-    name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
+    name: Name = Field(description="Name of the document: lowercase letters, digits and `_`.")
     description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
         {}, description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."

@@ -186,10 +186,10 @@ class PolicySpec(DocumentSpec):
     warm_up: Positive = Field(
         600.0,
         le=86400,
-        description="Timeout for the first response on a connection, which the server may delay to compile its model "
-        "[s].",
+        description="Timeout for the first response on a connection [s]; the server may need extra time to compile its "
+        "model.",
     )
-    retries: Whole = Field(3, description="Number of attempts to restore a lost connection before a rollout fails.")
+    retries: Whole = Field(3, description="Maximum number of attempts per rollout to restore a lost connection.")
     api_key: Variable | None = Field(
         None, description="Name of the environment variable that contains the server's API key, not the key itself."
     )

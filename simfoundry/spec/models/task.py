@@ -67,7 +67,7 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """Variation of the initial state: each rollout places each object in a different cell of its region's grid."""
+    """Variation of the initial state: in each rollout, an object starts in a different cell of its region's grid."""
 
     grid: tuple[Cells, Cells] = Field((5, 5), description="Number of cells in each region along x and y.")
     objects: dict[Name, ResetRegion] = Field({}, description="Initial regions by object name.")
