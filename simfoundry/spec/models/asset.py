@@ -47,7 +47,7 @@ class PartSpec(Model):
     def _one_geometry(self) -> None:
         exclusive(self, "shape", "mesh", needed=True)
         if self.mesh is None and self.scale != 1.0:
-            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
+            raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
 
 class Inertial(Model):

@@ -79,7 +79,7 @@ class Place(Model):
         beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
         exclusive(self, "xy", "local_xy", *([beside] if beside else []))
         if beside is None and self.gap != Place.model_fields["gap"].default:
-            raise fault("sf107", "`gap` is for left_of, right_of, in_front_of and behind", "gap")
+            raise fault("sf107", "`gap` requires `left_of`, `right_of`, `in_front_of` or `behind`", "gap")
 
 
 class Degrees(Model):
@@ -172,7 +172,7 @@ class ObjectSpec(GeometrySpec):
             message = "no variant may be named `default`, which is reserved for the object without overrides"
             raise fault("sf107", message, "variants")
         if self.asset is None and self.visual is None and self.scale != 1.0:
-            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
+            raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
 
 class CameraSpec(Model):
