@@ -85,7 +85,7 @@ def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
 
 
 def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Shot:
-    """Write the images of a capture; equal frames give equal bytes.
+    """Write the images of a capture. Identical frames produce identical bytes.
 
     The files are ``color.png`` (8-bit RGB), ``depth.png`` (16-bit in units of ``depth_scale`` [m], 0 for missing depth)
     and, if the frame has masks, ``instances.png`` (16-bit labels). Raises ValueError, before writing anything, if a
@@ -184,8 +184,8 @@ def synthesize(
 ) -> Path:
     """Write a capture of ``scene`` as seen by ``camera``: color, depth and ``capture.yaml`` in ``folder``.
 
-    Equal scenes and seeds give equal bytes. If ``truth``, the scene document, is in the same folder, the capture
-    refers to it as ground truth.
+    Identical scenes and seeds produce identical bytes. If the scene document ``truth`` is in the same folder, the
+    capture refers to that document as ground truth.
 
     Returns:
         The path of the capture document.

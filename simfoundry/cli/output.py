@@ -212,7 +212,7 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     return cameras[chosen]
 
 
-# Maximum time without output in a log [s]; after about this long, people start to suspect a hang.
+# Maximum time without output in a log [s]; after about this time, people start to suspect a hang.
 LINE_S = 10.0
 
 

@@ -151,7 +151,7 @@ def _verify(
     def report(engine: str, units: int) -> None:
         nonlocal done
         done += units
-        progress(engine, 0.3 + 0.7 * done / max(1, work))  # compiling took the first 0.3
+        progress(engine, 0.3 + 0.7 * done / max(1, work))  # compilation is 30% of the progress
 
     return VerifyResults(
         read_subjects(subjects, readable, report, jobs, timeout) if subjects else [],

@@ -52,7 +52,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
         scene: The scene to render.
         camera: The camera.
         state: The state of the scene.
-        samples: The number of rays along each side of a pixel, whose mean is the color of the pixel. With 1, shadows
+        samples: The number of rays along each side of a pixel; the color of the pixel is their mean. With 1, shadows
             are hard and there is no ambient occlusion; larger values darken corners and soften shadows.
     """
     if samples < 1:

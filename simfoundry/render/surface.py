@@ -50,7 +50,7 @@ class SceneSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """The triangles of one geometry in its own frame; for the shapes of arrays, see :class:`SceneSurface`."""
+    """The triangles of one geometry in its own frame; for the array shapes, see :class:`SceneSurface`."""
 
     corners: Array
     normals: Array

@@ -162,7 +162,7 @@ def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
 
 
 def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
-    """Return the CSS class and the change for each changed object in the old or the new scene, by its name there."""
+    """Return the CSS class and the change for each changed object, keyed by its name in the old or the new scene."""
     out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":

@@ -310,7 +310,7 @@ class WorkerPool:
         for worker, thread in zip(self._workers, self._threads, strict=True):
             while thread.is_alive() and time.monotonic() < deadline:
                 thread.join(0.05)
-                worker.close()  # a call that was about to start its process starts it after the first close
+                worker.close()  # a call that was about to start its process may do so after the first close
             worker.close()
 
     def _serve(self, worker: Worker) -> None:

@@ -17,10 +17,10 @@ from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse, read
 
-# Documents read so far by resolved path and requested kind, so that each document is read only once.
+# Documents read so far, keyed by resolved path and requested kind, so that each is read only once.
 Known = dict[tuple[str, str], Loaded | None]
 
-# Suffixes of files that a higher layer reads; its module is imported on first use.
+# Suffixes of USD files, which are read by a module in a higher layer that is imported on first use.
 _USD = (".usda", ".usdc", ".usd", ".usdz")
 
 
@@ -86,7 +86,7 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
 
 
 def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
-    """Load a document that another document uses; return None for other kinds, which are skipped to avoid cycles."""
+    """Load a document that another document uses, or return None if its kind is not in ``kinds``, to avoid cycles."""
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:

@@ -1,4 +1,4 @@
-"""The document type ``target/1``, which describes a simulator: its backend, known gaps, and settings for ``verify``."""
+"""The ``target/1`` document type, which describes a simulator: its backend, known gaps, and settings for ``verify``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BEHAVIORS = (
 
 
 class Gap(Model):
-    """A feature that the simulator does not preserve, in addition to the losses of its backend."""
+    """A feature that the simulator does not preserve, in addition to the backend's losses."""
 
     fidelity: Literal["approximated", "dropped"] = Field(
         description="`approximated` if the feature is partly preserved, `dropped` if it is not preserved."
@@ -48,7 +48,7 @@ class Gap(Model):
 
 
 class Band(Model):
-    """The accepted range of a behavior for which the simulator is known to deviate from the analytic value."""
+    """The accepted range for a behavior in which the simulator is known to deviate from the analytic value."""
 
     low: float = Field(description="The smallest accepted value, in the unit of the behavior.")
     high: float = Field(description="The largest accepted value.")
@@ -129,5 +129,5 @@ class TargetSpec(Model):
 
     @property
     def restored(self) -> frozenset[str]:
-        """The features that the loader restores, and those for which the simulator has its own combination rule."""
+        """The features that the loader restores, and features for which the simulator uses its own combination rule."""
         return frozenset(self.restores.keys() | self.combines.model_dump(exclude_none=True).keys())

@@ -81,7 +81,7 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class SettleResult:
-    """The poses at rest, the effect on each free object, and the objects that fell off or did not come to rest."""
+    """The poses at rest, the effect of settling on each free object, and the objects that fell off or kept moving."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]

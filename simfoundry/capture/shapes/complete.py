@@ -65,7 +65,7 @@ class _Axes:
         return cls(evidence, across, np.array([across[1], -across[0]]))
 
     def is_free(self, t: Array, s: Array, level: float) -> Mask:
-        """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera saw to be free."""
+        """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera observed to be free."""
         frame = self.evidence.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
         p_C = self.evidence.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
@@ -142,7 +142,7 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """Return a percentile of ``s`` near each column; columns without points are interpolated."""
+    """Return a percentile of the depths ``s`` near each column; columns without points are interpolated."""
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))
@@ -226,7 +226,7 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilize(rings: Array) -> Array:
-    """Add a thin pad to a solid that would tip over: the hull of its base and a disk under its center of mass."""
+    """Add a thin pad to a solid that would tip over: a hull of its base and a disk under its center of mass."""
     import shapely
 
     foot = rings[0, :, :2]
@@ -268,7 +268,8 @@ def loft_mesh(rings: Array) -> Mesh:
     """Return a closed mesh through rings of points [m], shape (k, sides, 3).
 
     The rings are ordered from the bottom up, and each is counterclockwise when seen from above. The mesh is closed with
-    triangle fans about the mean of the first and the last ring, which must be star-shaped about it.
+    a triangle fan on the first ring and one on the last, centered at the mean of the ring. Both rings must be
+    star-shaped about their means.
     """
     levels, sides, _ = rings.shape
     top_down = rings[::-1].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Generate variants with models, as in the paper.
+"""Generate object variants with AI models, following the paper's pipeline.
 
 A VLM identifies components and proposes variations, an image model draws them, the VLM judges the images, and a mesh
 model reconstructs the objects. The resulting candidates are checked in the same way as all other candidates.
@@ -64,8 +64,8 @@ class VariationProposal(NamedTuple):
 class Generation:
     """A source of candidates that queries models with images of the object and its scene.
 
-    All proposals for an object are requested with its first candidate. Equal model responses produce equal candidates.
-    If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, the
+    All proposals for an object are requested when its first candidate is generated. Identical model responses produce
+    identical candidates. If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, a
     :class:`SimfoundryError` is raised.
 
     Attributes:
@@ -73,7 +73,7 @@ class Generation:
         images: Image model.
         meshes: Mesh model.
         scene: Image of the scene.
-        picture: Image of the object. If it is None, an image is rendered.
+        picture: Image of the object, or None to render one.
         counts: Numbers of proposals for each component in geometry, topology and appearance.
     """
 

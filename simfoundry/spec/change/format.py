@@ -102,7 +102,7 @@ def _formatted(document: Document, model: type[Model], schema: str | None) -> st
 
 @dataclass(frozen=True)
 class Migration:
-    """A function ``change`` that converts documents of an older version to version ``to``."""
+    """A migration step: ``change`` converts a document from an older version to version ``to``."""
 
     to: str
     change: Callable[[YamlTree], YamlTree]
@@ -155,7 +155,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
         return kind
     versions = [*steps, *KINDS]
-    message = f"`{kind}` is not a version of a document" if kind is not None else f"the key `{KIND}` is missing"
+    message = f"`{kind}` is not a known document kind" if kind is not None else f"the key `{KIND}` is missing"
     hint = nearest(str(kind), versions) if kind is not None else "start the document with `simfoundry: scene/1`"
     raise SpecError([*document.duplicates, document.finding("SF006", (KIND,), message, hint)])
 

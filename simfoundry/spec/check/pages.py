@@ -26,7 +26,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """File that a page shows under one of its headings (`Wrong`, `Right`, `Supporting files`)."""
+    """A file shown under one of the headings of a page (`Wrong`, `Right`, `Supporting files`)."""
 
     lead: str
     name: str
@@ -35,7 +35,7 @@ class Snippet:
 
 @dataclass(frozen=True)
 class Page:
-    """Explanation of one code; ``body`` is Markdown without the title."""
+    """The explanation of one diagnostic code; ``body`` is Markdown without the title."""
 
     code: str
     title: str
@@ -108,5 +108,5 @@ def findings_page() -> str:
 
 
 def _slug(heading: str) -> str:
-    """Return the anchor that GitHub gives to a heading."""
+    """Return the anchor that GitHub generates for a heading."""
     return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")

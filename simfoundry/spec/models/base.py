@@ -144,7 +144,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
         return
     listed = ", ".join(f"`{n}`" for n in names)
     if given:
-        raise fault("sf107", f"set only one of {listed}, not {len(given)}", given[1])
+        raise fault("sf107", f"specify only one of {listed}, not {len(given)}", given[1])
     raise fault("sf107", f"one of {listed} is needed")
 
 
@@ -198,7 +198,7 @@ class Estimate(Model):
     @consistent
     def _inside(self) -> None:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
-            raise fault("sf104", "`value` lies outside `range`", "value")
+            raise fault("sf104", "`value` is outside `range`", "value")
 
 
 Quantity = Annotated[

@@ -258,7 +258,7 @@ else:
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """Split a condition, typed or plain data, into its kind (``text``, ``all``, ``any`` or ``not``) and operands."""
+    """Split a condition (a model or plain data) into its kind, ``text``, ``all``, ``any`` or ``not``, and operands."""
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)

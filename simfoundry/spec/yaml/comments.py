@@ -33,7 +33,7 @@ class Notes:
     inside: dict[str | int, Notes] = field(default_factory=dict)
 
     def at(self, part: str | int) -> Notes:
-        """Return the comments of a member by key or index."""
+        """Return the comments attached to a member, given by key or index."""
         return self.inside.setdefault(part, Notes())
 
 
@@ -239,7 +239,7 @@ class _Reader:
     def _take_top(self, key: str, start: int) -> None:
         """Assign the comments at the top, above the first ``key``, to the document.
 
-        If another key should come first, comments directly above ``key`` that follow a blank line belong to that key.
+        If a different key should come first, the comments between the last blank line and ``key`` belong to ``key``.
         """
         parted = len(self.pending)
         ends = [c.start for c in self.pending[1:]] + [start]

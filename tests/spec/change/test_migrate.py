@@ -80,7 +80,7 @@ def test_what_is_up_to_date_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("simfoundry: scene/9\n", "`scene/9` is not a version"),
+        ("simfoundry: scene/9\n", "`scene/9` is not a known document kind"),
         ("name: a\n", "the key `simfoundry` is missing"),
         ("simfoundry: [\n", "expected a value"),
     ],
