@@ -91,8 +91,8 @@ class World(Protocol):
     def reset(self, state: SceneState | None = None) -> None:
         """Reset to ``state``, or to the scene's initial state, with zero velocities.
 
-        Values that are missing from ``state`` are taken from the scene, and its velocities are ignored. Robots hold
-        their positions.
+        Values that are missing from ``state`` are taken from the scene. Velocities in ``state`` are ignored. Robots
+        hold their positions.
 
         Raises:
             KeyError: If ``state`` contains names that are not in the scene.

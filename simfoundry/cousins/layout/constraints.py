@@ -191,8 +191,8 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
     """Return an upper bound on the gap [m] between the anchor and an object that still fits on a support.
 
     The object's center must be at least half the object's width from the edge of the support. If a side is requested,
-    the center must also be beyond the edge of the anchor on that side. The gap is at least half the object's width less
-    than the distance from the center to the anchor.
+    the center must also be beyond the edge of the anchor on that side. The distance from the center to the anchor
+    exceeds the gap by at least half the object's width.
 
     Args:
         support: The support.

@@ -215,7 +215,7 @@ def rest_failure(call: Call, objects: Mapping[str, SceneObject]) -> str | None:
     """Return the reason why ``OnTop(a, b)`` or ``Inside(a, b)`` does not hold after ``a`` is released on or in ``b``.
 
     The joints of ``b`` are opened first, and then a few orientations of ``a`` are tried. The result is None if the
-    predicate holds for at least one orientation. ``objects`` maps the names of both objects to the objects.
+    predicate holds for at least one orientation. ``objects`` contains both objects, keyed by name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     try:

@@ -322,7 +322,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
     """Return the mass of a link [kg].
 
-    ``side`` selects which densities to use for its materials: lowest (-1), nominal (0) or highest (1).
+    ``side`` selects which densities to use for the link's materials: lowest (-1), nominal (0) or highest (1).
     """
     total = 0.0
     for part in link.parts.values():

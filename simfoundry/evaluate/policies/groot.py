@@ -205,7 +205,8 @@ class GrootPolicy(RemotePolicy):
     """A client of GR00T's ``PolicyServer`` for a single arm.
 
     The server describes its inputs (``get_modality_config``). If the server needs images from earlier steps, as N1.7
-    does, the images of earlier requests are sent again, so the number of steps must be divisible by ``horizon``.
+    does, the images of earlier requests are sent again, so the number of steps to look back must be divisible by
+    ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:

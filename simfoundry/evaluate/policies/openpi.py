@@ -2,7 +2,7 @@
 
 RoboArena and DreamZero extend openpi's messages with an ``endpoint`` and keep rollout state on the server. Their server
 first sends its configuration (``PolicyServerConfig`` in ``roboarena/policy_server.py``), which is checked against the
-policy document. Note that they number cameras from 0, whereas openpi numbers them from 1.
+policy document. RoboArena and DreamZero number cameras from 0, whereas openpi numbers cameras from 1.
 """
 
 from __future__ import annotations
