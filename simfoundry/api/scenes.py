@@ -174,7 +174,7 @@ class SceneDocument(EditableDocument):
 
         return lower(self._checked(), Cache.default())
 
-    def compile(self, *targets: str, out: str | Path, force: bool = False) -> Build:
+    def compile(self, *targets: str | Path, out: str | Path, force: bool = False) -> Build:
         """Compile the scene into one folder per target.
 
         Args:

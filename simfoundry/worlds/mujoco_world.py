@@ -18,7 +18,17 @@ from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, World, WorldRobot, camera_of, complete_state, reach
+from simfoundry.worlds.base import (
+    CONTACT_GAP,
+    ClosedWorldError,
+    Contact,
+    Image,
+    World,
+    WorldRobot,
+    camera_of,
+    complete_state,
+    reach,
+)
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows, unknown_joint
 
 if TYPE_CHECKING:
@@ -39,7 +49,7 @@ class MujocoWorld(World):
         self._mujoco = mujoco
         self.scene = scene
         self.model: mujoco.MjModel = exact_model(compile_mjcf(scene).files)
-        self.data: mujoco.MjData = mujoco.MjData(self.model)
+        self._data: mujoco.MjData | None = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]
         self._objects = {self.model.body(tree.name).id: tree.owner.name for tree in parts}
@@ -56,6 +66,13 @@ class MujocoWorld(World):
             for name, rows in self._arms.items()
         }
         self.reset()
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data, which the world updates in place."""
+        if self._data is None:
+            raise ClosedWorldError(self.scene)
+        return self._data
 
     @property
     def timestep(self) -> float:
@@ -196,7 +213,8 @@ class MujocoWorld(World):
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Release the GL renderers; MuJoCo's own memory is released with this object."""
+        """Release the simulation data and the GL renderers; repeated calls have no effect."""
+        self._data = None
         while self._renderers:
             self._renderers.popitem()[1].close()
 
