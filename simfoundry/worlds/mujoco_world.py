@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.backends.mjcf import compile_mjcf, naming_scene
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.mjcf.contact_rules import exact_model
 from simfoundry.errors import MissingEngineError
@@ -48,7 +48,9 @@ class MujocoWorld(World):
             raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
-        self.model: mujoco.MjModel = exact_model(compile_mjcf(scene).files)
+        files = compile_mjcf(scene).files
+        with naming_scene(scene.name):
+            self.model: mujoco.MjModel = exact_model(files)
         self._data: mujoco.MjData | None = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]

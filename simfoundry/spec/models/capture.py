@@ -9,9 +9,10 @@ from pydantic import Field
 from simfoundry.spec.models.base import (
     DocumentSpec,
     FileName,
+    FocalLength,
+    ImagePoint,
     Model,
     Name,
-    Number,
     PoseSpec,
     Positive,
     consistent,
@@ -22,10 +23,10 @@ from simfoundry.spec.models.base import (
 class Intrinsics(Model):
     """Intrinsics of an undistorted pinhole camera [px]."""
 
-    fx: Positive = Field(description="Focal length in x [px].")
-    fy: Positive = Field(description="Focal length in y [px].")
-    cx: Number = Field(description="Principal point in x [px].")
-    cy: Number = Field(description="Principal point in y [px].")
+    fx: FocalLength = Field(description="Focal length in x [px].")
+    fy: FocalLength = Field(description="Focal length in y [px].")
+    cx: ImagePoint = Field(description="Principal point in x [px].")
+    cy: ImagePoint = Field(description="Principal point in y [px].")
 
 
 class DepthImage(Model):
