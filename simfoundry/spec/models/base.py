@@ -73,10 +73,6 @@ Size3 = tuple[Length, Length, Length]
 MAX_IMAGE_SIDE = 8192
 Pixels = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 ImageSize = tuple[Pixels, Pixels]
-# Largest focal length and principal point [px]. The widest image then spans 0.05 degrees, as through a telescope.
-MAX_FOCAL = 10_000_000
-FocalLength = Annotated[float, Field(gt=0, le=MAX_FOCAL, allow_inf_nan=False)]
-ImagePoint = Annotated[float, Field(ge=-MAX_FOCAL, le=MAX_FOCAL, allow_inf_nan=False)]
 
 # Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers.
 WORLD = "world"

@@ -9,8 +9,6 @@ from pydantic import Field
 from simfoundry.spec.models.base import (
     DocumentSpec,
     FileName,
-    FocalLength,
-    ImagePoint,
     Model,
     Name,
     PoseSpec,
@@ -18,6 +16,11 @@ from simfoundry.spec.models.base import (
     consistent,
     fault,
 )
+
+# Largest focal length and principal point [px]. The widest image then spans 0.05 degrees, as through a telescope.
+MAX_FOCAL = 10_000_000
+FocalLength = Annotated[float, Field(gt=0, le=MAX_FOCAL, allow_inf_nan=False)]
+ImagePoint = Annotated[float, Field(ge=-MAX_FOCAL, le=MAX_FOCAL, allow_inf_nan=False)]
 
 
 class Intrinsics(Model):

@@ -14,9 +14,7 @@ from simfoundry.spec.models.base import (
     Color,
     DocumentSpec,
     FileName,
-    FocalLength,
     FormerKey,
-    ImagePoint,
     ImageSize,
     Material,
     Model,
@@ -35,6 +33,7 @@ from simfoundry.spec.models.base import (
     exclusive,
     fault,
 )
+from simfoundry.spec.models.capture import FocalLength, ImagePoint
 from simfoundry.spec.models.robot import RobotSpec
 
 if TYPE_CHECKING:
