@@ -232,7 +232,7 @@ def shared_losses(scene: Scene) -> Iterator[Loss]:
         error = max((link.collision_error for link in item.links), default=0.0)
         if error:
             count = sum(len(link.colliders) for link in item.links)
-            subject = f"Its {count} colliders are" if count > 1 else "Its collider is"
+            subject = f"The {count} colliders are" if count > 1 else "The collider is"
             reason = f"{subject} up to {1000 * error:.2g} mm away from the visual surface."
             yield approximate("collision_shape", item.name, reason, 1000 * error, "mm")
 

@@ -40,6 +40,6 @@ def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> I
         for joint, field in product((j for j in item.joints if j.name in stable), ("stiffness", "damping")):
             wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
             if written < wanted:
-                reason = f"Its {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
+                reason = f"The drive's {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
                 reason += f"{number(1000 * timestep)} ms would diverge."
                 yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")

@@ -234,7 +234,7 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
         reason, detail = "only an object many meters wide could have it", f"{detail} for {link.mass:.3g} kg"
     elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
         link.inertia = LEAST_INERTIA * np.eye(3)
-        draft.changed(what, "it is zero, and the link is fixed, so it is treated as a point mass")
+        draft.changed(what, "it is zero and the link is fixed, so the link is treated as a point mass")
         return
     elif moments[0] > 0 and excess <= moments[2] * ROUNDING:
         link.inertia = link.inertia + excess * (1 + 1e-6) * np.eye(3)

@@ -204,7 +204,7 @@ def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], ex
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
     for joint in (f"{item}.{name}" for item, names in spec.start.joints.items() for name in names):
-        export.notes.append(f"initial position of {joint}: the format only supports open, not a position")
+        export.notes.append(f"initial position of {joint}: the format supports only `open`, not a position")
         yield f"(Open {_region(joint, regions)})"
 
 

@@ -142,12 +142,12 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
     """Yield a robot's losses in MuJoCo for a time step of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "It has no MJCF; MuJoCo reads its URDF and uses the convex hulls of its meshes as colliders."
+        reason = "The robot has no MJCF, so MuJoCo reads its URDF and uses the convex hulls of the meshes as colliders."
         yield approximate("robots", robot.name, reason)
     if read.servos:
-        reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
+        reason = "The model has no actuators, so a stiff, critically damped position servo is added to each joint."
         yield approximate("robot_motors", robot.name, reason)
-    reason = "It uses the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
+    reason = "The robot keeps the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
         firm = 1000 * _FIRM * timestep

@@ -62,7 +62,7 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss per dome light."""
-    reason = "MuJoCo has no dome lights; its color illuminates all surfaces equally, without shading."
+    reason = "MuJoCo has no dome lights; the light's color illuminates all surfaces equally, without shading."
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)
 
 

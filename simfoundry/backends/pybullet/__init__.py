@@ -42,8 +42,8 @@ BACKGROUND = "_background.urdf"
 GRASP_ITERATIONS = 200
 
 _GRIPS = {
-    False: "It uses the friction in its file, which Bullet multiplies by the square root of the scene's.",
-    True: "It grips as in MuJoCo, which uses the larger friction; for unequal scene frictions, this is approximate.",
+    False: "Bullet multiplies the friction in the robot's file by the square root of the scene's friction.",
+    True: "The robot grips as in MuJoCo, which uses the larger friction; with unequal frictions, this is approximate.",
 }
 # The reasons for the losses of robot surfaces and motors; the key is true if the robot was converted from its MJCF.
 _MOTORS = {
@@ -133,7 +133,7 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
         losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
     for mounted in scene.mounted:
-        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
+        reason = f"The camera is mounted on `{mounted.carrier}`, but cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
     return robots, losses
 

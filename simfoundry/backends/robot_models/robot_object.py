@@ -361,7 +361,7 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
     """Yield the losses from converting a robot's MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"It has no model in this format; its {kind} is converted, with convex hulls as colliders."
+    reason = f"The robot has no model in this format, so its {kind} is converted, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
@@ -371,4 +371,4 @@ def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator
 
 def without_model(name: str) -> Loss:
     """Return the loss for a robot that has neither an MJCF nor a URDF."""
-    return drop("robots", name, "It has no MJCF or URDF model, and its USD cannot be converted.")
+    return drop("robots", name, "The robot has no MJCF or URDF model, and its USD cannot be converted.")

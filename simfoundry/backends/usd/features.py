@@ -33,8 +33,9 @@ def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
         worst = max(values, key=lambda v: abs(math.sqrt(v) - v), default=0.0)
         if math.sqrt(worst) != worst:
             reason = (
-                f"Its square root is written with PhysX's combine mode `multiply`, which yields the geometric mean. "
-                f"A plain UsdPhysics reader that averages gets up to {math.sqrt(worst):.3g} instead of {worst:.3g}; "
+                f"The square root of the {name} is written with PhysX's `multiply` combine mode, which yields the "
+                f"geometric mean. A plain UsdPhysics reader that averages the stored values gets up to "
+                f"{math.sqrt(worst):.3g} instead of {worst:.3g}; "
                 f"for such readers, `load(own_{name}=True)` in load.py sets the surface's own value."
             )
             yield approximate(name, "", reason, abs(math.sqrt(worst) - worst))

@@ -51,7 +51,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = "It uses the friction in its file, which readers combine with the scene's by their own rules."
+        reason = "Readers combine the friction in the robot's file with the scene's friction by their own rules."
         found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
@@ -111,7 +111,7 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
         count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
-        reason = f"Its file refers to {count} not exist, such as {absent[0].rpartition('/')[2]}."
+        reason = f"The robot's file refers to {count} not exist, such as {absent[0].rpartition('/')[2]}."
         yield drop("robots", robot.name, reason)
 
 
@@ -158,14 +158,15 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
-            reason = f"It is mounted on `{mounted.carrier}`, which is not written."
+            reason = f"The camera is mounted on `{mounted.carrier}`, which is not written."
             yield drop("mounted_cameras", mounted.camera.name, reason)
         for prim, X_LF in found:
             define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
         item = scene.by_name.get(mounted.carrier)
         for one in (item, *item.variants) if item is not None and mounted.link else ():
             if one.variant and mounted.link not in {link.name for link in one.links}:
-                reason = f"Variant `{one.variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
+                variant = f"Variant `{one.variant}` of `{mounted.carrier}`"
+                reason = f"{variant} has no link `{mounted.link}` on which to mount the camera."
                 yield approximate("mounted_cameras", mounted.camera.name, reason)
 
 

@@ -278,7 +278,7 @@ class ConditionReader:
         *ranges, body = parts
         each = [self._members(r) for r in ranges]
         for part in (part for part, (_, names) in zip(ranges, each, strict=True) if not names):
-            self.missing.add(part, "no object has the type of this variable")
+            self.missing.add(part, "no object has this variable's type")
         if not all(names for _, names in each):
             return None
         if not pairs:
@@ -323,7 +323,7 @@ class ConditionReader:
     def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
-            self.missing.add(group, f"it expands to more than {MOST_TERMS} predicates")
+            self.missing.add(group, f"the condition expands to more than {MOST_TERMS} predicates")
         return self.terms <= MOST_TERMS
 
     def _joined(self, key: str, found: list[Condition | None]) -> Condition | None:

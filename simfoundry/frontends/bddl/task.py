@@ -55,7 +55,7 @@ def read_bddl_task(
     unnumbered = re.sub(r"-\d+\Z", "", problem.name)
     instruction = problem.language or f"{unnumbered.replace('_', ' ').capitalize()}."
     if not problem.language:
-        draft.assumed("instruction", "the file specifies none; derived from the name of the problem")
+        draft.assumed("instruction", "the file specifies no instruction; it is derived from the problem name")
     assert options.scene is not None
     name = plain_name(path.stem if problem.domain == "robosuite" else unnumbered, "task")
     data: dict[str, Any] = {
@@ -130,7 +130,7 @@ class _TaskReader:
         if (box := self._rectangle(group, region)) is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
-        why = "a goal region is converted to `At` its center, with the tolerance of `At`"
+        why = "the goal region became an `At` condition for its center, with the usual tolerance of `At`"
         self.draft.changed(f"region `{region.name}`", why, size)
         return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
@@ -157,7 +157,7 @@ class _TaskReader:
         if predicate == "Inside" and links:
             self._unclear(group, region, owner, links, found)
             return None
-        self.draft.changed(f"region `{name}`", f"it is interpreted as the entire object `{owner}`")
+        self.draft.changed(f"region `{name}`", f"the name is interpreted as the entire object `{owner}`")
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:

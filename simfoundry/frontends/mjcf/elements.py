@@ -169,7 +169,7 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
     width, height = model.cam_resolution[k].tolist()
     if width <= 1 or height <= 1:
         width, height = PICTURE
-        draft.assumed(f"image size of camera `{name}`", f"the file specifies none; {width} x {height} px is assumed")
+        draft.assumed(f"image size of camera `{name}`", f"the file specifies no size; {width} x {height} px is assumed")
     fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
     camera = CameraDraft(name, (width, height), fy, fy, X_BC)
     across, up = model.cam_sensorsize[k].tolist()

@@ -210,7 +210,7 @@ class _SceneReader:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            why = "the table is placed at this height, which OmniGibson itself does not restore"
+            why = "the table is placed at this height, although OmniGibson itself does not restore the height"
             self.draft.changed("`ground_plane_info`", why)
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])

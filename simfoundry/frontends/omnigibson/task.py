@@ -62,7 +62,7 @@ class _TaskReader:
         goal, instruction = self.goal(), self.data.get("language_instruction")
         if not instruction:
             instruction = self.draft.name.replace("_", " ").capitalize() + "."
-            self.draft.assumed("instruction", "the file specifies none; derived from the name of the task")
+            self.draft.assumed("instruction", "the file specifies no instruction; it is derived from the task name")
         steps = (self.config.get("termination_config") or {}).get("max_steps") or HORIZON
         data: dict[str, Any] = {
             "simfoundry": "task/1", "name": plain_name(self.draft.name, "task"), "scene": scene_file,

@@ -48,7 +48,7 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
             draft.dropped(what, "its focal length or aperture is not positive")
             continue
         height = max(1, round(WIDTH * up / across))
-        draft.assumed(f"image size of {what}", f"the stage specifies none; a width of {WIDTH} px is assumed")
+        draft.assumed(f"image size of {what}", f"the stage specifies no size; a width of {WIDTH} px is assumed")
         X_WC = _pose(matrix(prim)) @ X_CU
         drafted = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WC)
         if right or above:
