@@ -253,7 +253,7 @@ def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
-    """Count the elements that use each feature by whether they are preserved, approximated or lost, omitting zeros.
+    """Count the elements for which each used feature is preserved, approximated or lost, omitting zeros.
 
     An element with several losses is counted under the worst of them.
     """

@@ -201,7 +201,7 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
         return EMPTY
     about = [
         "Contacts between different materials, with the geometric mean of both frictions instead of the larger one.",
-        "Generated from scene.xml; after you edit a friction there, run load.py with its option `contacts`.",
+        "Generated from scene.xml; after you edit a friction there, run load.py with its `contacts` option.",
     ]
     if left:
         count = sum(len(group.one) * len(group.other) for group in left)

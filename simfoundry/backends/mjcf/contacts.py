@@ -96,7 +96,7 @@ def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
 
 
 def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Return the pairs of bodies that do not collide, such as a drawer and the cabinet to which a joint connects it."""
+    """Return the pairs of bodies that do not collide, for example because they are connected by a joint."""
     own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in excluded_link_pairs(item)]
     return [*own, *scene.no_contact]
 

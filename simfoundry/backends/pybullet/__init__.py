@@ -180,9 +180,9 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
     Most of a finger's inertia comes from its geared motor: up to a thousand times the inertia of its links. Bullet
     resolves contacts with a few dozen impulses per step, each proportional to the affected inertia. Without rotors, a
-    finger with 1e-5 kg m^2 would therefore press with only a hundredth of its motor's force. Each rotor is modeled as a
-    thin disk with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia
-    as zero.
+    finger with an inertia of 1e-5 kg m^2 would therefore press with only a hundredth of its motor's force. Each rotor
+    is modeled as a thin disk with half of its inertia about the transverse axes, because Bullet treats a physically
+    impossible inertia as zero.
     """
     links = {link.name: link for link in item.links}
     for joint in item.joints:

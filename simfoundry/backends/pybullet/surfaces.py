@@ -4,10 +4,10 @@ Each link has a single friction, restitution and resistance for all of its colli
 and the restitutions of two bodies, so each link stores the square root of its own value; the product is then the
 geometric mean.
 
-For spinning and rolling, Bullet's pairwise resistance is the sum of each link's coefficient times the sliding friction
-of the other link, whereas the scene uses the larger resistance of the two links. If all links that a resisting link can
-touch have the same friction, one value is exact. Otherwise, an intermediate value is used, and :class:`Resistance`
-contains the error.
+For spinning and rolling, Bullet multiplies each link's coefficient by the other link's sliding friction and adds the
+two products, whereas the scene uses the larger resistance of the two links. The written value is exact if all links
+that a resisting link can touch have the same friction. Otherwise, an intermediate value is used, and
+:class:`Resistance` contains the error.
 
 Convex meshes are shrunk by the collision margin that Bullet adds around them.
 """

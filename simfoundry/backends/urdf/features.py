@@ -52,7 +52,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def robot_losses(name: str) -> tuple[Loss, Loss]:
-    """Return the losses that every robot has in URDF, regardless of its model."""
+    """Return the losses that apply to every robot in URDF, regardless of its model."""
     return _drop("robot_motors", name), _drop("robot_contacts", name)
 
 
