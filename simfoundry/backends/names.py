@@ -45,5 +45,5 @@ def _check(where: str, kind: str, elements: Iterable[object], field: str = "name
             rule = "use a lower-case letter followed by lower-case letters, digits and underscores"
             raise InvalidSceneError(f"{where}: {kind} name {name!r} is invalid; {rule}")
         if name in known:
-            raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one")
+            raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one of them")
         known.add(name)

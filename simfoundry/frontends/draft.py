@@ -291,7 +291,7 @@ class ModelDraft:
         ``width`` and ``depth`` [m] are the size of the plane; zero means infinite.
         """
         box = (width or GROUND[0], depth or GROUND[1], GROUND[2])
-        self.changed(what, f"it is represented by a box of {box[0]:g} x {box[1]:g} m")
+        self.changed(what, f"the plane is represented by a box of {box[0]:g} x {box[1]:g} m")
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:

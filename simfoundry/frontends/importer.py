@@ -215,9 +215,9 @@ def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Di
         link, part = built.parts[key]
         what = f"`{part.name}` of link `{link.name}`"
         if finding.code == "SF301" and "flat" in finding.message and part.collides:
-            draft.dropped(f"contact of {what}", "its mesh is flat")
+            draft.dropped(f"contact of {what}", "the mesh is flat")
         elif finding.code in ("SF301", "SF303") and part.use == "visual":
-            why = "its mesh has an implausible size" if finding.code == "SF303" else "its mesh is unusable"
+            why = "the mesh has an implausible size" if finding.code == "SF303" else "the mesh is unusable"
             draft.dropped(what, why, finding.message)
         else:
             continue

@@ -62,7 +62,7 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
     low, high = joint.limits
     target = joint.drive.target if joint.drive is not None else None
     if target is not None and not low <= target <= high:
-        why = "its target is beyond the joint limits, which cannot be expressed"
+        why = "the drive target is beyond the joint limits, which cannot be expressed"
         draft.dropped(f"drive of joint `{joint.name}`", why, f"target {target:.4g}")
         joint.drive = None
     if not low <= joint.position <= high:
@@ -82,7 +82,7 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
         if carrier is not None and carrier.type == "fixed":
             what = "its shapes were" if link.parts else "the link was"
             _join_to_parent(draft, body, body.links[carrier.parent], link, carrier)
-            why = f"it has no mass and a fixed joint to its parent link, so {what} merged into the parent link"
+            why = f"the link has no mass and a fixed joint to its parent, so {what} merged into the parent link"
             x, y, z = (f"{v:.4g}" for v in carrier.X_PC.p + 0.0)
             draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` at ({x}, {y}, {z})")
             continue
@@ -227,18 +227,18 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
     moments = np.linalg.eigvalsh(link.inertia) if is_finite else np.full(3, np.nan)
     excess = float(moments[2] - moments[0] - moments[1])
     detail = f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2"
-    reason = "its principal moments are physically impossible"
+    reason = "the principal moments are physically impossible"
     if moments[0] > 0 and excess <= moments[2] * 1e-9:  # rounding of double precision
         if math.sqrt(float(moments[2]) / link.mass) <= WIDEST_GYRATION or draft.format == "MJCF":
             return
         reason, detail = "only an object many meters wide could have it", f"{detail} for {link.mass:.3g} kg"
     elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
         link.inertia = LEAST_INERTIA * np.eye(3)
-        draft.changed(what, "it is zero and the link is fixed, so the link is treated as a point mass")
+        draft.changed(what, "the inertia is zero and the link is fixed, so it is treated as a point mass")
         return
     elif moments[0] > 0 and excess <= moments[2] * ROUNDING:
         link.inertia = link.inertia + excess * (1 + 1e-6) * np.eye(3)
-        why = "rounding made it physically impossible; corrected to the nearest valid inertia"
+        why = "rounding made the inertia physically impossible; it was corrected to the nearest valid one"
         draft.changed(what, why, f"moments {detail}, by {excess / moments[2]:.1g}")
         return
     if link.colliders:

@@ -312,7 +312,7 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
         node, X_WN = waiting.pop()
         count += 1
         if count > MAX_NODES:
-            raise MeshError("SF301", f"its scene has more than {MAX_NODES} nodes", "merge its meshes")
+            raise MeshError("SF301", f"the scene has more than {MAX_NODES} nodes", "merge its meshes")
         if hasattr(node, "geometry"):
             yield from _geometry_parts(node.geometry, X_WN, {m.symbol: m.target for m in node.materials}, path)
         elif hasattr(node, "matrix"):

@@ -109,7 +109,7 @@ def _assemble(
     for part in native.attached:
         carrier = whole.body(part.to)
         if carrier is None:
-            raise ValueError(f"it has no body `{part.to}` to attach {part.file.name} to")
+            raise ValueError(f"the model has no body `{part.to}` to which {part.file.name} can be attached")
         child = _read(part.file, files)
         _same_options(whole, child)
         frame = carrier.add_frame(pos=part.X_LB.p, quat=part.X_LB.q)

@@ -114,7 +114,7 @@ class _TaskReader:
             return None
         text = f"{predicate}({item_name}, {target})"
         if group.head == "on" and self._put_in(target):
-            why = "the instruction says `in`, and LIBERO's `On` includes `Inside`, so either is accepted"
+            why = "the instruction says `in`, and LIBERO's `On` includes `Inside`, so both are accepted"
             self.draft.changed(f"`{text}`", why)
             return {"any": (text, f"Inside({item_name}, {target})")}
         return text

@@ -180,6 +180,6 @@ class MjcfGeoms:
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=3)
-        self.draft.changed(f"ellipsoid `{name}`", "it is represented by a mesh with 1280 triangles")
+        self.draft.changed(f"ellipsoid `{name}`", "the ellipsoid is represented by a mesh with 1280 triangles")
         part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
         return mesh_of_parts([part], plain_name(name, "ellipsoid"))

@@ -117,7 +117,7 @@ class _SceneReader:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                why = "it is for information only; the URDF contains the actual values"
+                why = "this entry is for information only; the URDF contains the actual values"
                 self.draft.dropped(f"`{word}` of `{name}` in the scene", why)
         if args.get("visual_only"):
             for link in body.links.values():
@@ -152,7 +152,7 @@ class _SceneReader:
         if not s > 0 or any(abs(f - s) > 1e-6 * s for f in factors):
             hint = "only uniform scales are supported"
             raise ImportRefusedError(self.path, f"`{name}` is scaled by {factors}", hint=hint)
-        self.draft.changed(f"scale of `{name}`", "its parts are scaled, but its mass is unchanged", f"{s:g}")
+        self.draft.changed(f"scale of `{name}`", "the object's parts are scaled, but its mass is unchanged", f"{s:g}")
         for joint in body.joints:
             joint.X_PC = Pose.of(joint.X_PC.p * s, joint.X_PC.q)
             if joint.type == "prismatic" and joint.limits is not None:
@@ -198,7 +198,7 @@ class _SceneReader:
         if model == "franka_panda" and "robotiq" in str(args.get("end_effector", "")):
             model = "franka_robotiq"
         if state.get("joint_pos"):
-            why = "its joint positions have no names, so the robot starts in its home posture"
+            why = "the joint positions have no names, so the robot starts in its home posture"
             self.draft.changed(f"posture of robot `{name}`", why)
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
@@ -215,7 +215,7 @@ class _SceneReader:
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
         self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X_WO))
-        why = f"it is represented by a box of {TABLE[0]:g} x {TABLE[1]:g} m"
+        why = f"the plane is represented by a box of {TABLE[0]:g} x {TABLE[1]:g} m"
         self.draft.changed("the infinite plane that serves as the table", why)
 
 

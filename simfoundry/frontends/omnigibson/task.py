@@ -109,7 +109,7 @@ class _TaskReader:
     def goal(self) -> Any:
         """Return the conjunction of all goal predicates.
 
-        The suffixes `all` and `any` in their keys refer to the objects in each group.
+        The `all` and `any` suffixes of the predicate keys refer to the objects in each group.
         """
         if self.predicates("goal_predicates_specific"):
             message = "`goal_predicates_specific` refers to objects by number, which is not supported"

@@ -162,7 +162,7 @@ class _UrdfReader:
         if drafted is None:
             return
         if use == "visual" and isinstance(drafted, MeshDraft) and self.mesh_width(drafted) > LARGEST:
-            self.draft.dropped(f"visual mesh of `{link}`", f"it is larger than {LARGEST:g} m")
+            self.draft.dropped(f"visual mesh of `{link}`", f"the mesh is larger than {LARGEST:g} m")
             return
         color = self.color(element.first("material")) if use == "visual" else None
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
@@ -183,7 +183,7 @@ class _UrdfReader:
         if min(sizes) < 0:
             raise shape.refused(f"a `<{shape.tag}>` of link `{link}` has a negative size")
         if min(sizes) == 0:
-            self.draft.dropped(what, "its size is zero")
+            self.draft.dropped(what, "the size is zero")
             return None, IDENTITY
         return primitive(shape.tag, *sizes), IDENTITY
 
@@ -262,7 +262,7 @@ class _UrdfReader:
                 self.draft.changed(what, "both limits are 0, so the joint is fixed")
             case "revolute":
                 joint.type = "continuous"
-                self.draft.changed(what, "it has no limits, so it became a continuous joint")
+                self.draft.changed(what, "the joint has no limits, so it became a continuous joint")
             case "prismatic":
                 joint.limits = self.draft.unlimited_slide(what)
             case "spherical":
@@ -307,7 +307,7 @@ def _origin(element: Element) -> Pose:
 
 
 def _upright(normal: Array) -> Pose:
-    """Return a pose that rotates the z axis to the ``normal`` direction."""
+    """Return a rotation that aligns the z axis with ``normal``."""
     length = float(np.linalg.norm(normal))
     z = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     across = np.array([-z[1], z[0], 0.0])

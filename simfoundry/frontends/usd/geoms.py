@@ -69,7 +69,7 @@ class UsdGprims:
         """
         kind, scales = prim.GetTypeName(), np.linalg.norm(X_LG[:3, :3], axis=0)
         if not np.isfinite(X_LG).all() or scales.min() <= 0:
-            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "its scale is zero or not finite")
+            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scale is zero or not finite")
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
@@ -122,7 +122,7 @@ class UsdGprims:
         indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
         is_sound = len(points) and len(counts) and counts.sum() == len(indices) and counts.min() >= 0
         if not is_sound or indices.min() < 0 or indices.max() >= len(points):
-            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "it has no valid faces")
+            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "the mesh has no valid faces")
             return None
         corners = _fans(counts)
         faces = indices[corners]
@@ -133,7 +133,7 @@ class UsdGprims:
         return MeshPart(points[faces.reshape(-1)], np.arange(faces.size, dtype=np.int32).reshape(-1, 3), uv)
 
     def coordinates(self, prim: Any, corners: Any, faces: Any) -> Array | None:
-        """Return the texture coordinates of each face corner, shape (3 m, 2), v up."""
+        """Return the texture coordinates of each face corner, shape (3 m, 2), with v up."""
         found = (self.pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name) for name in COORDINATES)
         primvar = next((v for v in found if v and v.HasValue()), None)
         if primvar is None or primvar.GetInterpolation() == "constant":
@@ -163,7 +163,7 @@ class UsdGprims:
             case _:
                 self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scene language does not support this shape")
                 return None
-        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"it is represented by {len(made.faces)} triangles")
+        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"the shape is represented by {len(made.faces)} triangles")
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
     def surface(self, prim: Any) -> tuple[Contact, float | None]:
@@ -177,7 +177,7 @@ class UsdGprims:
         attributes = (target.GetAttribute(f"physics:{name}") for name in names)
         static, dynamic, restitution, density = (float(a.Get()) if a.HasAuthoredValue() else None for a in attributes)
         if static is not None and dynamic is not None and abs(static - dynamic) > EVEN_SCALE:
-            self.draft.changed(f"material `{target.GetPath()}`", "only its dynamic friction is used")
+            self.draft.changed(f"material `{target.GetPath()}`", "only the dynamic friction is used")
         given = {"friction": static if dynamic is None else dynamic, "restitution": restitution}
         contact = {key: value for key, value in given.items() if value is not None}
         return contact, density * self.to_kg / self.to_m**3 if density else None
@@ -206,7 +206,7 @@ class UsdGprims:
             file = node.GetInput("file").Get() if node and node.GetInput("file") else None
             png = _png(file.resolvedPath) if file is not None and file.resolvedPath else None
             if png is None:
-                self.draft.dropped(f"texture of `{shader.GetPath()}`", "its image could not be found")
+                self.draft.dropped(f"texture of `{shader.GetPath()}`", "the image could not be found")
             return None, png
         color = diffuse.Get()
         alpha = float(opacity.Get()) if opacity and isinstance(opacity.Get(), float) else 1.0

@@ -124,7 +124,7 @@ class _JointReader:
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
-            self.draft.changed(self.label, "its limits leave no range of motion, so the joint is fixed at zero")
+            self.draft.changed(self.label, "the limits leave no range of motion, so the joint is fixed at zero")
         elif turns:
             joint.type = "continuous"
             if (low is None) != (high is None):
@@ -148,7 +148,7 @@ class _JointReader:
         if stiffness <= 0 and damping <= 0:
             return
         if drive.GetTypeAttr().Get() == "acceleration":
-            why = "it is an acceleration drive, but only force drives are supported"
+            why = "only force drives are supported, not acceleration drives"
             self.draft.dropped(f"drive of {self.label}", why)
             return
         factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
@@ -231,7 +231,7 @@ def add_mass(body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
     elif masses and len(masses) == len(colliders):
         link.mass = math.fsum(masses) * to_kg
         if len(masses) > 1:
-            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is distributed by volume")
+            draft.changed(f"masses of the colliders of `{link.name}`", "the sum of the masses is distributed by volume")
     elif len(densities) == 1 and None not in densities:
         link.density = densities.pop()
     elif link.colliders:

@@ -170,7 +170,7 @@ class _UsdReader:
             if how == "convexDecomposition":
                 body.link.collision = "decompose"
             elif how not in (None, "none", "convexHull"):
-                self.draft.changed(f"collider `{prim.GetPath()}`", "it collides as its convex hull", str(how))
+                self.draft.changed(f"collider `{prim.GetPath()}`", "the mesh collides as its convex hull", str(how))
 
     def group(self, prim: Any) -> str:
         """Return the path of the prim that represents the object of a static gprim.
@@ -226,7 +226,9 @@ class _UsdReader:
                 self.tree(root, left, at, used)
         for joint in joints:
             if id(joint) not in used:
-                self.draft.dropped(f"joint `{joint.path}`", "it closes a kinematic loop, and only trees are supported")
+                self.draft.dropped(
+                    f"joint `{joint.path}`", "the joint closes a kinematic loop, but only trees are supported"
+                )
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """Add an object consisting of a root body and all of its descendants."""

@@ -42,10 +42,10 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
         focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in (*LENS, *OFFSETS))
         if camera.GetProjectionAttr().Get() != "perspective":
-            draft.dropped(what, "it is orthographic, but only pinhole cameras are supported")
+            draft.dropped(what, "the camera is orthographic, but only pinhole cameras are supported")
             continue
         if min(focal, across, up) <= 0:
-            draft.dropped(what, "its focal length or aperture is not positive")
+            draft.dropped(what, "the focal length or aperture is not positive")
             continue
         height = max(1, round(WIDTH * up / across))
         draft.assumed(f"image size of {what}", f"the stage specifies no size; a width of {WIDTH} px is assumed")
@@ -80,7 +80,9 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         if kind is LightType.DOME and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
             draft.dropped(f"texture of light `{path}`", "a dome light can only have a uniform color")
         if strength > BRIGHTEST:
-            why = "it assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
+            why = (
+                "the intensity assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
+            )
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
         draft.lights.append(LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z)))
