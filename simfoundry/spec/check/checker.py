@@ -155,7 +155,7 @@ def implausible(density: float) -> str:
 
 
 def volume(shape: Shape) -> float:
-    """Return the volume of a primitive [m^3], or infinity if the computation overflows."""
+    """Return the volume [m^3] of a primitive, or infinity if the computation overflows."""
     try:
         value = _volume(shape)
     except OverflowError:
