@@ -101,7 +101,7 @@ class EditableDocument(DocumentEntry):
         target = Path(path) if path is not None else self.path
         if path is None and self._imported_from is not None:
             raise SimfoundryError(
-                f"this was imported from {self._imported_from}; specify a file to save to: `save('a.scene.yaml')`"
+                f"this document was imported from {self._imported_from}; save it elsewhere: `save('a.scene.yaml')`"
             )
         if not target.name.endswith(".yaml"):
             raise SimfoundryError(f"{target} is not a YAML file; specify one, such as `save('desk.scene.yaml')`")

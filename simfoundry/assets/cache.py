@@ -1,7 +1,7 @@
 """Content-addressed disk cache for expensive results that depend only on their key.
 
-The cache can be deleted at any time. Its size is limited: the least recently read entries are evicted first. Entries
-are written atomically, so any number of processes can share the cache.
+The cache can be deleted at any time. When the cache exceeds its size limit, the least recently read entries are
+evicted. Entries are written atomically, so any number of processes can share the cache.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Cache:
     def default(cls) -> Cache:
         """Return the user's cache.
 
-        Its folder is ``$SIMFOUNDRY_CACHE`` if set, otherwise a subfolder of ``$XDG_CACHE_HOME`` or ``~/.cache``.
+        The cache folder is ``$SIMFOUNDRY_CACHE`` if it is set, and otherwise a subfolder of ``$XDG_CACHE_HOME`` or
+        ``~/.cache``.
         """
         own = os.environ.get("SIMFOUNDRY_CACHE")
         if own:
@@ -48,7 +49,7 @@ class Cache:
         return cls((Path(base) if base else Path.home() / ".cache") / "simfoundry")
 
     def get(self, key: str) -> bytes | None:
-        """Return the bytes stored under ``key``, or None."""
+        """Return the bytes stored under ``key``, or None if there is no entry."""
         path = self._path(key)
         try:
             data = path.read_bytes()
@@ -72,7 +73,7 @@ class Cache:
 
 
 def _trim(shelf: Path, most: int) -> None:
-    """Remove leftovers of interrupted writes, then evict the least recently read entries beyond ``most`` bytes."""
+    """Remove leftovers from interrupted writes, then evict the least recently read entries beyond ``most`` bytes."""
     kept = 0
     with os.scandir(shelf) as entries:
         found = [(entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries]
@@ -84,7 +85,7 @@ def _trim(shelf: Path, most: int) -> None:
 
 
 def key_of(*parts: bytes | str) -> str:
-    """Return the cache key of a computation, which is a hash of all its inputs."""
+    """Return the cache key of a computation, which is a hash of all inputs."""
     h = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part

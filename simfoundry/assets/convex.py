@@ -77,7 +77,7 @@ def decompose(
 
 @cache
 def settings() -> str:
-    """Return a text with all settings that affect the decomposition of a mesh, for use in cache keys."""
+    """Return all settings that affect mesh decomposition as a text, for use in cache keys."""
     from importlib.metadata import version
 
     return f"coacd {version('coacd')} {sorted(SETTINGS.items())!r}"
@@ -85,7 +85,7 @@ def settings() -> str:
 
 @cache
 def _worker() -> Worker:
-    """Return the subprocess, which is started for the first mesh and then reused."""
+    """Return the CoACD subprocess, which is started for the first mesh and then reused."""
     return Worker(LIMITS)
 
 
@@ -184,9 +184,10 @@ def mesh_colliders(
     Args:
         vertices: Vertices of the mesh [m], shape (n, 3).
         faces: Triangles of the mesh, shape (m, 3).
-        how: Method as in a document's ``collision`` key: ``hull``, ``decompose``, ``auto`` or ``none``. With ``auto``,
-            a nearly convex mesh becomes a box, cylinder or sphere if that is about as close to the mesh as its hull,
-            and otherwise its hull. Any other mesh is decomposed into convex parts.
+        how: Method, with the same values as a document's ``collision`` key: ``hull``, ``decompose``, ``auto`` or
+            ``none``. With ``auto``, a nearly convex mesh becomes a box, cylinder or sphere if that shape is about as
+            close to the mesh as its hull, or otherwise becomes its hull. All other meshes are decomposed into convex
+            parts.
         cache: Cache for the results.
         name: Name of the mesh for messages.
         report: Function that receives progress messages.
@@ -236,7 +237,7 @@ def _is_solid(vertices: Array) -> bool:
 
 
 def file_key(path: Path, scale: float, how: str) -> str:
-    """Return the cache key for the colliders of a mesh file read with ``scale``, without parsing the mesh."""
+    """Return the cache key for the colliders of a mesh file that is read with ``scale``, without parsing the mesh."""
     return key_of("file colliders 1", how, repr(scale), settings(), file_digest(path))
 
 
@@ -255,7 +256,7 @@ def pack_colliders(found: Colliders) -> bytes:
 
 
 def unpack_colliders(data: bytes) -> Colliders | None:
-    """Deserialize colliders from a cache entry; return None if the entry is corrupt and must be recomputed."""
+    """Deserialize colliders from a cache entry, or return None if the entry is corrupt and must be recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             count = sum(name.startswith("v") for name in arrays.files)

@@ -29,9 +29,9 @@ TOUCHING = 0.01
 def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -> float:
     """Return the maximum distance [m] between the surface of a mesh and the outer surface of convex parts.
 
-    The distance is sampled with a fixed seed, so it is reproducible. It is measured in both directions: from points on
-    the mesh that are outside all parts to the face planes of the nearest part, and from points on the outer surface of
-    the parts to the mesh.
+    The distance is sampled with a fixed seed so that it is reproducible. It is measured in both directions: from points
+    on the mesh that are outside all parts to the face planes of the nearest part, and from points on the outer surface
+    of the parts to the mesh.
     """
     points, owner = surface_samples(vertices, faces, ON_MESH)
     planes = [face_planes(corners, sides) for corners, sides in parts]
@@ -68,7 +68,7 @@ def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
 
 
 def distances_outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """Return the largest distance [m] of each point to a face plane of the nearest part, shape (n,).
+    """Return the largest distance [m] from each point to a face plane of the nearest part, shape (n,).
 
     ``planes`` contains the result of :func:`face_planes` for each part. The distance is negative inside a part.
     """
@@ -79,7 +79,7 @@ def distances_outside(points: Array, planes: list[tuple[Array, Array]]) -> Array
 
 
 def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], touching: float) -> Array:
-    """Return sample points on the surfaces of the parts that no other part covers or touches, shape (n, 3)."""
+    """Sample points on the part surfaces, shape (n, 3), omitting points that another part covers or touches."""
     found = []
     for k, (corners, sides) in enumerate(parts):
         points, _ = surface_samples(corners, sides, max(200, ON_PARTS // len(parts)))
@@ -120,7 +120,7 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
 
 
 def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
-    """Return the distance [m] from each point to the nearest triangle that it is paired with.
+    """Return the distance [m] from each point to the nearest triangle with which it is paired.
 
     ``rows`` and ``columns`` list the pairs of point and triangle indices. The distance is infinite for points without
     any pair.
@@ -148,7 +148,8 @@ SAMPLES = 20_000
 def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tuple[Array, Faces, float]:
     """Simplify a mesh to about ``enough`` triangles, or more if necessary to preserve its surface.
 
-    The mesh is returned unchanged if it has at most ``enough`` triangles or if no simplification is accurate enough.
+    The mesh is returned unchanged if it has at most ``enough`` triangles or if no sufficiently accurate simplification
+    is found.
 
     Returns:
         The vertices, the faces, and the deviation from the original surface [m].

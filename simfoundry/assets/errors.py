@@ -1,4 +1,4 @@
-"""Errors for meshes, profiles and outlines. This module does not import numpy, so that checks start quickly."""
+"""Errors in meshes, profiles and outlines. To let checks start quickly, this module does not import numpy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class MeshError(Exception):
 
 
 def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
-    """Return an error if the longest side of a mesh, ``size`` [m] at ``scale``, is implausible, or None otherwise."""
+    """Return an error if the longest side of a mesh (``size`` [m] at ``scale``) is implausible, or None otherwise."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimeters = SMALLEST < size / 1000 < LARGEST

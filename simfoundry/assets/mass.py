@@ -14,7 +14,7 @@ Faces = NDArray[np.int32]  # Vertex indices of triangles, shape (m, 3)
 
 @dataclass(frozen=True, eq=False)
 class SolidMoments:
-    """The volume moments of a solid with density 1.
+    """The volume moments of a solid with a density of 1.
 
     ``volume`` is in m^3. ``com`` is the center of mass [m], shape (3,), and ``inertia`` is the inertia tensor [m^5]
     about the center of mass, shape (3, 3).
@@ -30,7 +30,7 @@ class SolidMoments:
 
 
 def _diagonal(xx: float, yy: float, zz: float) -> Array:
-    """Return a diagonal 3x3 matrix; several times faster than ``numpy.diag``."""
+    """Return a diagonal 3x3 matrix; this is several times faster than ``numpy.diag``."""
     return np.array([[xx, 0.0, 0.0], [0.0, yy, 0.0], [0.0, 0.0, zz]])
 
 
@@ -117,7 +117,7 @@ def mesh(vertices: Array, faces: Faces) -> SolidMoments:
 def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
     """Return the mass [kg], center of mass [m], and inertia [kg m^2] of a body.
 
-    ``parts`` lists the density [kg/m^3] and the moments of each part. The inertia is about the center of mass.
+    ``parts`` lists the density [kg/m^3] and the moments of each part. The inertia is taken about the center of mass.
     """
     if len(parts) == 1:  # preserves all digits of the center of mass
         density, solid = parts[0]

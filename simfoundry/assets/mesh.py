@@ -28,7 +28,7 @@ MAX_PIXELS = 8192**2
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """A single geometry from a mesh file.
+    """A single geometry in a mesh file.
 
     Attributes:
         vertices: Vertex positions [m], shape (n, 3).
@@ -48,7 +48,7 @@ class MeshPart:
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     """Return the geometries in a mesh file, in meters and with z up.
 
-    glTF files are rotated because their standard requires y up. Raises :class:`MeshError` if the file has no usable
+    glTF files are rotated, because the glTF standard requires y up. Raises :class:`MeshError` if the file has no usable
     triangles or its size is implausible.
     """
     parts = read_parts(path, scale)
@@ -64,9 +64,9 @@ def extent(parts: tuple[MeshPart, ...]) -> float:
 
 
 def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
-    """Return the geometries in a mesh file like :func:`read_mesh`, but without checking the size for plausibility.
+    """Return the geometries in a mesh file, like :func:`read_mesh`, but do not check that their size is plausible.
 
-    ``scale`` may be non-uniform or negative along the file's axes; faces still point outward.
+    ``scale`` may be non-uniform or negative along the file's axes; in any case, faces point outward.
     """
     import trimesh
 
@@ -108,14 +108,14 @@ def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> M
 
 
 def srgb_of_linear(linear: float) -> float:
-    """Convert a linear color value to sRGB, both in [0, 1] (IEC 61966-2-1)."""
+    """Convert a linear color value in [0, 1] to sRGB in [0, 1] (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
 def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
     """Return the texture coordinates, the texture as PNG, and the color of a trimesh mesh.
 
-    If a mesh has both a texture and a color, the color is a factor for the texture.
+    If a mesh has both a texture and a color, the texture is multiplied by the color.
     """
     visual = mesh.visual
     if visual.kind == "texture":
@@ -171,7 +171,7 @@ def merged(parts: Sequence[MeshPart]) -> tuple[Array, Faces]:
 
 
 def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Merge coincident vertices (texture seams duplicate them) and remove degenerate triangles and unused vertices."""
+    """Merge coincident vertices (for example, at texture seams), and remove degenerate faces and unused vertices."""
     tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -182,7 +182,7 @@ def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: Faces) -> int:
-    """Return the number of directed edges in welded faces without an opposite edge; 0 for a closed surface."""
+    """Return the number of directed edges in welded faces that have no opposite edge: 0 for a closed surface."""
     if not len(faces):
         return 0
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
@@ -255,7 +255,7 @@ def _ply(path: Path) -> tuple[int, int]:
 
 
 def _glb(path: Path) -> tuple[int, int]:
-    """Return the total number of triangles and of points; a mesh counts once for each node that uses it."""
+    """Return the total number of triangles and of points; each mesh is counted once per node that uses it."""
     try:
         tree = gltf_tree(path, MAX_BYTES)
         counts = [int(accessor["count"]) for accessor in tree["accessors"]]

@@ -1,7 +1,6 @@
-"""Summaries of mesh files for checks: bounds, volume, gaps and hull, computed once and cached.
+"""Summaries of mesh files for checks (bounds, volume, gaps and hull), which are computed once and cached.
 
-A file that is already in the cache only needs to be hashed, so a repeated check imports neither numpy nor a mesh
-reader.
+A file that is already in the cache only needs to be hashed, so repeated checks import neither numpy nor a mesh reader.
 """
 
 from __future__ import annotations
@@ -48,8 +47,8 @@ class MeshFacts:
         hull_volume: Volume of the convex hull.
         hull: Corners of the convex hull, at most 64; empty if the mesh is flat.
         hull_faces: Triangles of the convex hull.
-        moments: Center of mass and inertia about it at density 1.
-        hull_moments: Center of mass and inertia of the convex hull at density 1.
+        moments: Center of mass, and inertia about the center of mass, at density 1.
+        hull_moments: Center of mass and inertia of the convex hull, at density 1.
     """
 
     size: float
@@ -64,7 +63,7 @@ class MeshFacts:
 
     @property
     def is_nearly_convex(self) -> bool:
-        """Return True if the mesh is closed and nearly convex, so that ``collision: auto`` never decomposes it."""
+        """Return True if the mesh is closed and so nearly convex that ``collision: auto`` never decomposes it."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> SolidMoments:
@@ -84,7 +83,8 @@ class MeshFacts:
         Args:
             name: Name of the mesh file for the message.
             scale: Scale of the mesh [m per unit].
-            solid: The body's ``solid`` key, or `given` if its inertia is specified; the mesh then need not be closed.
+            solid: The body's ``solid`` key, or `given` if the body's inertia is specified. In that case, the mesh does
+                not need to be closed.
             collision: The body's ``collision`` key.
         """
         wrong = errors.implausible_size(name, self.size * scale, scale)
@@ -112,7 +112,7 @@ def mesh_facts(path: Path, store: Cache | None = None) -> MeshFacts:
 
 @lru_cache(maxsize=4096)
 def _facts(path: Path, version: tuple[int, int], store: Cache) -> MeshFacts:
-    """Return the measurements of a file; they are memoized because objects often share a mesh.
+    """Return the measurements of a file, which are memoized because objects often share a mesh.
 
     ``version`` is the file's size [bytes] and modification time [ns].
     """
@@ -133,7 +133,7 @@ def _reader() -> TypeAdapter[MeshFacts]:
 
 
 def file_digest(path: Path) -> str:
-    """Return a digest of a file's content and of its suffix, which determines the reader."""
+    """Return a digest of a file's content and its suffix, because the suffix determines the reader."""
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
     with path.open("rb") as stream:
         while block := stream.read(2**20):

@@ -1,4 +1,4 @@
-"""Fit boxes, cylinders and spheres to convex hulls; primitives are cheaper to simulate in every engine."""
+"""Fit boxes, cylinders and spheres to convex hulls, because primitives are cheaper to simulate in every engine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIRECTIONS = 2000
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """A primitive shape that replaces a mesh, expressed in the mesh frame.
+    """A primitive shape that replaces a mesh, posed in the mesh frame.
 
     ``size`` [m] contains the full extents of a `box`, the radius and height of a `cylinder` along its z axis, or the
     radius of a `sphere`. The columns of ``rotation``, shape (3, 3), are the axes of the primitive, and ``center`` [m]
@@ -43,7 +43,7 @@ class Primitive:
         return np.asarray(middle + radius * np.hypot(local[:, 0], local[:, 1]) + height / 2 * np.abs(local[:, 2]))
 
     def corners(self, sides: int = 64) -> Array:
-        """Return surface points [m], shape (n, 3), whose convex hull approximates the primitive; exact for boxes."""
+        """Return surface points [m], shape (n, 3), whose convex hull approximates the primitive, exactly for boxes."""
         if self.kind == "box":
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
             local = signs * self.size
@@ -59,8 +59,8 @@ class Primitive:
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
     """Return the best-fitting primitive of each kind for the convex hull of points [m], shape (n, 3).
 
-    Primitives farther than ``within`` [m] from the hull are omitted. The metric is the Hausdorff distance, which for
-    convex bodies is the maximum difference between their support functions.
+    Primitives farther than ``within`` [m] from the hull are omitted. The metric is the Hausdorff distance, which, for
+    convex bodies, is the maximum difference between their support functions.
     """
     directions = _directions(DIRECTIONS)
     wanted = (corners @ directions.T).max(axis=0)
@@ -77,7 +77,7 @@ def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
 
 
 def _candidates(corners: Array) -> Iterator[Primitive]:
-    """Yield a sphere, and a box and three cylinders for each candidate frame, sized for a mean error of zero."""
+    """Yield a sphere, plus a box and three cylinders for each candidate frame, all sized for a mean error of zero."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     yield Primitive("sphere", (_mean_radius(corners - middle, _directions(200)),), np.eye(3), middle)
     for frame in _frames(corners):

@@ -39,7 +39,7 @@ MOST_CORNERS = 64
 def checked_profile(profile: Array) -> Array:
     """Validate a profile of (radius, height) pairs [m], shape (n, 2), and order it from the top down along the outside.
 
-    Raises :class:`MeshError` unless the profile starts and ends on the axis and crosses neither itself nor the axis.
+    Raises :class:`MeshError` unless the profile starts and ends on the axis, and crosses neither itself nor the axis.
     """
     from shapely.geometry import Polygon
 
@@ -64,7 +64,7 @@ def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
 
 
 def ring_faces(rings: int, sides: int) -> Faces:
-    """Return outward-facing triangles for a top apex, ``rings`` rings of ``sides`` vertices each, and a bottom apex.
+    """Return outward-facing triangles that join a top apex, ``rings`` rings of ``sides`` vertices, and a bottom apex.
 
     Vertices are numbered in this order, from the top down. The rings run counterclockwise when seen from above.
     """
@@ -81,10 +81,10 @@ def ring_faces(rings: int, sides: int) -> Faces:
 
 
 def lathe_parts(profile: Array) -> list[Array]:
-    """Return the corner points of convex parts that form the solid of revolution for a validated profile.
+    """Return the corner points of the convex parts that form the solid of revolution for a validated profile.
 
-    The profile is cut into bands at the heights of its corners; neighboring bands are joined as long as they stay
-    nearly convex. A band that reaches the axis becomes one part, and a ring is cut into sectors.
+    The profile is cut into bands at the heights of its corners, and neighboring bands are joined as long as they stay
+    nearly convex. A band that reaches the axis becomes one part; all other bands are rings, which are cut into sectors.
     """
     return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
 
@@ -93,7 +93,7 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
     """Return the maximum distance [m] between the hulls from :func:`lathe_parts` and the solid of revolution.
 
     The distance is sampled and accurate to a few percent. Samples are taken at the corners, edges and faces of the
-    hulls, which can protrude from the solid, and on the surface of the solid, which can protrude from all hulls.
+    hulls, which can protrude from the solid, and on the surface of the solid, which can protrude from the hulls.
     """
     from shapely import Polygon, distance, points
 
@@ -136,7 +136,7 @@ def _bands(profile: Array) -> list[Polygon]:
 
 
 def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
-    """Yield the indices and the union of each pair of bands that share an edge and can be merged."""
+    """Yield the indices and union of each pair of bands that share an edge and can be merged."""
     for first, second in combinations(range(len(bands)), 2):
         if bands[first].intersection(bands[second]).length > 1e-6:
             union = bands[first].union(bands[second])
@@ -180,7 +180,7 @@ def _swept(band: Array, angles: Array) -> Array:
 
 
 def _rotated(profile: Array, angles: Array) -> Array:
-    """Return the n points of a profile rotated by k angles [rad] about the axis, shape (k n, 3)."""
+    """Return the n points of a profile, rotated about the axis by k angles [rad], shape (k n, 3)."""
     x, y = np.cos(angles)[:, None] * profile[:, 0], np.sin(angles)[:, None] * profile[:, 0]
     return np.stack([x, y, np.broadcast_to(profile[:, 1], x.shape)], axis=-1).reshape(-1, 3)
 
@@ -199,7 +199,7 @@ def checked_outline(outline: Array) -> Array:
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
-    """Return the vertices and faces of a closed prism over a counterclockwise outline, vertically centered at zero."""
+    """Return the vertices and faces of a closed prism with a counterclockwise outline, vertically centered at zero."""
     n = len(outline)
     low = np.column_stack([outline, np.full(n, -height / 2)])
     high = np.column_stack([outline, np.full(n, height / 2)])
@@ -252,7 +252,7 @@ def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
 
 
 def _without_straights(points: Array) -> Array:
-    """Remove repeated and collinear corners from a polygon; they would produce degenerate triangles."""
+    """Remove repeated and collinear corners from a polygon, because they would produce degenerate triangles."""
     corners = [p for k, p in enumerate(points) if not np.array_equal(p, points[k - 1])]
     k = 0
     while k < len(corners) and len(corners) > 3:

@@ -1,7 +1,7 @@
-"""Read 3D Gaussian splats from the PLY files that trainers write, and convert raw parameters to physical values.
+"""Read 3D Gaussian splats from PLY files written by trainers, and convert the raw parameters to physical values.
 
-The files contain raw training parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the
-logistic function, scales before the exponential, unnormalized quaternions, and color as spherical harmonics grouped by
+The files contain raw training parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacities before the
+logistic function, scales before the exponential, unnormalized quaternions, and colors as spherical harmonics grouped by
 channel.
 """
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """A splat of n Gaussians in single precision, expressed in the axes of its file.
+    """A splat of n Gaussians in single precision, expressed along the axes of its file.
 
     Attributes:
         positions: Centers [m], shape (n, 3).
@@ -51,7 +51,7 @@ class Gaussians:
 
 
 def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
-    """Read the Gaussians in a PLY file, in meters; raise :class:`MeshError` if it is not a usable splat."""
+    """Read the Gaussians in a PLY file, in meters; raise :class:`MeshError` if the file is not a usable splat."""
     raw = _vertices(path)
     names = raw.dtype.names or ()
     missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]

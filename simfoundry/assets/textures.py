@@ -1,6 +1,6 @@
 """Find missing or unreadable textures in mesh files.
 
-This module does not import numpy, so that checks start quickly.
+To let checks start quickly, this module does not import numpy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _DAE_PICTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<")
 
 
 def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the document path and an error message for each unusable texture of a document's visual meshes."""
+    """Yield the document path and an error message for each unusable texture in a document's visual meshes."""
     for place, reference in _meshes(spec):
         for fault in texture_faults(loaded.file(reference), loaded.root):
             yield place, fault
@@ -53,8 +53,8 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
     """Return an error message for each unusable texture in a mesh file.
 
-    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; simulators would then show the
-    surface without a texture.
+    A texture is unusable if it is missing, unreadable, or outside the ``root`` folder; in that case, simulators would
+    show the surface without a texture.
     """
     try:
         return list(dict.fromkeys(_faults(path, root)))
@@ -78,7 +78,7 @@ def _faults(path: Path, root: Path | None) -> Iterator[str]:
 
 
 def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
-    """Yield each texture name, or the name of a missing material file, together with the file that refers to it."""
+    """Yield the name of each texture or missing material file, together with the file that refers to it."""
     match path.suffix.lower():
         case ".obj":
             for found in _MATERIAL_FILE.findall(_head(path)):
@@ -97,7 +97,7 @@ def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
 
 
 def gltf_tree(path: Path, max_bytes: int) -> dict[str, Any]:
-    """Return the JSON tree of a glTF or GLB file; it is empty if it is invalid or longer than ``max_bytes``."""
+    """Return the JSON tree of a glTF or GLB file, or an empty tree if it is invalid or longer than ``max_bytes``."""
     with path.open("rb") as stream:
         head = stream.read(20)
         if head[:4] == b"glTF":

@@ -1,4 +1,4 @@
-"""Backends, which compile a lowered scene into the files of one format.
+"""Backends, each of which compiles a lowered scene into files of one format.
 
 Each backend has its own folder and is registered here.
 """
@@ -23,12 +23,12 @@ BACKENDS: Registry[Backend] = Registry(
 
 
 def features_of(name: str) -> Cells:
-    """Return the fidelity of each feature for the backend ``name``."""
+    """Return the fidelity of each feature in the ``name`` backend."""
     return {**BACKENDS.load(name).features, "collision_shape": SIMPLIFIED_COLLIDERS}
 
 
 def compile_scene(scene: Scene, target: str, options: Mapping[str, float | bool | str] | None = None) -> Artifact:
-    """Compile ``scene`` with the backend ``target``.
+    """Compile ``scene`` with the ``target`` backend.
 
     Raises :class:`~simfoundry.runtime.plugins.UnknownExtensionError` for an unknown backend and
     :class:`InvalidSceneError` if the scene uses a feature that the backend rejects.

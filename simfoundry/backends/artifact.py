@@ -19,7 +19,7 @@ from simfoundry.runtime.files import staged, write_file
 
 @dataclass(frozen=True)
 class Artifact:
-    """The output for one target: its files by relative POSIX path, its entry file, and the compilation losses."""
+    """The output for one target: files keyed by relative POSIX path, the entry file, and the compilation losses."""
 
     target: str
     entry: str
@@ -40,7 +40,7 @@ class Artifact:
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Format data as a JSON file, with one line per key of the top-level mapping and of each mapping directly in it."""
+    """Format data as a JSON file with one line per key, in both the top-level mapping and its direct children."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
@@ -68,7 +68,7 @@ _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  
 
 @lru_cache(maxsize=16384)  # a scene contains few distinct numbers, and every target writes the same ones
 def number(value: float) -> str:
-    """Format a number with twelve significant digits, which hides rounding differences between CPUs.
+    """Format a number with twelve significant digits to hide rounding differences between CPUs.
 
     Magnitudes below 1e-100, far below any quantity in a scene, become zero because some readers reject denormal
     numbers.
@@ -78,7 +78,7 @@ def number(value: float) -> str:
 
 @lru_cache(maxsize=16384)
 def rounded(value: float) -> float:
-    """Round a number to the value that :func:`number` writes, because the last bits of a double differ between CPUs."""
+    """Round a number to the value written by :func:`number`, because the last bits of a double differ between CPUs."""
     return float(number(value))
 
 

@@ -1,7 +1,7 @@
-"""Scene features and their losses, which are the rows of the support matrix and of the loss report.
+"""Scene features, which form the rows of the support matrix, and their losses, which form the loss report.
 
-Each backend has a table, :data:`Cells`, that lists the fidelity of each feature. Compiling a scene returns its losses
-as typed records that are consistent with this table; ``loss.json`` and all reports are generated from them.
+Each backend has a :data:`Cells` table that lists the fidelity of each feature. Compiling a scene returns its losses as
+typed records that are consistent with this table. ``loss.json`` and all reports are generated from these records.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Users = Callable[[Scene], Iterable[str]]
 
 
 class Fidelity(StrEnum):
-    """A way in which a target fails to preserve a feature; a scene with a rejected feature is not compiled."""
+    """A way in which a target fails to preserve a feature. Scenes that use a rejected feature are not compiled."""
 
     APPROXIMATED = "approximated"
     DROPPED = "dropped"
@@ -34,7 +34,7 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class SupportCell:
-    """The fidelity of a feature in a target (None means exact), and the ``reason`` for it or a remark."""
+    """The fidelity of a feature in a target (None if exact), with a ``reason`` or a remark."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
@@ -52,7 +52,7 @@ class Feature:
         label: A human-readable name.
         users: A function that returns the names of the scene elements that use the feature.
         quantity: The last component of a loss path, such as ``friction`` in ``cup.friction``, or an empty string if the
-            path is just the element name.
+            path consists only of the element name.
     """
 
     group: str
@@ -62,7 +62,7 @@ class Feature:
 
 
 def read_cells(folder: Path) -> dict[str, SupportCell]:
-    """Read a backend's ``features.yaml``, which lists exact features, optional remarks, and reasons for all losses."""
+    """Read a backend's ``features.yaml``, which lists exact features, optional remarks, and a reason for each loss."""
     text = (folder / "features.yaml").read_text(encoding="utf-8")
     table = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     cells = dict.fromkeys(table.pop("exact"), SupportCell())
@@ -111,7 +111,7 @@ def _left_out(scene: Scene, section: str) -> list[str]:
 
 
 def _of_robots(label: str, quantity: str = "") -> Feature:
-    """Return a feature of all robots; a robot without a model also loses its motors and surfaces."""
+    """Return a feature that every robot uses; a robot without a model also loses its motors and surfaces."""
     return Feature("scene", label, lambda s: [*(r.name for r in s.robots), *_left_out(s, "robots")], quantity)
 
 
@@ -176,7 +176,7 @@ FEATURES: dict[str, Feature] = {
 
 
 class Size(NamedTuple):
-    """The size of an approximation error: a value and its unit, which is ``1`` for a ratio or a coefficient."""
+    """The size of an approximation error: a value and its unit (``1`` for ratios and coefficients)."""
 
     value: float
     unit: str
@@ -203,13 +203,13 @@ class Loss:
 
     @property
     def path(self) -> str:
-        """The affected element and quantity, such as ``cup.friction``, or just the quantity if all are affected."""
+        """The affected element and quantity, such as ``cup.friction``, or only the quantity if all are affected."""
         words = dict.fromkeys((self.element, FEATURES[self.feature].quantity))
         return ".".join(filter(None, words)) or self.feature
 
 
 def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
-    """Return the loss for a feature that is approximated with an error of ``value`` in ``unit``."""
+    """Return the loss for a feature that is approximated with an error of ``value``, in ``unit``."""
     size = None if value is None else Size(float(f"{value:.3g}"), unit)
     return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
 
@@ -220,7 +220,7 @@ def drop(feature: str, element: str, reason: str) -> Loss:
 
 
 def combination_reason(simulator: str, rule: str, a: float, b: float, got: float, wanted: float) -> str:
-    """Return the reason for a loss caused by a simulator combining two coefficients differently from the scene."""
+    """Return the reason for a loss in a simulator that combines two coefficients differently from the scene."""
     return f"{simulator} uses {rule} of a pair: {got:.3g} for {a:.3g} and {b:.3g}; the scene specifies {wanted:.3g}."
 
 
@@ -238,7 +238,7 @@ def shared_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def variant_losses(scene: Scene, target: str) -> Iterator[Loss]:
-    """Yield one loss per object with variants, for a target whose files can contain only one variant."""
+    """Yield one loss per object with variants, for targets whose files can contain only one variant."""
     for item in scene.objects:
         if item.variants:
             others = ", ".join(f"`{v.variant}`" for v in item.variants)
@@ -253,7 +253,7 @@ def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
-    """Count, for each used feature, the elements for which it is preserved, approximated or lost; zeros are omitted.
+    """Count the elements that use each feature by whether they are preserved, approximated or lost, omitting zeros.
 
     An element with several losses is counted under the worst of them.
     """
@@ -280,7 +280,7 @@ _USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
 
 
 def _elements(users: list[str], element: str) -> list[str]:
-    """Return the users that a loss affects: ``element``, or the users that contain it, or all if it is empty."""
+    """Return the users affected by a loss: ``element`` itself, its parts, or all users if ``element`` is empty."""
     if not element or element in users:
         return [element] if element else users
     return [user for user in users if element.startswith(f"{user}.")]

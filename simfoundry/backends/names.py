@@ -1,4 +1,4 @@
-"""Validation of scene names, which become file names, XML names and dictionary keys."""
+"""Validation of names in a scene, which become file names, XML names and dictionary keys."""
 
 from __future__ import annotations
 

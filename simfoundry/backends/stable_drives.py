@@ -1,4 +1,4 @@
-"""Drive gains for engines with explicit springs; gains that are too stiff for the time step are reduced."""
+"""Drive gains for engines with explicit springs. Gains that are too large for the time step are reduced."""
 
 from __future__ import annotations
 

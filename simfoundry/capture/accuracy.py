@@ -20,7 +20,7 @@ F1_DISTANCE = 0.01  # Distance [m] within which two surface points count as equa
 
 @dataclass(frozen=True)
 class ObjectAccuracy:
-    """A ground-truth object and its reconstruction; ``recovered`` is empty if the object was not reconstructed.
+    """A comparison of a ground-truth object with its reconstruction; ``recovered`` is empty if there is none.
 
     ``position`` [m] is the distance between the centers of the two bounding boxes. ``size_true`` and ``size`` [m] are
     the sorted extents of each object's own bounding box. ``chamfer`` [m] is the mean distance between the two surfaces,

@@ -75,7 +75,7 @@ def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, fo
 
 
 def _truth(loaded: Loaded, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """Compare with the ground-truth scene, if the capture specifies one that contains the camera of this frame."""
+    """Compare a reconstruction with the ground-truth scene if the capture specifies one that contains its camera."""
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:
         return []

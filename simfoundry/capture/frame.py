@@ -24,7 +24,7 @@ UNITS = {
 
 
 class CaptureError(Exception):
-    """Raised for a capture that cannot be reconstructed, with a diagnostic code, a message, and a hint."""
+    """An error raised for a capture that cannot be reconstructed, with a diagnostic code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         super().__init__(f"{message} [{code}]\n  hint: {hint}")

@@ -1,4 +1,4 @@
-"""Load the images of a capture as a registered frame, and report all problems with them together."""
+"""Load the images of a capture as a registered frame, reporting all problems with them together."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _Reader:
         raise SpecError([self.loaded.finding(code, (*self.place, *path), message, hint)])
 
     def read(self, image: Callable[[], T]) -> T | None:
-        """Return an image, or None if reading it raised findings, which are added."""
+        """Read an image. If this fails, add the findings to the reader's own and return None."""
         try:
             return image()
         except SpecError as error:
@@ -124,7 +124,11 @@ class _Reader:
         fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
         too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
         if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
-            hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
+            hint = (
+                f"its values seem to be in {UNITS[fitting[0]]}; use `scale: {fitting[0]:g}`"
+                if fitting
+                else "check `scale`"
+            )
             percent = 100 * usable.sum() / valid.sum()
             share = f"{percent:.0f}% of {shot.depth.image} is between {NEAREST:g} and {FARTHEST:g} m"
             self.refuse("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
@@ -134,7 +138,7 @@ class _Reader:
         return np.where(usable, meters, np.nan)
 
     def masks(self) -> NDArray[np.int32] | None:
-        """Return the object number at each pixel, where 0 is the background, or None if the frame has no masks."""
+        """Return the object number at each pixel (0 for the background), or None if the frame has no masks."""
         masks = self.shot.masks
         if masks is None:
             return None
@@ -181,7 +185,11 @@ class _Reader:
                 message = f"`{key}` {focal:g} px is implausible for an image of {extent} px"
                 self.fail("SF501", (*path, key), message, "specify the focal length in pixels of this image")
         if not 0.5 <= camera.fx / camera.fy <= 2:
-            self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply implausible pixels")
+            self.fail(
+                "SF501",
+                path,
+                f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply pixels with an implausible aspect ratio",
+            )
 
     def center(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
         """Check that the principal point is plausible.

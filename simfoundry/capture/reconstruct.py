@@ -28,7 +28,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A reconstructed scene, and the results of each stage.
+    """A reconstructed scene along with the results of each stage.
 
     ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
     number in ``segmentation``. ``skipped`` lists the segments that did not become objects, with reasons.
@@ -123,7 +123,7 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
 
 
 def _names(frame: Frame, labels: Labels, shapes: dict[int, FittedShape], given: Mapping[str, int]) -> dict[int, str]:
-    """Name every object: use the name from the capture if there is one, otherwise derive it from color and shape."""
+    """Name every object after its name in the capture or, if there is none, after its color and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
@@ -215,9 +215,9 @@ def _carrier(
 def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:
     """Return a box extended in depth until it reaches under the middle of the object on it.
 
-    The far side of a box is never visible, and an object on the box hides its top. Because objects are at rest, a depth
-    that would let them fall must be wrong. ``eye`` [m] is the camera position in the world; the visible side of the box
-    does not move.
+    The far side of a box is never visible, and an object on the box hides its top. Because the objects are at rest, a
+    box depth that would let them fall must be wrong. ``eye`` [m] is the camera position in the world; the visible side
+    of the box does not move.
     """
     if not isinstance(carrier.geometry, Box):
         return carrier

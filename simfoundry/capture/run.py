@@ -38,7 +38,7 @@ EXAMPLE = (
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
-    """The result of a capture: the scene document, and a report on how well the scene fits and settles."""
+    """The result of a capture: the scene document and a report on how well the scene fits and settles."""
 
     document: Loaded
     scene_file: Path
@@ -55,13 +55,15 @@ def run_capture(
     cache: Cache | None = None,
     force: bool = False,
 ) -> CaptureRun:
-    """Reconstruct one frame of the capture document at ``path`` (or ``capture.yaml`` in that folder) into ``out``.
+    """Reconstruct one frame of a capture and write the result to the folder ``out``.
 
-    ``out`` is replaced atomically at the end; a failed run leaves it unchanged. Equal inputs give equal bytes.
+    ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
+    end; a failed run leaves it unchanged. Identical inputs produce identical bytes.
 
     Raises:
         SpecError: The capture is unusable; the error contains every finding.
-        OutputError: ``out`` contains files that no capture wrote or that were edited since, and ``force`` is not set.
+        OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
+            is not set.
     """
     loaded = _document(path)
     folder = out.resolve()
@@ -112,7 +114,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file in a folder except the report, keyed by relative POSIX path."""
+    """Return the SHA-256 hash of every file in a folder except the report, keyed by relative POSIX path."""
     files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
@@ -120,11 +122,11 @@ def _hashes(folder: Path) -> dict[str, str]:
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
 ) -> tuple[Reconstruction, Scene, SettleResult]:
-    """Settle the scene, and write the spec to ``scene_file`` with its meshes and the settled poses and relations.
+    """Settle the scene, and write its meshes and, to ``scene_file``, the spec with the settled poses and relations.
 
-    If the fitted solid of an object does not come to rest, the object is left out and the others are settled again. The
-    same applies to an object that moves away from the pose that was written: rounding by 0.1 mm may tip over an object
-    that is balanced on the edge of its base.
+    If an object's fitted solid does not come to rest, the object is left out and the others are settled again. The same
+    applies to an object that moves away from the pose that was written, because rounding by 0.1 mm may tip over an
+    object that is balanced on the edge of its base.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -149,7 +151,7 @@ def _settled(
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
+    """Return a tuple with the name of the object that moves farthest from its pose in ``spec`` within two seconds.
 
     The tuple is empty if no object moves.
     """

@@ -28,7 +28,7 @@ MARGIN = 0.01  # Distance [m] by which a support extends past the objects on it 
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
-    """Return the outline [m], shape (n, 2), extended to contain the footprint of every object on it."""
+    """Extend the outline of the support [m], shape (n, 2), to contain the footprint of every object on it."""
     import shapely
 
     whole = shapely.Polygon(outline)
@@ -60,7 +60,7 @@ def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
-    """Return the slab as a mesh with its top at z = 0, with the image projected onto it.
+    """Return the slab as a mesh with its top at z = 0 and the image projected onto it.
 
     Texture coordinates are positions in the bounding rectangle of the outline, so the sides get the color of the
     adjacent rim. Areas hidden by objects (``labels`` above 0, shape (h, w)) or outside the image get the color of the
@@ -97,7 +97,7 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
 
 
 def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Fill the pixels that were not visible from a blurred copy of the visible pixels near them."""
+    """Fill pixels that were not visible with a blurred copy of the visible pixels nearby."""
     import cv2
 
     weight = seen.astype(np.float32)

@@ -25,8 +25,9 @@ class SensorModel:
     The standard deviation of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
     ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] relative to the image plane. The model
     and its defaults were fitted to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking", 3DIMPVT 2012. They add the last term only beyond 60 degrees; here, it grows from zero
-    to avoid a discontinuity. ``lateral`` is their value of 0.8 px for a surface that faces the camera.
+    Reconstruction and Tracking", 3DIMPVT 2012. The authors add the last term only beyond 60 degrees; here, the term
+    grows from zero to avoid a discontinuity. ``lateral`` is the authors' value of 0.8 px for a surface that faces the
+    camera.
     """
 
     axial_base: float = 0.0012  # Standard deviation at ``axial_origin`` [m]
@@ -85,7 +86,7 @@ def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
 
 
 def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Shot:
-    """Write the images of a capture; equal frames give equal bytes.
+    """Write the images of a capture. Identical frames produce identical bytes.
 
     The files are ``color.png`` (8-bit RGB), ``depth.png`` (16-bit in units of ``depth_scale`` [m], 0 for missing depth)
     and, if the frame has masks, ``instances.png`` (16-bit labels). Raises ValueError, before writing anything, if a
@@ -184,8 +185,8 @@ def synthesize(
 ) -> Path:
     """Write a capture of ``scene`` as seen by ``camera``: color, depth and ``capture.yaml`` in ``folder``.
 
-    Equal scenes and seeds give equal bytes. If ``truth``, the scene document, is in the same folder, the capture
-    refers to it as ground truth.
+    Identical scenes and seeds produce identical bytes. If the scene document ``truth`` is in the same folder, the
+    capture refers to that document as ground truth.
 
     Returns:
         The path of the capture document.

@@ -29,7 +29,7 @@ def capture_command(
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture
 
-    # The name of a capture is that of its folder, or NAME for a file NAME.capture.yaml.
+    # A capture is named after its folder, or NAME if its file is called NAME.capture.yaml.
     folder = capture if capture.is_dir() else capture.parent
     is_named = capture.is_file() and capture.name != "capture.yaml"
     target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
@@ -71,7 +71,7 @@ def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool
     click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
     click.echo(settle_table(demo.run.settled.objects))
     if demo.comparison:
-        click.echo("\nrecovered against true values")
+        click.echo("\ncomparison with the ground truth")
         click.echo(_truth_table([c.to_json() for c in demo.comparison]))
     click.echo("\nmotion in 2 s of simulation")
     for engine, motions in demo.motions.items():

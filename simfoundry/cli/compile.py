@@ -25,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
-# Maximum number of characters in the text beside the progress bar; longer texts lose their beginning.
+# Maximum number of characters in the text beside the progress bar; longer texts are cut off at the beginning.
 LONGEST_TEXT = 60
 
 
@@ -35,7 +35,7 @@ LONGEST_TEXT = 60
               help="Format, simulator, or target folder to compile for; may be repeated. "
                    "Default: all formats.")  # fmt: skip
 @option("-o", "--out", type=NEW_FOLDER, default=Path("build"),
-        help="Output folder, with one folder per target; with several scenes, one folder per scene.")  # fmt: skip
+        help="Output folder. Contains one folder per target, or one per scene if there are several.")  # fmt: skip
 @click.option("-j", "--jobs", type=click.IntRange(1),
               help="Number of scenes to compile in parallel. Default: one per core.")  # fmt: skip
 @click.option("--strict", is_flag=True, help="Exit with code 1 if a target cannot represent everything.")

@@ -37,7 +37,7 @@ HEADINGS = {
 @click.option("--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
               help="Bind a name in a BDDL task to an object in --scene; may be repeated.")  # fmt: skip
 @click.option("--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-              help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
+              help="Density of links and bodies without a mass, such as 600 for wood or 7800 for steel. "
                    "Default: 1000, as in simulators.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
@@ -185,7 +185,7 @@ def _described(report: ImportReport) -> str:
 
 
 def _warned_of_masses(report: ImportReport) -> list[str]:
-    """Return a warning that lists the masses computed from the default density, or nothing if there are none."""
+    """Return a warning that lists the masses computed from the default density, or an empty list if there are none."""
     masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
     if not masses:
         return []
@@ -193,8 +193,8 @@ def _warned_of_masses(report: ImportReport) -> list[str]:
     shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
     total = sum(report.assumed_masses.values())
     return [
-        f"warning: {count} no mass; solids with 1000 kg/m^3 are assumed, for a total of {total:.3g} kg: "
-        f"{_listed(shown)}; set the density with --density (wood 600), or write `mass:` for each"
+        f"warning: {count} no mass; solid shapes of 1000 kg/m^3 are assumed, for a total of {total:.3g} kg: "
+        f"{_listed(shown)}; set the density with --density (such as 600 for wood), or specify `mass:` for each"
     ]
 
 

@@ -123,14 +123,14 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
         click.echo(f"note: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
-            f"stopped: of at least {PATIENCE} candidates, fewer than {LEAST_RATE:.1%} were accepted; the reasons "
+            f"stopped: fewer than {LEAST_RATE:.1%} of at least {PATIENCE} candidates were accepted; the reasons "
             "above show which constraints to relax",
             err=True,
         )
     elif short:
         click.echo(f"the recipe allows only {ledger.examined} candidates", err=True)
     where = plan.out / MANIFEST if plan.shard is None else plan.out
-    click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
+    click.echo(f"{where}" + ("" if plan.shard is None else "  (to write the cousins, run the command without --shard)"))
     return end
 
 
@@ -142,7 +142,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
 @click.option("--about", multiple=True, metavar="OBJECT",
               help="Propose only tasks that involve this object; may be repeated.")  # fmt: skip
 @click.option("--payload", type=click.FloatRange(0, min_open=True),
-              help="Payload of the robot [kg]. Default: the known payload of the model.")  # fmt: skip
+              help="Robot payload [kg]. Default: the known payload of the robot model.")  # fmt: skip
 @click.option("--vlm", metavar="MODEL",
               help="Ask this model, such as `openai:gpt-5`, instead of enumerating affordances.")  # fmt: skip
 @click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.run import EvaluationPlan
     from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
 
-# Maximum number of problems, and of comparisons, printed as sentences; with the table, more would not fit on a screen.
+# Maximum number of problems, and of comparisons, printed as sentences, so that they fit on a screen with the table.
 SENTENCES = 10
 
 
@@ -39,13 +39,13 @@ SENTENCES = 10
 @click.option("--step", "alone", metavar="STEP", help="Start at this step and require only the goal of this step.")
 @click.option("--subtasks", is_flag=True, help="Also run each step that defines its own initial state.")
 @click.option("--video/--no-video", default=None,
-              help="Record a video of each rollout. Default: if rendering is possible.")  # fmt: skip
+              help="Record a video of each rollout. Default: only if rendering is possible.")  # fmt: skip
 @click.option("--camera", "cameras", multiple=True,
               help="Record videos from this camera; may be repeated. Default: the scene's first.")  # fmt: skip
 @option("-j", "--jobs", type=click.IntRange(1, 256), default=1, help="Number of parallel processes.")
 @click.option("--shard", callback=shard_of, default="1/1", metavar="I/N",
               help="Run every N-th rollout, starting with the I-th.")  # fmt: skip
-@click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
 def eval_command(
     tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
     onward: str | None, alone: str | None, subtasks: bool, video: bool | None, cameras: tuple[str, ...], jobs: int,
@@ -203,9 +203,9 @@ def correlate_command(
     """Compare simulated success rates with real ones by Pearson's r and MMRV, separately for each task.
 
     REAL and SIM are results from `simfoundry eval`, or CSV tables with task, policy, and either a rate or the number of
-    successes and rollouts. Each SIM is compared with REAL on the tasks and policies that both contain. The brackets
-    show 95% intervals, which are computed by sampling the rates from their posteriors and resampling the policies. r
-    is undefined if all policies have the same success rate.
+    successes and rollouts. Each SIM is compared with REAL on the tasks and policies that both contain. The 95%
+    intervals in parentheses are computed by sampling the rates from their posteriors and resampling the policies. r is
+    undefined if all policies have the same success rate.
     """
     from simfoundry.evaluate.statistics import correlation
 

@@ -53,7 +53,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
         git(Path(), "config", scope, "--replace-all", key, value)
         click.echo(f"set {key}")
     added = _set_patterns(attributes, LINES)
-    click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {attributes}")
+    click.echo(f"{'added the patterns to' if added else 'the patterns are already in'} {attributes}")
     click.echo(f"done {words}; to undo: simfoundry git install{' --global' if everywhere else ''} --uninstall")
     if not everywhere:
         click.echo("commit .gitattributes; each team member must run `simfoundry git install` once")
@@ -125,9 +125,9 @@ def _top() -> Path | None:
 
 
 def _set_patterns(file: Path, patterns: Sequence[str]) -> bool:
-    """Add the missing ``patterns`` to a file, remove all others of :data:`LINES`, and return True if the file changed.
+    """Add the missing ``patterns`` to a file, remove the rest of :data:`LINES`, and return True if the file changed.
 
-    Other lines are kept. A file that would be empty is deleted.
+    All other lines are kept. If the file would be empty, it is deleted.
     """
     from simfoundry.runtime.files import write_atomically
 

@@ -65,7 +65,7 @@ def new_command(
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
-# Maximum number of characters in a line of a page on a terminal; longer lines are hard to read.
+# Maximum line length [characters] of explanations on a terminal; longer lines are hard to read.
 LINE_LENGTH = 100
 
 
@@ -146,7 +146,7 @@ def explain_command(code: str | None, as_json: bool) -> None:
     known = code_of(code)
     if known is None:
         similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", titles())
-        hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
+        hint = similar if similar.startswith("did") else "`simfoundry explain` lists all codes"
         raise SimfoundryError(f"there is no code `{code}`; {hint}")
     found = page(known)
     if as_json:

@@ -45,7 +45,7 @@ def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, .
 
 
 def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
-    """Yield the files in ``paths``, and for each folder in ``paths``, the files below it that have a suffix."""
+    """Yield the files in ``paths`` and, for each folder, the files below it whose names end in ``suffix``."""
     for path in paths:
         inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
         if not inside:
@@ -55,7 +55,7 @@ def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """If the user interrupts a run, print how to resume it."""
+    """Print how to resume a run if the user interrupts it."""
     try:
         yield
     except KeyboardInterrupt:
@@ -64,7 +64,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 
 class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic only from click 8.4 on; 8.1 is supported
-    """The name of a simulator that can run scenes; simulators are looked up on use, so ``--help`` does not load any."""
+    """The name of a simulator that can run scenes; names are looked up on use, so ``--help`` loads no simulators."""
 
     name = "simulator"
 

@@ -75,8 +75,8 @@ def subcommand(
 
     Args:
         name: Name of the command; defaults to the name of the function.
-        as_json: Whether to add the option ``--json`` after the command's own options.
-        force: Whether to add the option ``--force`` after the command's own options.
+        as_json: Whether to add the ``--json`` option after the command's own options.
+        force: Whether to add the ``--force`` option after the command's own options.
     """
 
     def decorate(function: Callable[..., int | None]) -> click.Command:
@@ -212,7 +212,7 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     return cameras[chosen]
 
 
-# Maximum time without output in a log [s]; after about this long, people start to suspect a hang.
+# Maximum time without output in a log [s]; after about this time, people start to suspect a hang.
 LINE_S = 10.0
 
 

@@ -105,7 +105,7 @@ class ArmDemo:
 
 @dataclass(frozen=True, eq=False)
 class _Idea:
-    """A candidate task with the pose of the arm: ``base`` on the ground [m], facing ``yaw`` [rad]."""
+    """A candidate task and the pose of the arm, whose base is at ``base`` on the ground [m] and faces ``yaw`` [rad]."""
 
     thing: str
     target: str
@@ -132,7 +132,7 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
         force: Whether to overwrite files in ``out`` that were not written by a demo.
 
     Raises:
-        OutputError: If ``out`` contains such files and ``force`` is not set.
+        OutputError: If ``out`` contains files that were not written by a demo and ``force`` is not set.
     """
     if not force:
         _ensure_replaceable(out)
@@ -162,7 +162,7 @@ def _ensure_replaceable(out: Path) -> None:
 
 
 def _mark(out: Path) -> None:
-    """Mark the demo's folder as a project unless it already belongs to one; its documents refer to each other."""
+    """Mark the demo's folder as a project, because its documents refer to each other, unless it is already in one."""
     if find_project(out) is not None:
         return
     marker = markers(Project(out.parent))
@@ -211,7 +211,7 @@ def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Yield base poses from which the arm can reach both objects, best first, as a position [m] and a heading [rad]."""
+    """Yield base poses (position [m] and heading [rad]) from which the arm can reach both objects, best first."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     tables = [world_bounds(item, item.X_WO) for item in scene.objects if item.fixed]
@@ -260,7 +260,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
-    """Return the text of a scene that adds an arm, and a camera that shows the arm, to the captured scene."""
+    """Return the text of a scene that adds an arm and a camera viewing it to the captured scene."""
     toward = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
     aside = np.array([-toward[1], toward[0], 0.0])
     # View the arm from the front and slightly from the side, at a distance [m] that shows its targets too.
@@ -289,7 +289,7 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Replay a rollout and return labeled images at equal time intervals, side by side."""
+    """Replay a rollout and return an image strip with labeled images at equal time intervals, side by side."""
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
@@ -304,9 +304,9 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """Render the image of the demo's camera.
+    """Render an image from the demo's camera.
 
-    Without a GL driver, the scene is ray-cast with the arm as an ordinary object.
+    Without a GL driver, the scene is ray-cast, and the arm is treated as an ordinary object.
     """
     if choose_engine() is not Engine.RAYCAST:
         return np.asarray(world.render(CAMERA, *SIZE))

@@ -53,8 +53,8 @@ def parse_policy(text: str) -> Choice:
     - ``replay:FILE``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
     - a path to a ``*.policy.yaml`` document
-    - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses the
-      cameras of DROID; the query accepts all keys of a policy document whose value is a single word or number
+    - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses
+      DROID's cameras; the query accepts every policy document key whose value is a single word or number
 
     Raises:
         PolicyError: If the text does not select a policy.
@@ -107,7 +107,7 @@ def _python(rest: str) -> PythonClass:
     said = parse_qsl(query, keep_blank_values=True)
     if not all(key.isidentifier() for key, _ in said) or len(dict(said)) < len(said):
         raise PolicyError(
-            f"`{query}` are not valid arguments for `{name}`; specify each argument once, such as "
+            f"`{query}` does not contain valid arguments for `{name}`; specify each argument once, such as "
             "`?checkpoint=last.pt&horizon=8`"
         )
     return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
@@ -121,7 +121,7 @@ def _short(protocol: str, rest: str) -> PolicySpec:
     said = {key: _value(value) for key, value in parse_qsl(query, keep_blank_values=True)}
     if "action_space" not in said:
         full = f"{protocol}:{address or 'localhost'}?action_space=joint_position"
-        reason = "the protocol does not say if actions are joint positions or velocities"
+        reason = "the protocol does not specify whether actions are joint positions or velocities"
         raise PolicyError(f"{reason}; use `{full}` or `…=joint_velocity`, or write a policy document")
     whole: dict[str, Any] = {
         "simfoundry": "policy/1",
@@ -192,7 +192,7 @@ class Contender:
 
     @property
     def digest(self) -> str:
-        """A digest of the selection, including the content of the document or recording."""
+        """A digest of the selected policy, including the content of its document or recording."""
         choice = self.choice()
         if isinstance(choice, PythonClass):
             return choice.digest

@@ -2,8 +2,8 @@
 
 An observation is a dictionary of arrays:
 
-- ``arm/joints`` [rad or m], ``arm/gripper`` (0 open, 1 closed) and ``arm/hand`` (position [m] and wxyz quaternion in
-  the world) for each robot, here named ``arm``
+- ``arm/joints`` [rad or m], ``arm/gripper`` (from 0, open, to 1, closed) and ``arm/hand`` (position [m] and wxyz
+  quaternion in the world) for each robot, here named ``arm``
 - ``objects``: the position [m] and wxyz quaternion of each object in the world, shape (objects, 7)
 - ``joints``: the positions of the objects' joints [rad or m]
 - ``image/camera`` for each requested camera, here named ``camera``
@@ -53,8 +53,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     - ``start``: the index of the initial state
     - ``trouble``: the reason why the simulation diverged, or an empty string; divergence also truncates the episode
 
-    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects one instead.
-    ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects initial
+    state k instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
     ``cameras`` maps names of cameras in the scene to (width, height); if it is empty, nothing is rendered.
     """
@@ -167,7 +167,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
 
     def _opened(self, step: str) -> _Opened:
-        """Open the world of the whole task, or of a single step, whose scene may have different joint targets."""
+        """Open the world for the whole task or for a single step, whose scene may have different joint targets."""
         if step not in self._scenes:
             task = self._whole.alone(step) if step else self._whole
             self._scenes[step] = _Opened(task, self._engine)
@@ -202,7 +202,7 @@ def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
 
 
 def _space(key: str, value: NDArray[Any]) -> spaces.Box:
-    """Return the observation space of one entry.
+    """Return the observation space for one entry of an observation.
 
     Positions are unbounded because engines slightly exceed joint limits.
     """

@@ -44,8 +44,8 @@ FRAME_EVERY = 3
 class EvaluationPlan:
     """The tasks, policies and options of an evaluation.
 
-    ``shard`` is a pair (i, n) that selects every n-th rollout, starting with rollout i, counted from 0. ``cameras`` are
-    the cameras to record as videos.
+    ``shard`` is a pair (i, n) that selects every n-th rollout, starting with rollout i, counted from 0. ``cameras``
+    lists the cameras whose images are recorded as videos.
     """
 
     folder: Path
@@ -61,7 +61,7 @@ class EvaluationPlan:
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """One rollout in a plan."""
+    """A single rollout of an evaluation plan."""
 
     entry: TaskEntry
     contender: Contender
@@ -78,7 +78,7 @@ class RolloutOutcome:
 
     @property
     def answered(self) -> bool:
-        """True if the policy responded, even with an invalid response; only then does the rollout have a result."""
+        """True if the policy responded, even invalidly; otherwise, the rollout has no result."""
         return is_result(self.record)
 
     @property
@@ -105,7 +105,7 @@ def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
 
 
 def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Load every task and find its initial states, so that errors are reported before the first rollout."""
+    """Load every task and find its initial states before the first rollout, so that errors are reported early."""
     check_layout(plan.folder)
     if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
@@ -143,7 +143,7 @@ def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutco
 def _carried_out(
     plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
 ) -> Iterator[RolloutOutcome]:
-    """Yield outcomes as jobs finish; jobs of a policy that was given up are not started."""
+    """Yield outcomes as jobs finish; no more jobs are started for a policy that has stopped responding."""
     if workers == 1 or len(waiting) < 2:
         try:
             for job in waiting:
@@ -204,7 +204,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
-    """Return the context to store in a record in addition to the conditions of the rollout."""
+    """Return the context to store in a record in addition to the rollout conditions."""
     cousin = cousin_of(task)
     return {
         "version": __version__,
@@ -244,7 +244,7 @@ def _is_done(plan: EvaluationPlan, job: RolloutJob) -> bool:
 
 
 def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, Any]:
-    """Return the conditions of a rollout; rollouts with equal conditions are bit-identical."""
+    """Return the conditions of a rollout. Rollouts under identical conditions are bit-identical."""
     return {
         "task": task.name,
         "part": str(job.entry.part),
@@ -294,7 +294,7 @@ _open: dict[tuple[TaskEntry | None, str], Policy] = {}
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """Return the policy for a job; unlike the expert, which needs the task, policies stay connected across tasks."""
+    """Return the policy for a job. The expert is created for each task; other policies stay connected across tasks."""
     choice = job.contender.choice()
     key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:

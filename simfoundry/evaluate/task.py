@@ -52,12 +52,12 @@ class TaskSetup:
 
     @property
     def own_start(self) -> Start | None:
-        """The start that the step itself defines, or None."""
+        """The start that the step itself defines, or None if it does not define one."""
         return self.task_spec.subtasks[self.step].start if self.step else None
 
     @property
     def starts(self) -> dict[tuple[str, ...], Start]:
-        """Changes to the scene in the order in which they are applied, by their path in the task."""
+        """The changes to the scene, keyed by their path in the task, in the order in which they are applied."""
         own = self.own_start
         return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
 
@@ -86,14 +86,14 @@ class TaskSetup:
             raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
 
     def carriers(self) -> dict[str, str]:
-        """Return the supporting object, by name, of each object for which the documents specify one."""
+        """Return the support of each object for which the documents specify one, keyed by object name."""
         calls = [parse_call(text) for text in self.started.relations]
         found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
         placed = {name: _carrier(item) for name, item in self.started.objects.items()}
         return found | {name: carrier for name, carrier in placed.items() if carrier}
 
     def _placed_in_task(self, finding: Diagnostic) -> Diagnostic:
-        """Relocate a finding to the entry in the task that placed the object, if there is one."""
+        """Move a finding to the entry in the task that placed the object, if there is such an entry."""
         parts = finding.path.split(".")
         if finding.code == "SF210" and len(parts) == 3:
             for path, start in reversed(self.starts.items()):
@@ -108,7 +108,7 @@ def _carrier(item: ObjectSpec) -> str:
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
-    """Return True if moving these objects, or their joints, may break a relation."""
+    """Return True if moving the given objects or their joints may break a relation."""
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
@@ -120,7 +120,7 @@ _FORM, _NAMED = "the format is described in docs/robots.md, *Your own models*", 
 def check_can_act(robot: Robot) -> None:
     """Check that a robot's model has an identifiable hand and a position actuator for each arm joint.
 
-    Observations and actions are defined in terms of these, so they are required.
+    Both are required because observations and actions are defined in terms of them.
 
     Raises:
         RobotModelError: If the hand cannot be identified or a joint has no position actuator.
@@ -187,10 +187,10 @@ class Task:
     """A task in its lowered scene, in the initial state of the task.
 
     Attributes:
-        robots: The robots that act, in the order in which their parts appear in an action.
+        robots: The robots that act, in the order in which their values appear in an action.
         subtasks: The steps, in the order of the document.
         reset: The regions of the objects whose initial pose varies.
-        carriers: The support of each object, by name; an object moves together with its support.
+        carriers: The support of each object, keyed by object name. An object moves together with its support.
         control_hz: The control frequency [Hz].
         horizon: The maximum number of control steps.
         step: The sub-task that this task represents, or an empty string for the whole task.
@@ -211,13 +211,13 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """Robots that should act but whose model was not found, each with the reason."""
+        """The robots that should act but whose model was not found, along with the reason for each."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """Return a single step as a task, with the initial state and the goal of that step.
+        """Return a single step as a task of its own, with the initial state and goal of that step.
 
         Objects placed by the step's ``start`` keep that placement; the other objects are placed in their cells.
 
@@ -228,7 +228,7 @@ class Task:
         return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks={name: step})
 
     def onward(self, name: str) -> Task:
-        """Return the rest of the task from a step onward, which keeps the goal of the whole task.
+        """Return the rest of the task from a given step onward, with the goal of the whole task.
 
         Raises:
             SimfoundryError: If the step does not exist.

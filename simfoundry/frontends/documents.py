@@ -38,8 +38,9 @@ class BuiltDocuments:
     Attributes:
         documents: Text of each document, by path.
         files: Contents of all other files, by path.
-        names: New names of renamed elements, by their names in the file; links and joints are qualified by their body.
-        parts: Drafts of each part and its link, by the names of the asset, link, and part in the documents.
+        names: New names of renamed elements, keyed by their names in the file; links and joints are qualified by their
+            body.
+        parts: Drafts of each part and its link, keyed by the names of the asset, link, and part in the documents.
     """
 
     documents: dict[str, str] = field(default_factory=dict)
@@ -63,7 +64,7 @@ def document_text(spec: Model) -> str:
 
 
 def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """Return a pose as document data, using the simplest possible representation of its rotation."""
+    """Return a pose as document data, with its rotation in the simplest possible representation."""
     out: dict[str, Any] = {}
     if np.abs(X_AB.p).max() > NO_LENGTH_M:
         out["xyz"] = tuple(X_AB.p.tolist())
@@ -80,7 +81,7 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: tuple[float, ...]) -> tuple[float, ...]:
-    """Return an RGBA color without an alpha of 1, rounded to four decimals to remove single-precision noise."""
+    """Return an RGBA color, omitting an alpha of 1, rounded to four decimals to remove single-precision noise."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
@@ -100,7 +101,7 @@ PLAIN_INERTIA = 1e-6
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.asset.yaml for the folder ``base`` from a draft with one body.
+    """Build NAME.asset.yaml from a draft with one body, for the ``base`` folder.
 
     Mesh files below ``root`` are referenced in place instead of being copied.
     """
@@ -111,7 +112,7 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.scene.yaml for the folder ``base``, with an asset document for each body that needs one.
+    """Build NAME.scene.yaml for the ``base`` folder, with an asset document for each body that needs one.
 
     Mesh files below ``root`` are referenced in place instead of being copied.
     """
@@ -167,14 +168,14 @@ class _SceneBuilder:
         return data | _without_empty({"joints": {name: state for name, state in states.items() if state}})
 
     def link_path(self, body: str, link: str) -> str:
-        """Return the path ``object.link`` of a link, or only the object's name if the object has an inline shape."""
+        """Return the ``object.link`` path of a link, or only the object's name if the object has an inline shape."""
         called = self.objects[body]
         if called not in self.assets:
             return called
         return f"{called}.{list(self.assets[called].links)[self.bodies[body].link_order.index(link)]}"
 
     def no_contact(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs that do not collide, as pairs of objects if all of their links are excluded."""
+        """Return the pairs of links that do not collide, or pairs of objects if all of their links are excluded."""
         pairs: dict[tuple[str, str], list[tuple[LinkPath, LinkPath]]] = {}
         for one, other in self.draft.no_contact:
             pairs.setdefault((one[0], other[0]), []).append((one, other))
@@ -280,7 +281,7 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part, which default to those of its link.
+    """Return the contact parameters of a part; parameters that the part does not specify come from its link.
 
     Torsional and rolling friction are omitted if they are zero.
     """
@@ -297,7 +298,8 @@ def _material_name(data: dict[str, float], materials: Data) -> str:
 def part_names(link: LinkDraft) -> Iterator[str]:
     """Yield a unique name for each part.
 
-    Pieces of a mesh are numbered, so no name may start with the name of a mesh of the same use and an underscore.
+    Mesh pieces are numbered, so no name may start with the name of another mesh and an underscore if both have the same
+    use.
     """
     taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
@@ -378,7 +380,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
-    """Return True if the inertia of a link equals the inertia of its only shape at uniform density."""
+    """Return True if a link has the inertia of its only shape at uniform density."""
     from simfoundry.scene.bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)

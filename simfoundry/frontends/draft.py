@@ -1,4 +1,4 @@
-"""Drafts: the intermediate representation between imported files and documents, in SI units.
+"""Drafts, the intermediate representation between imported files and documents, in SI units.
 
 Drafts are mutable while a file is being read. They use the names in the file, which
 :class:`~simfoundry.frontends.names.NameTable` converts to valid document names.
@@ -46,9 +46,9 @@ class ImportOptions:
     """Import options.
 
     Attributes:
-        packages: Folders of packages, by package name.
+        packages: Package folders, by package name.
         force: True to replace existing files.
-        scene: Scene document of an imported task.
+        scene: Scene document for an imported task.
         bound: Scene objects that the user assigned to names in a BDDL task.
         density: Density [kg/m^3] of links without a mass, or None for the density of water, which simulators use by
             default.
@@ -76,8 +76,8 @@ class ImportNoteKind(StrEnum):
 class ImportNote:
     """A note on an element that could not be imported unchanged.
 
-    ``what`` identifies the element in the file, ``why`` is the reason, which is the same for all similar elements, and
-    ``detail`` is specific to this element.
+    ``what`` identifies the element in the file. ``why`` is the reason, which is the same for all similar elements, and
+    ``detail`` contains information that is specific to this element.
     """
 
     kind: ImportNoteKind
@@ -86,13 +86,13 @@ class ImportNote:
     detail: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Return a plain mapping for ``--json``."""
+        """Return a plain mapping for the ``--json`` output."""
         return {key: str(value) for key, value in asdict(self).items() if value}
 
 
 @dataclass(eq=False)
 class MeshDraft:
-    """A mesh file and its associated files, such as materials and textures.
+    """A mesh file with its associated files, such as materials and textures.
 
     ``files`` maps file names to contents, with the mesh first, and ``scale`` is in meters per unit. ``source`` is the
     original file if its content is unchanged, so a document in the same project can refer to it directly.
@@ -126,7 +126,7 @@ class LinkDraft:
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
     does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``assumed`` is the source
-    that the document records for an assumed mass or density, or an empty string if the file specifies the value.
+    to record in the document for an assumed mass or density, or an empty string if the file specifies the value.
     """
 
     name: str
@@ -151,7 +151,7 @@ class JointDraft:
 
     ``X_PC`` is the pose of the child frame in the parent frame at joint position zero, and ``axis`` is expressed in the
     child frame. ``type`` is fixed, revolute, continuous, prismatic, ball, or free. ``limits`` and ``position`` are in
-    radians or meters; the state of a ball or free joint is ``motion`` instead, which is the pose of the child frame
+    radians or meters; the state of a ball or free joint is stored in ``motion`` instead, as the pose of the child frame
     relative to its zero pose. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the
     file does not specify it.
     """
@@ -177,8 +177,8 @@ class JointDraft:
 class BodyDraft:
     """An object with one or more links.
 
-    ``root`` is the name of the root link, and ``X_WO`` is the pose of that link's frame in the world. ``note`` records
-    the object's origin for users, and for tasks that refer to the object by its original name. ``exact`` is True if all
+    ``root`` is the name of the root link, and ``X_WO`` is the pose of its frame in the world. ``note`` records the
+    object's origin for users, and for tasks that refer to the object by its original name. ``exact`` is True if all
     names in the body come from a scene and must be kept unchanged.
     """
 
@@ -195,7 +195,7 @@ class BodyDraft:
     exact: bool = False
 
     def carrier(self, link: str) -> JointDraft | None:
-        """Return the joint that connects a link to its parent, or None for the root link."""
+        """Return the joint that connects a link to its parent, or None if the link is the root."""
         return next((j for j in self.joints if j.child == link), None)
 
     @property
@@ -282,11 +282,11 @@ class ModelDraft:
         self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
 
     def assumed(self, what: str, why: str, detail: str = "") -> None:
-        """Record a value that is assumed because the file does not specify it."""
+        """Record a value that was assumed because the file does not specify it."""
         self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
 
     def plane(self, what: str, width: float = 0.0, depth: float = 0.0) -> tuple[BoxShape, Pose]:
-        """Return a box that represents a plane, and its pose in the plane's frame.
+        """Return a box that represents a plane, and the box's pose in the plane frame.
 
         ``width`` and ``depth`` [m] are the size of the plane; zero means infinite.
         """
@@ -295,7 +295,7 @@ class ModelDraft:
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:
-        """Record that a prismatic joint lacks limits, and return the limits [m] to use instead."""
+        """Record that a prismatic joint has no limits, and return the limits [m] to use instead."""
         self.changed(what, f"documents require limits, so the missing limits were set to ±{UNLIMITED_SLIDE_M:g} m")
         return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 
@@ -308,9 +308,9 @@ def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> 
     """Return a draft of a robot from a compiled file.
 
     Args:
-        path: File for error messages.
+        path: File to name in error messages.
         name: Name of the robot.
-        words: Robot data from the compiled file.
+        words: Data about the robot from the compiled file.
         X_WB: Pose of the robot's base in the world.
 
     Raises:

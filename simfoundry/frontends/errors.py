@@ -1,4 +1,4 @@
-"""Errors for files that cannot be imported, including internal errors in an importer."""
+"""Errors raised when a file cannot be imported, including internal errors in an importer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_BYTES = 50_000_000
 
 
 class ImportRefusedError(SimfoundryError):
-    """Raised if a file cannot be imported; includes the location, the reason, and a hint for the user."""
+    """Raised if a file cannot be imported; the error includes the location, the reason, and a hint for the user."""
 
     def __init__(self, file: Path | str, message: str, line: int = 0, hint: str = "") -> None:
         place = f"{file}:{line}" if line else str(file)
@@ -38,7 +38,7 @@ class ImportRefusedError(SimfoundryError):
 def refusing_faults(file: Path) -> Iterator[None]:
     """Convert unexpected errors during the import of ``file`` to :class:`ImportRefusedError`.
 
-    Errors raised by SimFoundry and by the operating system are not converted.
+    SimFoundry's own errors and operating system errors are not converted.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # invalid numbers are reported when they are used
@@ -69,7 +69,7 @@ def _place(error: Exception) -> str:
 
 
 def _line(file: Path, error: Exception) -> int:
-    """Return the line of ``file`` that was being read when an error occurred, or 0 if it is unknown.
+    """Return the line of ``file`` that was being read when an error occurred, or 0 if the line is unknown.
 
     This is the line of the XML element being read or, if there is none, the first line that contains the name of an
     affected element.

@@ -1,4 +1,4 @@
-"""Read untrusted XML and JSON files of limited size, and find the files that they refer to.
+"""Read untrusted XML and JSON files of limited size, and find the files they reference.
 
 This module parses XML with Expat because neither lxml nor defusedxml is suitable. Among 2,380 public files, lxml
 rejects 28 that simulators accept (26 PyBullet files declare XML 0.0, and two COLLADA files contain text nodes larger
@@ -43,7 +43,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def refused(self, message: str, hint: str = "") -> ImportRefusedError:
-        """Return an error that points to this element."""
+        """Return an error located at this element."""
         return ImportRefusedError(self.file, message, self.line, hint)
 
     def all(self, tag: str) -> Iterator[Element]:
@@ -71,7 +71,7 @@ class Element:
         return text
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-        """Return an attribute that contains ``count`` numbers; it is required unless a default is given."""
+        """Return an attribute that contains ``count`` numbers; the attribute is required unless a default is given."""
         if default is not None and self.get(name) is None:
             return default
         text = self.need(name)
@@ -85,7 +85,7 @@ class Element:
         return values
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return an attribute that contains one number; it is required unless a default is given."""
+        """Return an attribute that contains one number; the attribute is required unless a default is given."""
         return self.numbers(name, 1, None if default is None else (default,))[0]
 
 
@@ -159,13 +159,13 @@ _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 class NotFoundError(Exception):
     """Raised if a referenced file is not available.
 
-    The message is a predicate, such as "does not exist", to be used after the name of the file.
+    The message is a predicate, such as "does not exist", that follows the file name.
     """
 
 
 @dataclass(frozen=True)
 class FileSearch:
-    """Finds the files that ``file`` refers to, either below ``root`` or in one of the folders in ``packages``."""
+    """Finds the files referenced by ``file``, either below ``root`` or in one of the ``packages`` folders."""
 
     file: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
@@ -183,7 +183,7 @@ class FileSearch:
         return folder.parent if folder.parent != Path(folder.anchor) else folder
 
     def find(self, reference: str, folder: Path | None = None) -> Path:
-        """Return the file for a reference, which may be relative to ``folder`` (by default, the folder of the file).
+        """Return the file for a reference, which may be relative to ``folder`` (by default, the folder of ``file``).
 
         Raises :class:`NotFoundError` if the file is missing, too large, or outside the allowed folders.
         """
@@ -223,7 +223,7 @@ class FileSearch:
         yield from ((place / reference, place) for place in self.packages.values())
 
     def _in_package(self, path: str) -> Iterator[tuple[Path, Path]]:
-        """Yield candidate paths and their root folders for ``package://NAME/REST``, in order of priority.
+        """Yield candidate paths for ``package://NAME/REST`` with their root folders, in order of priority.
 
         The package is looked up in ``packages`` first and then among the parent folders. Finally, the path is tried as
         relative to the packages and parent folders.
@@ -246,5 +246,5 @@ class FileSearch:
 
 
 def missing_file(file: Path, line: int, reference: str, error: NotFoundError) -> ImportRefusedError:
-    """Return the error for a reference to an unavailable file."""
+    """Return the error for a reference to a file that is not available."""
     return ImportRefusedError(file, f"`{reference[:120]}` {error}", line)

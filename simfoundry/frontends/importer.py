@@ -1,4 +1,4 @@
-"""Import a file: read it, validate the resulting documents by lowering them, and move them into place atomically."""
+"""Import files: read them, validate the resulting documents by lowering, and atomically move them into place."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ ATTEMPTS = 3
 class ImportReport:
     """The result of importing a file.
 
-    It contains the path of the document and its differences from the file, or the reason for the failure in ``error``.
-    ``assumed_masses`` contains the masses [kg], by `object.link`, that the file does not specify.
+    The report contains the document path and the differences from the file or, in ``error``, the reason for a failure.
+    ``assumed_masses`` lists the masses [kg] that the file does not specify, keyed by `object.link`.
     """
 
     source: str
@@ -53,7 +53,7 @@ class ImportReport:
     assumed_masses: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for ``--json``."""
+        """Return a plain mapping for the ``--json`` output."""
         if self.error:
             return {"source": self.source, "error": self.error}
         data = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("names", "error")}
@@ -63,7 +63,7 @@ class ImportReport:
 def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> ImportReport:
     """Import a file to ``out``, which must be named NAME.scene.yaml, NAME.asset.yaml or, for tasks, NAME.task.yaml.
 
-    Meshes are written to the folder NAME_files next to it. Documents are written only if they lower without errors.
+    Meshes are written to the adjacent NAME_files folder. Documents are written only if they lower without errors.
 
     Raises:
         ImportRefusedError: If the file cannot be imported.
@@ -170,7 +170,7 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
 
 
 def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
-    """Return the lowered scene of a document, or None and the errors if lowering fails."""
+    """Lower a document and return the scene and the errors; if lowering fails, the scene is None."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -188,7 +188,7 @@ def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, lis
 def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene) -> dict[str, float]:
     """Return the masses [kg] of moving links for which the file specifies no mass.
 
-    The keys are `object.link`, or only link names if there is a single object.
+    The keys have the form `object.link`, or are just link names if there is only one object.
     """
     out: dict[str, float] = {}
     by_name = {item.name: item for item in scene.objects}
@@ -203,7 +203,7 @@ def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene) -> d
 
 
 def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Diagnostic], source: Path) -> bool:
-    """Remove flat colliders and unusable visuals from the draft; return True if there were any."""
+    """Remove flat colliders and unusable visuals from the draft; return True if any were removed."""
     from simfoundry.frontends.mass_repair import repair_masses
 
     mended = False

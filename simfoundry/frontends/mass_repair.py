@@ -1,4 +1,4 @@
-"""Repair mass properties: merge massless links into their neighbors, and make every mass and inertia valid."""
+"""Repair mass properties: merge massless links into their neighbors, and make all masses and inertias valid."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ WORLD_NAMES = ("world", "map", "universe")
 def repair_masses(draft: ModelDraft, file: str) -> None:
     """Give every link a mass and an inertia that simulators accept, and record the changes in the draft.
 
-    Joint positions are also clamped to their limits. Raises :class:`ImportRefusedError` if a moving link has no mass,
-    no shape and no child link.
+    Joint positions are also clamped to the joint limits. Raises :class:`ImportRefusedError` if a moving link has no
+    mass, no shape and no child link.
     """
     for body in draft.bodies:
         for joint in body.joints:
@@ -103,9 +103,10 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
 
 
 def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
-    """Replace ``child`` with ``parent`` in the excluded contact pairs if this preserves their meaning.
+    """Replace ``child`` with ``parent`` in excluded contact pairs if this does not change their meaning.
 
-    A pair always excludes all shapes of a link, so it cannot refer to the shapes of only one of two merged links.
+    A pair always excludes all shapes of a link, so it cannot refer only to the shapes that came from one of two merged
+    links.
     """
     old, new = (body.name, child.name), (body.name, parent.name)
     pairs = [((body.name, a), (body.name, b)) for a, b in body.no_contact] + draft.no_contact
@@ -128,7 +129,7 @@ def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, chil
 
 
 def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
-    """Merge a link into its parent ``frame``, which has no mass or shape and keeps its pose."""
+    """Merge a link into its parent ``frame``, a link without mass or shape that keeps its pose."""
     child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts, frame.mass, frame.contact = child.parts, child.mass, child.contact
     for part in frame.parts:
@@ -183,12 +184,12 @@ def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str)
 
 
 def assume_density(draft: ModelDraft, link: LinkDraft, simulator: str, is_static: bool = False) -> None:
-    """Set the density of a link without a mass to the user's density or, by default, to the density of water.
+    """Set the density of a link that has no mass to the user's density or, by default, to the density of water.
 
     Args:
         draft: Draft that records the assumption.
         link: Link without a mass.
-        simulator: Simulator with the same default density, for the record.
+        simulator: Simulator with the same default density, to be named in the record.
         is_static: True for links that do not move, for which nothing is recorded.
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
@@ -205,15 +206,15 @@ def _mass_below(body: BodyDraft, link: str) -> float:
 
 
 def feather_link(name: str, carried: float) -> LinkDraft:
-    """Return a link between two joints with a mass that is negligible compared to the mass ``carried`` [kg]."""
+    """Return a link between two joints whose mass is negligible compared to the mass ``carried`` [kg]."""
     mass = max(LIGHTEST_FEATHER, FEATHER_SHARE * carried)
     return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball_inertia(mass), assumed="import")
 
 
 def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None:
-    """Correct an inertia that is slightly invalid because of rounding, or recompute an impossible one from the shapes.
+    """Correct an inertia that is slightly invalid due to rounding, or recompute an impossible inertia from the shapes.
 
-    A zero inertia is replaced with a tiny one, as for a point mass, if the link has a fixed joint to its parent.
+    If the link has a fixed joint to its parent, a zero inertia is replaced with a tiny inertia, as for a point mass.
     """
     assert link.mass is not None
     what = f"inertia of `{link.name}`"

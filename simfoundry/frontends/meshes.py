@@ -1,4 +1,4 @@
-"""Import mesh files: copy them if documents support the format, or otherwise convert them to OBJ."""
+"""Import mesh files, either by copying them, if documents support the format, or by converting them to OBJ."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
 
 
 def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
-    """Return a draft of a mesh file with the given scale [m per unit] along each axis.
+    """Return a draft for a mesh file with the given scale [m per unit] along each axis.
 
     The file is copied if documents support its format and scale. Otherwise, the scaled mesh is written to an OBJ.
     Raises :class:`MeshError` if the mesh cannot be read.
@@ -57,7 +57,7 @@ def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
 class FileShelf:
     """Collects files to write to ``folder``, relative to ``base``; files already below ``root`` are not copied.
 
-    ``files`` maps paths to contents, and ``taken`` maps the identity of each mesh to its path.
+    ``files`` maps paths to contents, and ``taken`` maps mesh identities to paths.
     """
 
     base: Path
@@ -85,7 +85,7 @@ class FileShelf:
 
 
 def mesh_width(mesh: MeshDraft) -> float:
-    """Return the longest side of a mesh's bounding box [m], or 0 if the mesh is unreadable, which is reported later."""
+    """Return the longest side of a mesh's bounding box [m], or 0 for an unreadable mesh (which is reported later)."""
     name, data = next(iter(mesh.files.items()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -97,14 +97,14 @@ def mesh_width(mesh: MeshDraft) -> float:
 
 
 def _file_name(path: Path) -> str:
-    """Return the name of a file, simplified if it has characters that some formats do not support."""
+    """Return the name of a file, simplified if it contains characters that some formats do not support."""
     name = path.name
     simple = name.isascii() and name.replace("_", "").replace("-", "").replace(".", "").isalnum()
     return name if simple else f"{plain_name(path.stem, 'mesh')}{path.suffix.lower()}"
 
 
 def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> None:
-    """Add the material libraries of an OBJ file and their textures, using the names by which they are referenced."""
+    """Add an OBJ file's material libraries and their textures, using the names under which they are referenced."""
     for name in _names_after(files[next(iter(files))], "mtllib"):
         found = _beside(name, path.parent, search)
         if found is None or "/" in name or "\\" in name or name in files:
@@ -141,7 +141,7 @@ def _baked(path: Path, scale: Scale) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return an OBJ file in meters, with a material for each part that has a color or texture."""
+    """Return the parts as an OBJ file in meters, with a material for each part that has a color or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
@@ -194,8 +194,8 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
     """Split an OBJ file into its groups, because PyBullet uses one convex hull per group of a collision mesh.
 
     Returns:
-        The name and the mesh in meters of each group. The list is empty if the file is not an OBJ file, has fewer than
-        two groups, or is invalid, which the mesh reader reports.
+        The name and the mesh (in meters) of each group. The list is empty if the file is not an OBJ file, has fewer
+        than two groups, or is invalid. Invalid files are reported by the mesh reader.
     """
     data = path.read_bytes() if path.suffix.lower() == ".obj" else b""
     if not _GROUP.search(data):
@@ -217,7 +217,7 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
 
 
 def _groups(text: str) -> tuple[list[list[float]], Groups]:
-    """Return the vertices of an OBJ file and the triangles of each group; groups without faces are omitted."""
+    """Return the vertices of an OBJ file and the triangles in each group, omitting groups without faces."""
     points: list[list[float]] = []
     groups: Groups = [("", [])]
     for words in filter(None, map(str.split, text.splitlines())):
@@ -299,7 +299,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
 
 
 def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPart]:
-    """Yield the geometries at their poses in the visual scene, or untransformed if the file has no scene."""
+    """Yield the geometries, posed as in the visual scene, or untransformed if the file has no scene."""
     X_WF = np.eye(4)
     asset = document.assetInfo
     X_WF[:3, :3] = np.diag(scale) @ UP.get(asset.upaxis, np.eye(3)) * (asset.unitmeter or 1.0)
@@ -341,7 +341,7 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
 
 
 def _appearance(material: Any, path: Path, has_uv: bool) -> tuple[bytes | None, Rgba | None]:
-    """Return the texture as PNG, or the color, of a material.
+    """Return the texture of a material as PNG, or the material's color.
 
     A texture is used only if its file is in the same folder as ``path`` and the mesh has texture coordinates.
     """

@@ -1,4 +1,4 @@
-"""Registry of importers, the file types that they support, and the functions that read these files."""
+"""Registry of importers with the file types that they support and the functions that read these files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TaskReader = Callable[[Path, "SceneSpec", "Scene", Path, ImportOptions], "tuple[
 
 @dataclass(frozen=True)
 class Importer:
-    """An importer for a format, with model and task readers by file suffix.
+    """An importer for one format, with its model and task readers by file suffix.
 
     Formats that share a suffix are distinguished by ``xml_root``, the name of their root element in XML files, or by
     ``accepts``, a function that examines the file.
@@ -51,7 +51,7 @@ IMPORTERS: Registry[Importer] = Registry(
 
 
 def deferred(target: str) -> Callable[..., Any]:
-    """Return a function that imports and calls ``module:function``, so importers are loaded only when needed."""
+    """Return a function that imports and calls ``module:function``, so that importers are loaded only when needed."""
 
     def call(*args: Any) -> Any:
         module, _, function = target.partition(":")

@@ -1,4 +1,4 @@
-"""Primitive shapes and colors of imported parts."""
+"""Primitive shapes and colors for imported parts."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def clamped_rgba(values: Iterable[float]) -> Rgba:
 def primitive(kind: str, *size: float) -> PrimitiveShape:
     """Return a primitive shape of the given kind and size [m].
 
-    The size of a `box` is its extents, that of a `sphere` its radius, and that of a `cylinder` or `capsule` its radius
-    and height.
+    The size consists of the extents for a `box`, the radius for a `sphere`, and the radius and height for a `cylinder`
+    or `capsule`.
     """
     if kind == "box":
         x, y, z = size

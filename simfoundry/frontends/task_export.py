@@ -1,7 +1,7 @@
-"""Export tasks to other formats: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
+"""Export tasks to other formats: BDDL for LIBERO and BEHAVIOR, and the authors' task YAML.
 
-A task is rejected if the format would change the meaning of its goal. Initial conditions that the format cannot express
-are recorded as notes.
+A task is rejected if the format would change the meaning of its goal. A note is recorded for each initial condition
+that the format cannot express.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def object_of(name: str) -> str:
 
 
 def support(scene: Scene, name: str) -> SceneObject:
-    """Return the object that supports another one in the scene's relations, or otherwise the first fixed object."""
+    """Return the object that supports ``name`` in the scene's relations, or otherwise the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
             return scene.object(object_of(relation.args[1]))
@@ -136,7 +136,7 @@ def _kind(item: SceneObject) -> str:
 
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
-    """Return BEHAVIOR's object names, which consist of a WordNet synset and a number, by scene object."""
+    """Return BEHAVIOR's object names, each of which consists of a WordNet synset and a number, by scene object."""
     counts: Counter[str] = Counter()
     names = {}
     for item in scene.objects:
@@ -159,7 +159,7 @@ def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExpo
 
 
 def _region(name: str, regions: dict[str, list[str]]) -> str:
-    """Return the name of an object, or of the region that represents one of its parts."""
+    """Return the name of an object or of a region that represents a part of an object."""
     item, dot, part = name.partition(".")
     if not dot:
         return item
@@ -263,7 +263,7 @@ def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> di
 
 
 def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
-    """Return reset ranges as half widths around the scene's poses, which is the only form that the release supports."""
+    """Return reset ranges as half widths around the poses in the scene, the only form that the release supports."""
     widths: dict[str, list[float]] = {}
     turns: dict[str, float] = {}
     for name, region in spec.reset.objects.items():

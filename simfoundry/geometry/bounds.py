@@ -29,7 +29,10 @@ STEPS = 64
 
 
 class Interval(NamedTuple):
-    """Lower and upper bounds on a signed distance [m]; the upper bound is about 0 for overlapping sharp parts."""
+    """Lower and upper bounds on a signed distance [m].
+
+    For overlapping parts with sharp edges, the upper bound is about 0.
+    """
 
     lower: float
     upper: float
@@ -59,8 +62,8 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
         b: Second link.
         X_WA: Position [m], shape (3,), and rotation, shape (3, 3), of the first link in the world.
         X_WB: Position and rotation of the second link.
-        limit: Distance [m] at which the search ends: parts whose bounding boxes are farther apart than this are
-            treated as exactly this far apart.
+        limit: Distance [m] at which the search ends; parts whose bounding boxes are farther apart are treated as if
+            they were exactly this far apart.
     """
     lower, upper = limit, math.inf
     boxes_a, boxes_b = _boxes(a, X_WA), _boxes(b, X_WB)
@@ -107,7 +110,7 @@ def _part_bounds(a: _Part, b: _Part) -> Interval:
 
 
 def _nearest(a: Array, b: Array) -> Array:
-    """Compute the shortest vector from the hull of ``b`` to the hull of ``a``, shape (3,), with Wolfe's algorithm."""
+    """Use Wolfe's algorithm to compute the shortest vector from the hull of ``b`` to the hull of ``a``, shape (3,)."""
     middle = a.mean(axis=0) - b.mean(axis=0)
     corral = _support(a, b, middle)[None]
     weights = np.ones(1)
@@ -134,12 +137,12 @@ def _nearest(a: Array, b: Array) -> Array:
 
 
 def _support(a: Array, b: Array, way: Array) -> Array:
-    """Return the support point of the difference of two hulls: the point with the least extent along a direction."""
+    """Return the support point of the difference of two hulls, which has the smallest extent along a direction."""
     return np.asarray(a[(a @ way).argmin()] - b[(b @ way).argmax()])
 
 
 def _affine(points: Array) -> Array:
-    """Return the weights, which sum to 1, of the point nearest the origin in the affine hull of ``points``."""
+    """Return the weights of the point nearest the origin in the affine hull of ``points``; the weights sum to 1."""
     k = len(points)
     system = np.ones((k + 1, k + 1))
     system[0, 0], system[1:, 1:] = 0.0, points @ points.T
@@ -156,7 +159,7 @@ BOX_ROUNDING = 1e-6
 class BoxField:
     """The distance field of a box.
 
-    ``middle`` [m] and ``axes`` are the position and rotation of the box in the link frame; ``half`` [m] contains its
+    ``middle`` [m] and ``axes`` are the position and rotation of the box in the link frame; ``half`` [m] contains the
     half extents.
     """
 

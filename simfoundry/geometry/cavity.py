@@ -1,4 +1,4 @@
-"""The cavity of a link as a grid of signed depths: the region where a bowl, drawer or bin holds objects."""
+"""Cavities, the regions in which bowls, drawers or bins hold objects, represented as grids of signed depths."""
 
 from __future__ import annotations
 
@@ -44,13 +44,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """The cavity of a link.
+    """The cavity of a link, as a grid of signed depths.
 
     Attributes:
-        depth: Signed depth [m] at the cell centers, float32, shape (x, y, z); positive inside the cavity and its walls.
-        low: Center of the first cell in the link's frame [m], shape (3,).
+        depth: Signed depth [m] at the cell centers, float32, shape (x, y, z); the depth is positive inside the cavity
+            and its walls.
+        low: Center of the first cell in the link frame [m], shape (3,).
         cell: Side length of a cell [m].
-        up: Unit vector along the link axis that points up.
+        up: Unit vector along the upward link axis.
         out: Unit vector toward the opening, or zero if the cavity is closed or open on opposite sides.
         deep: Depth of the cavity along ``up`` [m].
         middle: Center of a bounding sphere [m], shape (3,).
@@ -67,7 +68,10 @@ class Cavity:
     size: float
 
     def at(self, points: Array) -> Array:
-        """Interpolate the depth [m] at points in the link's frame, shape (..., 3); it decreases outside the grid."""
+        """Interpolate the depth [m] at points in the link frame, shape (..., 3).
+
+        Outside the grid, the depth decreases with distance.
+        """
         shape = np.array(self.depth.shape)
         grid = ((points - self.low) / self.cell).astype(np.float32)
         inside = np.clip(grid, 0, (shape - 1.001).astype(np.float32))
@@ -95,7 +99,7 @@ def cavity(form: Form) -> Cavity | None:
 
 
 def cavity_upward(form: Form, axis: int, sign: int) -> Cavity | None:
-    """Return the cavity of a link with the given axis pointing up, or None if the link has no cavity that way.
+    """Return the cavity of a link with the given axis pointing up, or None if it has no cavity in this orientation.
 
     If ``sign`` is negative, the axis points down instead. Links with identical shapes share the cached result.
     """
@@ -112,7 +116,7 @@ class _Key:
 
 @lru_cache(maxsize=256)
 def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
-    """Return a grid around a link: distances from its surface, the center of the first cell, and the cell size [m]."""
+    """Return a grid of distances from a link's surface, the center of the first cell, and the cell size, all in [m]."""
     form = key.form
     if not form.solid or len(form.parts.radius) < 2:  # a single convex part has no cavity
         return None
@@ -143,7 +147,10 @@ def _cavity(key: _Key, axis: int, sign: int) -> Cavity | None:
 
 
 def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) -> NDArray[np.float32]:
-    """Distance from each cell to the nearest part [m], float32; exact within 2 cells of a face, else a lower bound."""
+    """Return the distance from each cell to the nearest part [m], float32.
+
+    The distance is exact within two cells of a face; elsewhere, it is a lower bound.
+    """
     out = np.full(tuple(shape), np.float32(np.inf))
     axes = [low[k] + cell * np.arange(shape[k]) for k in range(3)]
     for number in range(len(parts.radius)):
@@ -158,9 +165,9 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """Distance from points, shape (n, 3), to one part [m], shape (n,); negative inside.
+    """Return the distance from points, shape (n, 3), to one part [m], shape (n,); it is negative inside the part.
 
-    The distance is exact for round parts; for polyhedra it is the largest distance to a face plane.
+    The distance is exact for round parts; for polyhedra, it is the largest distance to a face plane.
     """
     rows = parts.part[parts.triangles[:, 0]] == number
     if rows.any():
@@ -177,7 +184,9 @@ def outside_part(parts: Hulls, number: int, points: Array) -> Array:
 
 
 def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> tuple[Mask, Array]:
-    """Find the enclosed free cells if a grid axis points up, and the direction of their opening (unit vector or zero).
+    """Find the free cells that are enclosed when a grid axis points up, and the direction of their opening.
+
+    The direction is a unit vector or zero.
 
     An enclosed cell has a floor below it, and walls on both sides along two of three perpendicular axes, one of which
     is the up axis.
@@ -208,9 +217,10 @@ def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> 
 
 
 def _enclosed(found: Mask, wall: Mask) -> Mask:
-    """Return the cells in connected hollows that are sufficiently closed (:data:`OPEN_SIDES`), up to the true walls.
+    """Return the cells of connected hollows that are sufficiently closed (:data:`OPEN_SIDES`), up to the true walls.
 
-    ``wall`` is thicker than the true walls, so cells in ``found`` that it covers belong to the adjacent hollow.
+    ``wall`` is thicker than the true walls, so any cells in ``found`` covered by ``wall`` belong to the adjacent
+    hollow.
     """
     from scipy.ndimage import binary_dilation, label
 
@@ -261,7 +271,7 @@ TRIED = 512
 
 @lru_cache(maxsize=256)
 def volume_samples(form: Form, count: int) -> Array:
-    """Sample about ``count`` points inside a form [m], in the link's frame, shape (k, 3).
+    """Sample about ``count`` points [m] inside a form, in the link frame, shape (k, 3).
 
     Regions where parts overlap are sampled once for each part.
     """
@@ -282,7 +292,7 @@ def volume_samples(form: Form, count: int) -> Array:
 
 @lru_cache(maxsize=1)
 def _spread_points() -> Array:
-    """Points of a Halton sequence in the unit cube, shape (TRIED, 3)."""
+    """Return points of a Halton sequence in the unit cube, shape (TRIED, 3)."""
     return np.array([[_radical(k, base) for base in (2, 3, 5)] for k in range(1, TRIED + 1)])
 
 

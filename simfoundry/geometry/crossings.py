@@ -28,9 +28,9 @@ TOGETHER = 1e-3
 class HalfSpaces:
     """Convex parts in the world frame, represented as half-spaces.
 
-    Part k is the set of points with ``normals @ x <= offsets`` for the rows from ``first[k]`` up to ``first[k + 1]``.
-    ``corners`` [m], shape (n, 3), contains the corners of all parts; ``owner``, shape (n,), is the part index of each
-    corner.
+    Part k is the set of points ``x`` that satisfy ``normals @ x <= offsets`` in the rows from ``first[k]`` up to
+    ``first[k + 1]``. ``corners`` [m], shape (n, 3), contains the corners of all parts; ``owner``, shape (n,), is the
+    part index of each corner.
     """
 
     normals: Array
@@ -65,7 +65,7 @@ class Span:
 def solid_of(
     shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True
 ) -> HalfSpaces:
-    """Return the half-spaces of shapes with poses, including only parts whose corners [m] satisfy ``keep``."""
+    """Return the half-spaces of posed shapes, including only the parts whose corners [m] satisfy ``keep``."""
     normals, offsets, corners = [], [], []
     for geometry, X_WG in shapes:
         n, d, c = _half_spaces(geometry)
@@ -101,7 +101,7 @@ def bounds(shape: HalfSpaces, axes: Array) -> tuple[Array, Array]:
 
 
 def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[Span]]:
-    """Return the segments of each line that are inside the object, in order along the line.
+    """Return the segments of each line that lie inside the object, in order along the line.
 
     Args:
         shape: The object.
@@ -115,7 +115,7 @@ def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[S
 
 
 def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
-    """Return the positions along lines [m] at which they enter and leave one part.
+    """Return the positions [m] at which lines enter and leave one part, measured along the lines.
 
     Args:
         shape: The object.
@@ -142,7 +142,7 @@ def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at
         start: Start point of the line [m], shape (3,).
         direction: Unit vector along the line, shape (3,).
         part: Index of the part.
-        at: Position of the intersection along the line [m].
+        at: Position of the intersection, measured along the line [m].
         sign: -1 if the line enters the part, 1 if it leaves the part.
     """
     rows = shape.rows(part)
@@ -161,7 +161,7 @@ def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]
 
 
 def _clipped(parts: NDArray[np.intp], room: Array, slope: Array) -> tuple[Array, Array]:
-    """Return the entry and exit positions of lines in each part [m], shape (lines, parts) each.
+    """Return the positions [m] at which lines enter and leave each part, shape (lines, parts) each.
 
     ``parts`` contains the first row of each part.
     """

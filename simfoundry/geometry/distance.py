@@ -48,7 +48,7 @@ Shapes = Sequence[tuple[Geometry, Pose]]
 
 
 class Exact:
-    """Exact distances between links, whose shapes are represented by MuJoCo geoms.
+    """Exact distances between links, computed from MuJoCo geoms that represent the shapes.
 
     Links are identified by object name and link index. MuJoCo only measures distances: the geom poses are set here, and
     the model is never stepped.
@@ -76,7 +76,7 @@ class Exact:
             pair: The two links.
             near: Pairs of parts that may be closer than ``most``.
             most: Maximum distance to return [m], shape (n,).
-            enough: Distance [m] at or below which the search in a state ends.
+            enough: Distance [m] at or below which the search in a state stops.
 
         Returns:
             Signed distances [m], shape (n,), negative if the links overlap.
@@ -100,8 +100,8 @@ class Exact:
     ) -> tuple[Index, Array, Array]:
         """Return the directions in which parts of the second link push nearby parts of the first link.
 
-        The first link is raised by :data:`LIFT` for the measurement, because the direction between two parts that
-        barely touch is undefined.
+        The first link is raised by :data:`LIFT` during the measurement, because no direction is defined between two
+        parts that barely touch.
 
         Args:
             pair: The two links.
@@ -144,7 +144,7 @@ class Exact:
         return np.array(states, dtype=np.int64), np.array(gaps, dtype=float), np.array(ways).reshape(-1, 3)
 
     def _placing(self, pair: LinkPair, X_WA: Poses) -> tuple[int, int, Callable[[int], None]]:
-        """Return the first geom of each link, and a function that places both links in a state."""
+        """Return the first geom of each link, and a function that poses both links as in a given state."""
         geoms_a, geoms_b = self._geoms[pair.a], self._geoms[pair.b]
         at = (*self._poses(geoms_a, X_WA), *self._poses(geoms_b, pair.X_WB))
         first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link have consecutive indices
@@ -164,7 +164,7 @@ class Exact:
 
 
 def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
-    """Add a geom to the world body of a model; ``meshes`` maps the ``id`` of each mesh added so far to its name."""
+    """Add a geom to a model's world body; ``meshes`` maps the ``id`` of each mesh added so far to its name."""
     import mujoco
 
     kinds = mujoco.mjtGeom
@@ -193,7 +193,7 @@ def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str])
 
 
 def steepest_together(ways: Array) -> float:
-    """Return the largest cosine between the vertical and any nonnegative combination of unit vectors, shape (k, 3)."""
+    """Return the largest cosine between the vertical and a nonnegative combination of unit vectors, shape (k, 3)."""
     from scipy.optimize import nnls
 
     # The best combination is the projection of `UP` onto the cone spanned by the vectors; its length is the cosine.
@@ -214,14 +214,14 @@ class LinkPair:
 
 
 def bound_distances(pair: LinkPair, threshold: float, by_parts: bool) -> tuple[Array, Index]:
-    """Compute distance bounds that decide on which side of a threshold [m] most distances are.
+    """Compute distance bounds that suffice to compare most distances with a threshold [m].
 
-    If one link is a single box, the corners of the other link's hull decide nearly all states.
+    If one link is a single box, the corners of the other link's hull are sufficient in nearly all states.
 
     Args:
         pair: The two links.
         threshold: The threshold [m].
-        by_parts: Whether to decide the remaining states from bounds on the distances between parts.
+        by_parts: True to decide the remaining states using bounds on the distances between parts.
 
     Returns:
         A bound on the distance in each state [m], shape (n,), and the indices of the undecided states.
@@ -241,7 +241,7 @@ def bound_distances(pair: LinkPair, threshold: float, by_parts: bool) -> tuple[A
 
 
 def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool) -> tuple[Array, Array, Index]:
-    """Compute bounds that decide for most states whether the second link supports the first.
+    """Compute bounds that suffice in most states to decide whether the second link supports the first.
 
     If one link is a single box, the corners of the other link's hull are usually sufficient.
 
@@ -249,7 +249,7 @@ def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool)
         pair: The two links.
         limit: Maximum distance of a supporting link [m].
         steepest: Minimum cosine between the vertical and the push of a supporting link.
-        by_parts: Whether to decide the remaining states from bounds on the distances between parts.
+        by_parts: True to decide the remaining states using bounds on the distances between parts.
 
     Returns:
         A bound on the distance [m] and a bound on the support cosine in each state, shape (n,) each, and the indices of
@@ -275,13 +275,13 @@ def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool)
 
 
 def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:
-    """Return bounds on the distance in the k-th state with the first link raised by ``raised`` [m]."""
+    """Return bounds on the distance in the k-th state, with the first link raised by ``raised`` [m]."""
     X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
     return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
 
 
 class FromBox(NamedTuple):
-    """The hull of one link of a pair, expressed in the frame of the other link, which is a single box, in n states.
+    """The hull of a link in n states, expressed in the frame of the other link in the pair, which is a single box.
 
     Attributes:
         field: Distance field of the box.
@@ -289,7 +289,7 @@ class FromBox(NamedTuple):
         radius: Radii of the balls [m], shape (m,).
         low: Minimum corner of the hull's bounding box [m], shape (n, 3).
         high: Maximum corner of the hull's bounding box [m], shape (n, 3).
-        up: Direction in which the hull moves relative to the box if the pair's first link is raised, shape (n, 3).
+        up: Direction in which the hull moves relative to the box when the first link is raised, shape (n, 3).
     """
 
     field: BoxField
@@ -310,7 +310,7 @@ class FromBox(NamedTuple):
 
 
 def from_box(pair: LinkPair) -> FromBox | None:
-    """Express a pair of links in the frame of the link that is a single box; return None if neither link is."""
+    """Express a pair of links in the frame of the link that is a single box, or return None if neither link is one."""
     one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
     if box_field(other) is None:
         one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
@@ -342,7 +342,7 @@ def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
 
 
 def candidates(pair: LinkPair, most: Array) -> Candidates:
-    """Return the pairs of parts that may be closer than ``most`` [m], shape (n,), by state, nearest first."""
+    """Return the pairs of parts that may be closer than ``most`` [m], shape (n,), in order of state and distance."""
     X_AB = pair.X_WA.inverse() @ pair.X_WB
     low_a, high_a, ball_a, size_a = pair.one.pieces
     low_b, high_b, ball_b, size_b = pair.other.pieces
@@ -360,6 +360,6 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:
-    """Return the distances from points to boxes [m]; 0 for points inside."""
+    """Return the distances from points to boxes [m], which are 0 for points inside."""
     off = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

@@ -1,4 +1,4 @@
-"""Rigid bodies preprocessed for measurements: convex parts, extents and bounding spheres."""
+"""Rigid bodies that are preprocessed for measurements, with convex parts, extents and bounding spheres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FEW = 16
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """The shapes of a rigid body in the body frame, and their convex parts.
+    """The shapes of a rigid body in the body frame, with their convex parts.
 
     A form that is not ``solid`` has only visual shapes and never collides. ``low`` and ``high`` [m] are the extents
     along :data:`TURNED`, shape (5,).
@@ -37,7 +37,7 @@ class Form:
 
     @classmethod
     def of(cls, shapes: Iterable[tuple[Geometry, Pose]], solid: bool = True) -> Form:
-        """Create a form from shapes with poses; all meshes in a solid form must be convex."""
+        """Create a form from posed shapes; in a solid form, all meshes must be convex."""
         shapes = tuple(shapes)
         return cls(shapes, solid, hulls_of((geometry, pose, 0) for geometry, pose in shapes))
 
@@ -53,7 +53,8 @@ class Form:
     def support(self, states: int) -> tuple[Array, Array]:
         """Return centers [m], shape (m, 3), and radii [m], shape (m,), of balls with the same convex hull as the parts.
 
-        Corners inside the hull are removed only if there are many states; for a few, it would not save time.
+        Corners inside the hull are removed only if there are many states, because removing them for a few states does
+        not save time.
         """
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
@@ -84,7 +85,7 @@ class Form:
 
     @cached_property
     def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Bounds of each part [m].
+        """The bounds of each part [m].
 
         Returns:
             The minimum and maximum corners of the bounding boxes, shape (k, 3) each, followed by the centers, shape

@@ -1,4 +1,4 @@
-"""Rigid transforms (single poses and batches), and the only conversion between quaternion orders.
+"""Rigid transforms (single poses and batches), and the project's only conversion between quaternion orders.
 
 ``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
 :func:`to_xyzw` and :func:`from_xyzw` convert to and from formats that use the ``xyzw`` order (PyBullet, numpy views of
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def frozen_array(values: object, shape: tuple[int, ...] | None = None) -> Array:
-    """Copy ``values`` into a read-only float64 array, optionally of an exact shape."""
+    """Copy ``values`` into a read-only float64 array, reshaped to ``shape`` if it is given."""
     array = np.array(values, dtype=np.float64)
     if shape is not None and array.shape != shape:
         array = array.reshape(shape)
@@ -37,7 +37,7 @@ class Pose:
 
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
-        """Build a pose from any position and any non-zero quaternion (normalized, with ``w >= 0``)."""
+        """Build a pose from any position and any nonzero quaternion, which is normalized, with ``w >= 0``."""
         w, x, y, z = map(float, q)  # for four numbers, plain Python is faster than numpy arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
@@ -92,11 +92,11 @@ class Pose:
         return np.asarray(points) @ self.rotation.T + self.p
 
     def angle_about(self, axis: Array) -> float:
-        """Return the twist angle of the rotation about a unit axis, shape (3,), in [-pi, pi] [rad]."""
+        """Return the twist angle of the rotation about a unit axis, shape (3,), in the range [-pi, pi] rad."""
         return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
-        """Return the angle between the rotations of the two poses [rad], in [0, pi]."""
+        """Return the angle between the rotations of the two poses, in the range [0, pi] rad."""
         relative = quat_multiply(self.q * np.array([1.0, -1.0, -1.0, -1.0]), other.q)
         return 2.0 * math.atan2(float(np.linalg.norm(relative[1:])), abs(float(relative[0])))
 
@@ -132,7 +132,7 @@ def _rotation_rows(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
 def quat_from_matrix(rotation: Array) -> Array:
     """Convert a rotation matrix to a unit wxyz quaternion.
 
-    The computation branches on the largest diagonal element, which keeps it stable near 180 degrees.
+    The computation branches on the largest diagonal element to remain stable near 180 degrees.
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = float(r[0, 0] + r[1, 1] + r[2, 2])
@@ -153,7 +153,7 @@ def quat_from_matrix(rotation: Array) -> Array:
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
     """Convert fixed-axis roll, pitch and yaw [rad] to a wxyz quaternion.
 
-    The convention is that of URDF: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+    The convention is the same as in URDF: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
     """
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
@@ -164,7 +164,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def rpy_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to fixed-axis roll, pitch and yaw [rad] as in URDF, shape (3,)."""
+    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad], shape (3,)."""
     r = matrix_from_quat(q).tolist()
     level = math.hypot(r[0][0], r[1][0])
     pitch = math.atan2(-r[2][0], level)
@@ -176,7 +176,7 @@ def rpy_from_quat(q: Array) -> Array:
 def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     """Return the principal moments and axes of a symmetric inertia ``I = R diag(moments) R^T``.
 
-    The axes of an inertia that is already diagonal are kept, so that symmetric bodies are not rotated by rounding.
+    If the inertia is already diagonal, its axes are kept so that rounding does not rotate symmetric bodies.
 
     Returns:
         The moments [kg m^2], shape (3,), and R as a wxyz quaternion, shape (4,).
@@ -196,7 +196,7 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
 def cross(a: Array, b: Array) -> Array:
     """Return cross products along the last axis; for a few vectors, this is five times as fast as ``np.cross``.
 
-    Swapping the arguments flips exactly the sign, so two triangles compute the same values for a shared edge.
+    Swapping the arguments changes only the sign, so two triangles compute the same values for a shared edge.
     """
     ax, ay, az = np.moveaxis(a, -1, 0)
     bx, by, bz = np.moveaxis(b, -1, 0)

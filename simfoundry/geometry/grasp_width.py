@@ -1,10 +1,11 @@
-"""Width of an object between two parallel fingers that approach it from straight above.
+"""Width of an object between two parallel fingers that approach from straight above.
 
-Each finger is a flat pad. It moves down beside the object or into it (a cup is grasped by its wall), so it needs
-clearance beside the grasped part, from the fingertip upward. The pads first make contact at the widest point of the
-object above the fingertips. A grasp is valid if all of these conditions are met:
+Each finger is a flat pad. It moves down beside or into the object (for example, to grasp a cup by its wall), so it
+needs clearance beside the grasped part, from the fingertip upward. The pads first make contact at the widest point of
+the object above the fingertips. A grasp is valid if all of these conditions are met:
 
-* At least one pad is flat against the object over the width of the pad (:data:`UNEVEN`). The other may touch a ridge.
+* At least one pad is flat against the object over the width of the pad (:data:`UNEVEN`). The other pad may touch
+  a ridge.
 * Both pads touch faces that are oriented toward them (:data:`FACING`).
 * The object does not taper upward between the pads (:data:`WEDGE`). For example, a ball can be grasped at its equator,
   but a plate cannot be grasped by its rim.
@@ -73,8 +74,8 @@ ROWS, ROW = (8, 24), 0.004
 def grasp_width(solid: HalfSpaces) -> float:
     """Return the smallest gripper opening [m] that can grasp an object from above in its current pose.
 
-    The width is measured between the outermost points of the grasped part, along lines a few millimeters apart. The
-    result is inf if no grasp is valid.
+    The width is measured between the outermost points of the grasped part, along lines that are a few millimeters
+    apart. If no grasp is valid, the result is inf.
     """
     best, first = math.inf, _main_direction(solid)
     for k in range(DIRECTIONS):
@@ -83,7 +84,7 @@ def grasp_width(solid: HalfSpaces) -> float:
 
 
 def _main_direction(solid: HalfSpaces) -> float:
-    """Return the azimuth of the dominant normal of the upright faces [rad], in [0, pi); 0 if there are no such faces.
+    """Return the azimuth of the upright faces' dominant normal [rad], in [0, pi), or 0 if there are no upright faces.
 
     The dominant normal is chosen from a histogram with bins of one degree.
     """
@@ -143,7 +144,7 @@ class _Closing:
         return best
 
     def _between(self, above: Sequence[list[SolidRun]], best: float) -> float:
-        """Return the width of the narrowest part that a pad can grasp along its lines [m], or ``best`` if smaller."""
+        """Return the width [m] of the narrowest part that a pad can grasp along its lines, but at most ``best``."""
         runs = union(sorted(run for line in above for run in line))
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:

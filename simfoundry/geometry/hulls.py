@@ -1,8 +1,8 @@
-"""Convex parts of an object as corners, edges and triangles in the world frame, used for placement.
+"""Convex parts of an object, represented as corners, edges and triangles in the world frame, for use in placement.
 
 A part is a polyhedron that may be rounded: a sphere is a corner with a radius, and a capsule is an edge with a radius.
 A cylinder is approximated by a circumscribed prism whose corners protrude by at most :data:`PROUD`, or by 5 ppm of the
-radius if it is greater than 10 m. All other shapes are exact.
+radius if the radius is greater than 10 m. All other shapes are exact.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Hulls:
 
 
 def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
-    """Return the convex parts of shapes, each specified with its pose and link index."""
+    """Return the convex parts of shapes, each of which is specified with its pose and link index."""
     links, parts = [], []
     for geometry, pose, link in shapes:
         links.append(link)
@@ -122,7 +122,7 @@ def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
 
 
 def _starts(counts: Sequence[int]) -> Index:
-    """Return the indices at which consecutive groups of these sizes start, and the total."""
+    """Return the start indices of consecutive groups with the given sizes, and the total size."""
     return np.cumsum([0, *counts], dtype=np.int64)
 
 

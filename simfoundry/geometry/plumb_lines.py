@@ -26,7 +26,7 @@ AT_ONCE = 400_000
 
 
 def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Array, Array]:
-    """Find the states in which vertical lines through points may hit parts of a body.
+    """Find the states in which vertical lines through given points may hit parts of a body.
 
     Args:
         own: Shapes of the body.
@@ -34,7 +34,7 @@ def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Arra
         points: One point per state [m], shape (n, 3).
 
     Returns:
-        Four arrays with one element for each line and part that the line may hit: the state, the depth of the line
+        Four arrays with one element for each line and each part that it may hit: the state, the depth of the line
         inside the outline of the part [m], and the heights above the point at which the line enters and leaves the part
         [m].
     """
@@ -50,7 +50,7 @@ def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Arra
 
 @lru_cache(maxsize=256)
 def _convex(form: Form) -> Form:
-    """Return the form itself, or its bounding box if it is only visual, because visual meshes may not be convex."""
+    """Return the form itself, or its bounding box if it is only visual, because visual meshes can be non-convex."""
     if form.solid:
         return form
     low, high = form.low[:3], form.high[:3]
@@ -79,7 +79,7 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 
 
 class _Faces(NamedTuple):
-    """Faces and edges of each part of a form, padded to equal length with entries that never affect the result.
+    """The faces and edges of each part of a form, padded to equal length with entries that never affect the result.
 
     Attributes:
         planes: Outward unit normals and offsets [m] of the faces, shape (k, f, 4).
@@ -217,7 +217,7 @@ def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
-    """Return the heights at which lines enter and leave spheres; NaN for lines that miss."""
+    """Return the heights at which lines enter and leave spheres, which are NaN for lines that miss."""
     middle = np.einsum("mi,mi->m", away, up)
     with np.errstate(invalid="ignore"):
         half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)

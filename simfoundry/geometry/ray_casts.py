@@ -5,7 +5,7 @@ of a view frame at the origin, and each triangle covers a region of that plane. 
 that determine a hit are linear in ``(x, y)``, even for triangles that extend behind the origin. The plane is divided
 into cells, and each triangle is tested against the rays in the cells that it covers. The same code is used for camera
 pixels (one ray per cell) and for points that a light may reach (any number of rays per cell). All computations use
-float64, and two triangles that share an edge compute identical values for it, so no ray can pass between them.
+float64, and two triangles that share an edge compute identical values for the edge, so no ray can pass between them.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Hits:
     """The first hit of each ray, in the original order of the rays.
 
     Attributes:
-        triangle: Index of the triangle that was hit, or -1 if there is no hit, shape (n,).
-        inverse_depth: Inverse of the depth along z [1/m], or 0 if there is no hit, shape (n,).
+        triangle: Index of the triangle that was hit, or -1 for rays without a hit, shape (n,).
+        inverse_depth: Inverse of the depth along z [1/m], or 0 for rays without a hit, shape (n,).
         weights: Barycentric coordinates of the hit, shape (n, 3).
     """
 
@@ -79,7 +79,7 @@ class Hits:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Return the dot products of the rows of ``a`` and ``b``, which broadcast to shape (n, 3), with shape (n,)."""
+    """Return the row-wise dot products, shape (n,), of ``a`` and ``b``, which are broadcast to shape (n, 3)."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
@@ -91,7 +91,7 @@ def unit(a: Array) -> Array:
 def turned(R_AB: Array, vectors: Array) -> Array:
     """Rotate ``vectors``, shape (..., 3), from frame B to frame A.
 
-    BLAS is not used because its results differ between machines in the last bits.
+    BLAS is not used, because the last bits of its results differ between machines.
     """
     x, y, z = vectors[..., 0, None], vectors[..., 1, None], vectors[..., 2, None]
     return np.asarray(x * R_AB[:, 0] + y * R_AB[:, 1] + z * R_AB[:, 2])
@@ -126,7 +126,7 @@ def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: flo
 
 
 def scattered_rays(x: Array, y: Array) -> Rays:
-    """Create rays ``(x, y, 1)`` in any arrangement, with about two rays per cell; there must be at least one ray."""
+    """Create one or more rays ``(x, y, 1)`` in any arrangement, with about two rays per cell."""
     side = max(1, int(np.sqrt(len(x) / 2)))
     x0, y0 = float(x.min()), float(y.min())
     dx = max(float(x.max()) - x0, 1e-12) / side
@@ -145,8 +145,8 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
     Args:
         triangles: Triangle corners in the view frame [m], shape (m, 3, 3).
         rays: The rays.
-        floor: Minimum inverse depth of a hit [1/m], shape (n,), in the original order of the rays. It restricts the
-            search to hits between the origin and a point on the ray.
+        floor: Minimum inverse depth of a hit [1/m], shape (n,), in the original order of the rays. This value restricts
+            the search to hits between the origin and a point on the ray.
     """
     kept, edges, plane = _linear_forms(triangles)
     best = np.zeros(len(rays.x)) if floor is None else floor[rays.order].astype(np.float64)
@@ -162,7 +162,7 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
 
 
 def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
-    """Return linear forms in (x, y, 1) that describe the visible triangles.
+    """Return the linear forms in (x, y, 1) that describe the visible triangles.
 
     Returns:
         The indices of the visible triangles, their edge forms, shape (k, 3, 3), and their inverse-depth forms, shape
@@ -177,7 +177,7 @@ def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:
-    """Return the minimum and maximum (x, y) of each triangle, projected onto the plane z = 1, shape (m, 2) each.
+    """Return the minimum and maximum (x, y) of each triangle projected onto the plane z = 1, shape (m, 2) each.
 
     The part of a triangle in front of the near clipping plane (:data:`NEAREST`) is cut off.
     """
@@ -264,7 +264,7 @@ def _test(
 
 
 def _gather(winner: Index, best: Array, kept: Index, edges: Array, rays: Rays) -> Hits:
-    """Return the hits in the original order of the rays, with the caller's triangle indices."""
+    """Return the hits in the original order of the rays, using the caller's triangle indices."""
     triangle = np.full(len(winner), -1, dtype=np.int64)
     inverse_depth, weights = np.zeros(len(winner)), np.zeros((len(winner), 3))
     met = np.flatnonzero(winner >= 0)

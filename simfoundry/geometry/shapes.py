@@ -40,7 +40,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A capsule along z, centered on its frame; ``height`` [m] is the length of the cylinder without the caps."""
+    """A capsule along z, centered on its frame; ``height`` [m] is the length of the cylinder, excluding the caps."""
 
     radius: float
     height: float
@@ -82,9 +82,9 @@ Faces = NDArray[np.int32]
 def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
     """Return the surface of a primitive as a mesh in the primitive's own frame; meshes are returned unchanged.
 
-    ``segments`` is the number of edges around z, at least 3. All vertices are on the true surface, so the radius of a
-    round shape shrinks by at most ``radius * (1 - cos(pi / segments))`` [m]. The result is deterministic down to the
-    byte.
+    ``segments`` is the number of edges around z, which must be at least 3. All vertices are on the true surface, so the
+    radius of a round shape shrinks by at most ``radius * (1 - cos(pi / segments))`` [m]. The result is always
+    byte-identical.
     """
     if segments < 3:
         raise ValueError(f"a round shape needs at least 3 segments, got {segments}")
@@ -124,7 +124,7 @@ def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list
 def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
     """Revolve a profile of (radius, height) points [m], shape (k, 2), about z and return the solid as a closed mesh.
 
-    The profile starts on the axis at the top, runs down the outside, and ends on the axis at the bottom.
+    The profile must start on the axis at the top, run down the outside, and end on the axis at the bottom.
     """
     from simfoundry.assets.solids import lathe_mesh
 

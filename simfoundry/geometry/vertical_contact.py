@@ -1,8 +1,8 @@
-"""Height at which one object comes to rest if it is lowered onto another; exact for rounded polyhedra.
+"""Height at which an object comes to rest when lowered onto another, computed exactly for rounded polyhedra.
 
 Two convex parts that approach each other along z first touch corner to face, face to corner, or edge to edge. If one of
-them is rounded, they may also touch corner to edge or corner to corner. The contact height in each case has a closed
-form, and the first contact is the maximum over all cases.
+them is rounded, they may also touch corner to edge or corner to corner. In each case, there is a closed-form expression
+for the contact height, and the first contact is at the maximum over all cases.
 
 The upper object is mirrored across z = 0 to make its downward faces point up like the upward faces of the lower object.
 Both objects then play the same role in every formula, and a contact height is the sum of a height on the lower object
@@ -43,8 +43,8 @@ Meetings = Iterator[tuple[Index, Index, Array]]
 def heights(above: Hulls, below: Hulls) -> Array:
     """Return the heights [m] by which each part of ``above`` must be lifted to rest on each part of ``below``.
 
-    The result has shape (parts above, parts below). A height is negative if the part can be lowered, and -inf if the
-    two parts do not overlap as seen from above, so that no vertical motion makes them touch.
+    The result has shape (parts above, parts below). A height is negative if the part can be lowered. It is -inf if the
+    two parts do not overlap as seen from above, because no vertical motion can make them touch.
     """
     out = np.full((len(above.radius), len(below.radius)), -np.inf)
     a, b = _upper(_narrowed(above).flipped()), _landing(below)
@@ -80,7 +80,7 @@ def _narrowed(shape: Hulls) -> Hulls:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Corners, edges or faces.
+    """A group of corners, edges or faces.
 
     Attributes:
         points: Points of each element [m], shape (n, 1, 3) for corners, (n, 2, 3) for edges and (n, 3, 3) for faces.
@@ -107,7 +107,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Upper:
-    """Upward corners, edges and faces of an object, including those that are hidden by other parts of the object."""
+    """The upward corners, edges and faces of an object, including any hidden by other parts of the object."""
 
     corners: _Group
     edges: _Group
@@ -195,7 +195,7 @@ def _edges_on_edges(a: _Upper, b: _Upper) -> Meetings:
 
 
 def _corners_on_edges(a: _Upper, b: _Upper) -> Meetings:
-    """Yield contacts between corners and edges, at least one of which is rounded.
+    """Yield contacts between a corner and an edge, at least one of which is rounded.
 
     The corner is treated as a sphere whose radius is the sum of both radii, lowered until it touches the edge.
     """

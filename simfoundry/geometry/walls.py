@@ -1,4 +1,4 @@
-"""Walls around a point at the height of that point, for example the sides of bowls, drawers and boxes."""
+"""Walls around a point at the same height, for example the sides of bowls, drawers and boxes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LOW = 0.25
 
 
 def surrounded(thing: Hulls, container: Hulls) -> bool:
-    """Return True if the container has walls on at least half the sides of an object, at its base or higher up."""
+    """Return True if the container has walls on at least half of an object's sides, at its base or higher up."""
     bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
     lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
     for share in LEVELS:
@@ -42,9 +42,9 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
 
 
 def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
-    """Return the middle of the cavity near ``middle`` [m], centered between the walls along the container's axes.
+    """Return the center of the cavity near ``middle`` [m], halfway between the walls along the container's axes.
 
-    The coordinate along an axis stays unchanged if there are no walls on both sides. If there is no cavity, ``middle``
+    The coordinate along an axis stays unchanged unless there are walls on both sides. If there is no cavity, ``middle``
     is returned unchanged.
     """
     top = container.extent(np.array([0.0, 0.0, 1.0]))[1]
@@ -127,7 +127,7 @@ def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
 
 
 def _entry(offset: Array, ray: Array, radius: Array) -> Array:
-    """Return the distances at which rays from ``offset`` come within ``radius`` of the origin, or inf if they miss."""
+    """Return the distances at which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
     square = (ray * ray).sum(axis=1)
     half = (offset * ray).sum(axis=1)
     inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)

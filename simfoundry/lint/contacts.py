@@ -16,12 +16,12 @@ from simfoundry.spec.diagnostics import Diagnostic
 # Penetration depth [m] that simulators resolve on their own, and that is common for captured objects.
 DEEP = 0.002
 
-# Maximum lift that separates two objects, as a multiple of their penetration depth, for the upper object to count as
-# sunk into the lower one from above.
+# Maximum lift needed to separate two objects, as a multiple of their penetration depth, at which the upper object is
+# considered to have sunk into the lower object from above.
 STEEPEST = 1.5
 
-# Maximum number of neighboring pairs measured in one scene, which takes seconds. A table with 1,000 objects has a few
-# hundred such pairs. The remaining pairs are measured once the first findings are fixed.
+# Maximum number of neighboring pairs measured in one scene; measuring this many takes seconds. A table with 1,000
+# objects has a few hundred neighboring pairs. Any remaining pairs are measured once the first findings are fixed.
 MOST_PAIRS = 6_000
 
 
@@ -57,7 +57,7 @@ def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
 
 
 def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
-    """Return the finding for the object that can be moved, or for the later one if both can be moved."""
+    """Return the finding for the object that can be moved, or for the second object if both can be moved."""
     draft, loaded = subject.scene, subject.loaded
     moved, other = (a, b) if b.fixed else (b, a)
     depth = draft.overlap(a.name, b.name)
@@ -81,13 +81,13 @@ HOVERING = 0.005
 # Tolerance for contact [m]: the distance by which the prisms that represent cylinders protrude.
 CLOSE = 5e-5
 
-# Maximum number of pairs of an object and a possible support measured in one scene, at about a millisecond each. In a
-# wall of a thousand bricks, each brick has eight neighbors.
+# Maximum number of pairs (an object and a possible support) measured in one scene; each pair takes about a millisecond.
+# In a wall of a thousand bricks, each brick has eight neighbors.
 MOST_MEASURED = 20_000
 
 
 def unsupported(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects that would fall, if the scene has a fixed object and gravity points down."""
+    """Find free objects that would fall; only scenes with a fixed object and downward gravity are checked."""
     draft = subject.scene
     gx, gy, gz = draft.spec.gravity
     if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
@@ -129,7 +129,7 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Return True if the poses of some objects are uncertain; any other object may rest on them."""
+    """Return True if the poses of some objects are uncertain, in which case other objects may rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 
@@ -153,7 +153,8 @@ def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
         return warning(subject.loaded, "SF411", path, message, hint)
     raised, name = max(below)
     message = f"nothing supports `{item.name}`: it falls {length(-raised)} onto `{name}`"
-    hint = f"it would rest there at z = {number(float(item.X_WO.p[2]) + raised)}; or write `place: {{on: {name}, ...}}`"
+    z = number(float(item.X_WO.p[2]) + raised)
+    hint = f"lower it to z = {z}, where it would rest, or write `place: {{on: {name}, ...}}`"
     return warning(subject.loaded, "SF411", path, message, hint, (name,))
 
 

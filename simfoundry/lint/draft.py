@@ -2,8 +2,8 @@
 
 A draft is lowered by the same passes as in a compilation, but without expensive steps: meshes are not decomposed into
 convex parts. Instead, the draft uses the cached parts of a mesh if there are any, or else its convex hull. If only the
-hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if they
-are certain.
+hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if the
+findings are certain.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class DraftScene:
         return float(self._distances.between(self._view, *things, threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
-        """Return the penetration depth of two objects [m]."""
+        """Return the penetration depth [m] of two objects."""
         things = self._bodies.thing(a), self._bodies.thing(b)
         return -float(Distances(self._bodies).between(self._view, *things)[0])
 
@@ -186,7 +186,7 @@ class StartJudge:
         return None if None in values or not values else not decisive
 
     def explanation(self, condition: Any) -> str:
-        """Return the reasons, with measured values, for the value of a condition; the value must be certain."""
+        """Explain the value of a condition, including measured values; the value must be certain."""
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(below[0])
@@ -216,7 +216,7 @@ class StartJudge:
         return self._judged(call)
 
     def _is_apart(self, call: Call) -> bool:
-        """Return True if a predicate's two objects are certain not to touch, because their hulls do not."""
+        """Return True if a predicate's two objects are certain not to touch, because their hulls do not touch."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
         may_be_apart = bool(approximate) and call.predicate in NEEDS_TOUCH
         return may_be_apart and self._judged(Call("Touching", call.args)) is False

@@ -132,7 +132,7 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     findings = [d for used in loaded.uses.values() for d in lint(used, seen)]
     kept, silenced = sift(_lints(loaded), loaded.spec.allow)
     findings += kept
-    # An entry inherited from a base document may suppress a finding only there.
+    # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
     findings += [d for d in idle if d.file == loaded.document.file]
     return tuple(findings)

@@ -46,12 +46,12 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
         angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
         message = f"`{name}` is outside the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
         seen = f"whose image extends {half_angle(cameras[nearest]):.0f} deg to the corners"
-        hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move the object or the camera"
+        hint = f"it is {angle:.0f} deg off the optical axis of `{nearest}`, {seen}; move the object or the camera"
         yield warning(subject.loaded, "SF409", path_of(name), message, hint)
 
 
 def sees(camera: Camera, low: Array, high: Array) -> bool:
-    """Return False if all corners of a box are beyond the same edge of the image or behind the camera, else True."""
+    """Return False if all corners of a box are behind the camera or beyond the same image edge, and True otherwise."""
     x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
     x, y = camera.fx * x, camera.fy * y
     right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy
@@ -60,13 +60,13 @@ def sees(camera: Camera, low: Array, high: Array) -> bool:
 
 
 def off_axis(camera: Camera, point: Array) -> float:
-    """Return the angle between the optical axis and the direction to a point in the world frame [deg]."""
+    """Return the angle [deg] between the optical axis and the direction to a point in the world frame."""
     x, y, z = camera.X_WC.inverse().apply(point)
     return math.degrees(math.atan2(math.hypot(x, y), z))
 
 
 def half_angle(camera: Camera) -> float:
-    """Return the angle between the optical axis and the farthest corner of the image [deg]."""
+    """Return the angle [deg] between the optical axis and the farthest corner of the image."""
     across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx) / camera.fx
     down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy) / camera.fy
     return math.degrees(math.atan(math.hypot(across, down)))

@@ -61,8 +61,8 @@ ON_TOP = Predicate(
     ("thing", "thing"),
     on_top,
     f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {thresholds.SUPPORT_DEG:g} "
-    f"deg of straight up, crediting {thresholds.FRICTION_SHARE:.0%} of the friction angle; the center of mass of `a` "
-    "is over the outline of `b`, or `a` also touches another object; if `b` is farther away than "
+    f"deg of straight up, allowing for {thresholds.FRICTION_SHARE:.0%} of the friction angle; the center of mass of "
+    "`a` is over the outline of `b`, or `a` also touches another object; if `b` is farther away than "
     f"{thresholds.CLOSE * 1000:g} mm, no object closer than that supports `a`; `a` moves no faster than "
     f"{SETTLED * 100:g} cm/s and is not held by a robot. For example, an object in a bowl rests on the bowl, an object "
     "on a hook rests on the hook, and an object that leans on an edge rests on the edge",
@@ -98,8 +98,8 @@ INSIDE = Predicate(
     "the first object is in a cavity of the second",
     ("thing", "thing"),
     inside,
-    f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
-    f"{thresholds.OPENING_DEG:g} deg away from straight up; `a` moves no faster than {SETTLED * 100:g} cm/s and is not "
+    f"at least {ENCLOSED:.0%} of the volume of `a` is in a cavity of `b` whose opening is tilted at most "
+    f"{thresholds.OPENING_DEG:g} deg from straight up; `a` moves no faster than {SETTLED * 100:g} cm/s and is not "
     "held by a robot",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),

@@ -34,7 +34,7 @@ GRASPED = Predicate(
     ("thing", "robot"),
     grasped,
     f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
-    f"toward the other reduces its distance to `a`, or increases its penetration, by at least {PRESS * 500:g} mm",
+    f"toward the other reduces its distance to `a`, or deepens its overlap with `a`, by at least {PRESS * 500:g} mm",
     optional=1,
     effect=Effect.GRASP,
     aliases=("grasped", "IsGrasping"),
@@ -72,7 +72,7 @@ LIFTED = Predicate(
     ("thing",),
     lifted,
     f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the initial state, and no object is within "
-    f"{TOUCH * 1000:g} mm of `a` except objects that it supports",
+    f"{TOUCH * 1000:g} mm of `a` except objects that `a` supports",
     effect=Effect.GRASP,
     aliases=("lifted", "Up"),
     before_motion=False,

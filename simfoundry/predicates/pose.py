@@ -85,8 +85,8 @@ OPEN = Predicate(
     ("joint",),
     partial(_opening, False),
     f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, this applies to "
-    "every joint that has limits. The closed end is the limit specified by the joint's key `closed`, or otherwise the "
-    "position within the limits that is closest to zero",
+    "every joint that has limits. The closed end is the limit specified by the joint's `closed` key or, if the key is "
+    "not set, the position within the limits that is closest to zero",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("open",),

@@ -56,8 +56,8 @@ def _side(name: str, alias: str, meaning: str) -> Predicate:
         meaning,
         ("thing", "thing"),
         partial(_beside, name, alias.replace("_", " ")),
-        "seen from the viewpoint, in the given direction, the middle of `a` is beyond all of `b`, and all of `a` is "
-        "beyond the middle of `b`",
+        "as seen from the viewpoint, the middle of `a` is farther in the predicate's direction than every point of "
+        "`b`, and every point of `a` is farther in that direction than the middle of `b`",
         effect=Effect.MOVE,
         aliases=(alias,),
     )
@@ -74,7 +74,7 @@ NEAR_SHARE = 1 / 6
 
 
 def next_to(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the heights overlap, the gap is small relative to the sizes, and neither is above the other."""
+    """Require that the objects' height ranges overlap, that the gap is small, and that neither is above the other."""
     import numpy as np
 
     from simfoundry.predicates.judging.view import ground_gap, over

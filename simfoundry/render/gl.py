@@ -1,4 +1,4 @@
-"""Choose a renderer; GL drivers are tried in a separate process, so that this process can still use either of them."""
+"""Choose a renderer; GL drivers are tried in a separate process, so that this process can still use any of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ print("drawn")
 
 
 class Engine(StrEnum):
-    """A renderer: MuJoCo with one of two GL drivers, SimFoundry's ray caster, or the first of these that works."""
+    """A renderer: MuJoCo with one of two GL drivers, SimFoundry's ray caster, or the first of them that works."""
 
     AUTO = "auto"
     EGL = "egl"
@@ -36,7 +36,7 @@ class RenderError(SimfoundryError):
 
 
 def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
-    """Return the engine to use; ``auto`` selects the first that works.
+    """Return the engine to use; ``auto`` selects the first engine that works.
 
     Raises :class:`RenderError` if the requested engine does not work on this machine.
     """

@@ -68,7 +68,7 @@ def label_color(label: int) -> tuple[int, int, int]:
 
 
 def png_bytes(image: Image) -> bytes:
-    """Encode an image as PNG; equal images give equal bytes."""
+    """Encode an image as PNG; identical images produce identical bytes."""
     from PIL import Image as Pillow
     from PIL.PngImagePlugin import PngInfo
 

@@ -22,7 +22,7 @@ Image = NDArray[np.uint8]
 
 VISUAL_GROUP = 2  # Geom group of visuals in the MJCF backend; no other group is rendered
 
-# Settings of quick images: shadow map resolution and supersampling factor, both along each side.
+# Settings for quick images: the shadow map resolution and the supersampling factor, each along one side.
 QUICK_SHADOW, FINE = 1024, 2
 
 NEAR, FAR = 0.01, 100.0  # Near and far clipping distances [m]
@@ -33,7 +33,7 @@ BACKDROP_EMISSION = 1e3  # Emission of the backdrop; high enough that lights in 
 class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
     """An offscreen renderer for a MuJoCo model; close it after use, or use it in a ``with`` statement.
 
-    A ``quick`` renderer needs a third of the time for small images on a CPU. It uses simplified meshes
+    On a CPU, a ``quick`` renderer takes a third of the usual time for small images. It uses simplified meshes
     (:func:`coarsened`), smaller shadow maps, and four rendered pixels per image pixel instead of the driver's
     multisampling.
 
@@ -101,8 +101,8 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
 
         if not self.holds(camera.width, camera.height):
             sizes = f"is {camera.width}x{camera.height}, but the renderer was created for {self.size[0]}x{self.size[1]}"
-            hint = "create it with the size of the largest camera"
-            raise RenderError(f"the image of camera {camera.name!r} {sizes}; {hint}")
+            hint = "create the renderer with the size of the largest camera"
+            raise RenderError(f"the image from camera {camera.name!r} {sizes}; {hint}")
         self._gl.make_current()
         free, every = mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, free, every, self._scene)
@@ -162,7 +162,7 @@ def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> Non
 
 
 def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Add a plane behind everything with the ray caster's horizon color, unless the model has a skybox."""
+    """Add a plane in the ray caster's horizon color behind everything else, unless the model has a skybox."""
     import mujoco
 
     has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
@@ -183,7 +183,7 @@ Floats = NDArray[np.float32]
 
 FEW = 500  # Meshes with at most this many triangles are not simplified
 
-# Edge length of the cubes whose vertices are merged [m]: 0.4 pixels at half a meter in an image 320 pixels wide.
+# Edge length [m] of the cubes in which vertices are merged: 0.4 pixels at half a meter in an image 320 pixels wide.
 MERGED_M = 1e-3
 
 # Flat regions are also merged in larger cubes: two, four and eight times as large. FLAT is the minimum cosine (10 deg)

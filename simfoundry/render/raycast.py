@@ -30,7 +30,7 @@ class Raycast:
         depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, shape (h, w).
         objects: 1 + the index in ``scene.objects``, or 0 if no surface is hit, int32, shape (h, w).
         normals: Unit normals in the world toward the camera, or NaN if no surface is hit, shape (h, w, 3).
-        camera: The camera of the image.
+        camera: The camera from which the image was rendered.
     """
 
     color: NDArray[np.uint8]
@@ -52,7 +52,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
         scene: The scene to render.
         camera: The camera.
         state: The state of the scene.
-        samples: The number of rays along each side of a pixel, whose mean is the color of the pixel. With 1, shadows
+        samples: The number of rays along each side of a pixel; the color of the pixel is their mean. With 1, shadows
             are hard and there is no ambient occlusion; larger values darken corners and soften shadows.
     """
     if samples < 1:

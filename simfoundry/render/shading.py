@@ -174,8 +174,8 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
     """Return a mask of the points at which an opaque surface blocks the lamp, shape (n,).
 
-    Only the far sides of closed surfaces cast shadows. Shadows on other surfaces are the same as with the near sides,
-    and the transition to the unlit side of a smooth surface stays soft.
+    Only the far sides of closed surfaces cast shadows. Other surfaces receive the same shadows as they would from the
+    near sides, and the transition to the unlit side of a smooth surface stays soft.
     """
     shadow = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(surface.corners):

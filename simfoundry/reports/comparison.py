@@ -99,7 +99,7 @@ def _label(side: Side | None) -> str:
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Return both scenes, or the reasons why they cannot be shown, or nothing for other kinds of documents."""
+    """Return both scenes or the reasons why they cannot be shown; the result is empty for other document kinds."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()
@@ -162,7 +162,7 @@ def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
 
 
 def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
-    """Return the CSS class and the change for each changed object in the old or the new scene, by its name there."""
+    """Return the CSS class and the change for each changed object, keyed by its name in the old or the new scene."""
     out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":

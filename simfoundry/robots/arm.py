@@ -60,7 +60,7 @@ class Jaws:
         return float(self.width.max())
 
     def at_width(self, width: float) -> tuple[float, float, float]:
-        """Return the gripper position, and where the pads start and end [m], at a gap of ``width`` [m]."""
+        """Return the gripper position and the z coordinates of the pads' ends [m] at a gap of ``width`` [m]."""
         order = np.argsort(self.width)
         columns = (self.share, self.low, self.tip)
         share, low, tip = (float(np.interp(width, self.width[order], column[order])) for column in columns)
@@ -104,7 +104,7 @@ def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
 
 
 def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
-    """Return the gap between the pads, and where the pads start and end [m]; return None if no ray hits two fingers."""
+    """Return the gap between the pads and the z coordinates of their ends [m]; None if no ray hits two fingers."""
     import mujoco
 
     depth, hit = np.arange(0.0, DEEPEST, STEP), np.zeros(1, np.int32)
@@ -178,7 +178,7 @@ class Arm:
 
     @cached_property
     def _longest(self) -> tuple[Array, Array, float]:
-        """A point of the base, a point of the hand link, and the maximum distance between them [m].
+        """A point on the base, a point on the hand link, and the maximum distance between them [m].
 
         A point on the axis of a hinge is fixed in both links, so the distance between points on consecutive axes never
         changes. The bound is the length of the shortest path over such points: the anchor of each joint, and the points

@@ -12,7 +12,7 @@ from simfoundry.errors import SimfoundryError
 T = TypeVar("T")
 R = TypeVar("R")
 
-SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; gives a stable mean
+SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; enough for a stable mean
 
 # Minimum amount of remaining work [s] that justifies starting processes, whose startup takes about 0.5 s.
 STARTUP_S = 2.0
@@ -34,7 +34,8 @@ def map_parallel(
     """Map ``function`` over ``inputs``, in this process if that is fast enough, otherwise across the CPU cores.
 
     Args:
-        function: A module-level function or a partial of one, so that other processes can import it.
+        function: A module-level function, or a partial of a module-level function, so that other processes can
+            import it.
         inputs: The inputs of the function.
         progress: Callback that receives the number of completed inputs.
         startup_s: Minimum estimated time for the remaining inputs [s] that justifies starting processes.

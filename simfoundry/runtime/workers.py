@@ -215,7 +215,7 @@ _exit_functions: list[Callable[[], object]] = []
 
 
 def report_progress(text: str) -> None:
-    """Report progress to the caller of a :class:`Worker`, which restarts its timeout; no effect outside a worker."""
+    """Report progress to the caller of a :class:`Worker` and restart its timeout; outside a worker, do nothing."""
     if _send_message is not None:
         _send_message("progress", text)
 
@@ -310,7 +310,7 @@ class WorkerPool:
         for worker, thread in zip(self._workers, self._threads, strict=True):
             while thread.is_alive() and time.monotonic() < deadline:
                 thread.join(0.05)
-                worker.close()  # a call that was about to start its process starts it after the first close
+                worker.close()  # a call that was about to start its process may do so after the first close
             worker.close()
 
     def _serve(self, worker: Worker) -> None:

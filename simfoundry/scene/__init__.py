@@ -1,1 +1,1 @@
-"""The lowered scene, in which everything is explicit and nothing is left to simulator defaults."""
+"""Lowered scenes, in which everything is explicit and nothing is left to simulator defaults."""

@@ -39,13 +39,13 @@ TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
 
 
 class MeshUse(NamedTuple):
-    """Options for reading a mesh file.
+    """Options for using a mesh file in a body.
 
     Attributes:
         scale: Factor that converts the file's units to meters.
-        touches: False for meshes without colliders.
-        solid: The solid from which the mass is computed. `given` means that the body's mass is already specified; the
-            mesh then does not need to be closed.
+        touches: False if the mesh has no colliders.
+        solid: The solid from which the mass is computed, or `given` if the body's mass is already specified. In that
+            case, the mesh does not need to be closed.
         collision: The type of collider.
     """
 
@@ -57,10 +57,10 @@ class MeshUse(NamedTuple):
 
 @dataclass
 class BodyBuilder:
-    """Collects the parts of a link and computes the link; raises :class:`MeshError` for unusable meshes.
+    """Collects the parts of a link and computes the finished link; raises :class:`MeshError` for unusable meshes.
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
-    are neither shown nor decomposed: a mesh without cached convex parts is represented by its hull, and
+    are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
     ``is_approximate`` is set.
     """
 
@@ -97,7 +97,7 @@ class BodyBuilder:
     ) -> None:
         """Add a mesh file at a pose in the link frame.
 
-        The entire mesh is used as the visual; its mass and colliders are computed from a single solid.
+        The entire mesh is used as the visual, but the mass and the colliders are computed from a single solid.
         """
         solid: Literal["exact", "hull", "given"] = "given" if self.weighed else self.body.solid
         body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
@@ -186,20 +186,20 @@ class BodyBuilder:
         return base.Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """Return the color of the part, the body, the mesh file or the material, in this order; otherwise gray."""
+        """Return the first color that is set for the part, the body, the mesh file or the material; gray by default."""
         colors = part.color if part is not None else None, self.body.color, default, self._material(part).color
         return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
 
 
 def _use(part: PartSpec | None) -> str:
-    """Return the use of a part; by default, it is both a visual and a collider."""
+    """Return the use of a part, which is both a visual and a collider by default."""
     return "both" if part is None else part.use
 
 
 def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
     """Return names for the convex parts of a piece.
 
-    The names are numbered unless there is only one part and no visual has the same name.
+    The names are numbered unless there is only one convex part and no visual has the same name.
     """
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
@@ -209,7 +209,7 @@ CUT_VERSION = "cut shape 1"
 
 
 class ShapeBody(NamedTuple):
-    """The body of a shape in its own frame: a ``visual``, a ``solid`` with density 1, and ``colliders``.
+    """A shape's body in the shape's own frame: a ``visual``, a ``solid`` with density 1, and ``colliders``.
 
     ``error`` [m] is the maximum distance between the colliders and the shape.
     """
@@ -222,10 +222,10 @@ class ShapeBody(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
-    """Return the body of a shape; raises :class:`MeshError` for a profile or outline that encloses no area.
+    """Return the body of a shape; raises :class:`MeshError` if a profile or outline does not enclose an area.
 
-    Decomposing a lathe or prism takes up to 40 ms and imports two large libraries; ``cache`` stores the parts for later
-    runs.
+    Decomposing a lathe or prism takes up to 40 ms and imports two large libraries, so ``cache`` stores the parts for
+    later runs.
     """
     geometry: Geometry
     match shape:
@@ -287,7 +287,7 @@ def _pack(outline: Array, parts: list[tuple[Array, Faces]], error: float) -> byt
 
 
 def _unpack(data: bytes) -> _Cut | None:
-    """Deserialize a cache entry; return None if the entry is corrupt and must be recomputed."""
+    """Deserialize a cache entry, or return None if the entry is corrupt and must be recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             ends = np.cumsum(arrays["counts"], axis=0)[:-1]

@@ -1,4 +1,4 @@
-"""Object kinematics: link poses, kinematic trees, effective inertias, and pairs of links that can touch."""
+"""Kinematics of objects: link poses, kinematic trees, effective inertias, and pairs of links that can touch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.scene.model import Joint, JointType, Link, SceneObject
 def joint_transform(joint: Joint, position: float | Pose) -> Pose:
     """Return the pose of the child link relative to its pose at position zero.
 
-    ``position`` [rad or m] is the position of the joint, or the motion of a ball or free joint.
+    ``position`` is the position of a single-axis joint [rad or m], or the motion of a ball or free joint.
     """
     if isinstance(position, Pose):
         return position
@@ -28,9 +28,10 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
 
 
 def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = None) -> dict[str, Pose]:
-    """Return the pose ``X_OL`` of every link in the object's frame, keyed by link name.
+    """Return the pose ``X_OL`` of every link in the object frame, keyed by link name.
 
-    ``joints`` overrides joint positions [rad or m] and the motions of ball and free joints, by joint name.
+    ``joints`` maps joint names to positions [rad or m], or to motions of ball and free joints, that override the
+    object's own.
     """
     poses = {item.root.name: IDENTITY}
     for link in item.links[1:]:
@@ -58,7 +59,7 @@ class Tree:
 
     @property
     def root(self) -> Link:
-        """The first link, which is the object's root link or the child of a free joint."""
+        """The first link, which is either the object's root link or the child of a free joint."""
         return self.links[0]
 
     @property
@@ -73,12 +74,12 @@ class Tree:
 
 
 def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Compute the motions of an object's free joints from the poses of the links below them.
+    """Compute the motions of an object's free joints from the poses of their child links.
 
     Args:
         item: The object.
         positions: Positions of the object's other joints, by joint name.
-        X_OT: Poses of the links below the free joints in the object's frame, by link name.
+        X_OT: Poses of the free joints' child links in the object frame, by link name.
 
     Returns:
         The motion of each free joint, by joint name.
@@ -92,7 +93,7 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
-    """Return the kinematic trees of an object in the order of their roots; one tree if it has no free joints."""
+    """Return an object's kinematic trees in the order of their roots; without free joints, there is only one tree."""
     free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)
@@ -116,7 +117,7 @@ def trees(item: SceneObject) -> tuple[Tree, ...]:
 def effective_inertias(tree: Tree) -> dict[str, float]:
     """Return the effective inertia at each single-axis joint in the initial state [kg m^2 or kg], by joint name.
 
-    All other joints move freely, without friction or motors, so this is the smallest possible value.
+    All other joints move freely, without friction or motors, so the result is the smallest possible value.
     """
     columns = _columns(tree)
     mass_matrix = np.zeros((len(columns), len(columns)))
@@ -144,7 +145,7 @@ _Column = tuple[Joint | None, Array, Array, bool]
 
 
 def _columns(tree: Tree) -> list[_Column]:
-    """Return the degrees of freedom of a tree, expressed in the object's frame."""
+    """Return the degrees of freedom of a tree, expressed in the object frame."""
     X_OL = link_poses(tree.owner)
     columns: list[_Column] = []
     if not tree.fixed:
@@ -160,7 +161,7 @@ def _columns(tree: Tree) -> list[_Column]:
 
 
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links in an object whose contacts are disabled, by name, in the order of the links."""
+    """Return the pairs of links (by name, in link order) whose contacts are disabled within an object."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
@@ -177,7 +178,7 @@ def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links in an object that can be in contact, by name, in the order of the links."""
+    """Return the pairs of links (by name, in link order) that can be in contact within an object."""
     if len(item.links) == 1:
         return ()
     excluded = set(excluded_link_pairs(item))

@@ -1,6 +1,7 @@
 """Lower a SceneSpec to a Scene: all defaults resolved, frames composed, masses and convex parts computed.
 
-Equal documents give equal scenes on every machine. Errors in a mesh are reported at the line that refers to it.
+Identical documents produce identical scenes on every machine. Mesh errors are reported at the line that refers to the
+mesh.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
 
 @dataclass
 class Lowering:
-    """The state shared by the passes of a lowering: the document, the options, and the approximate objects.
+    """The state shared by all passes that lower a scene: the document, the options, and the approximate objects.
 
     ``fetch`` allows robot models to be downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
     parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
-    depends on such an object may then fail without an error; ``unplaced`` contains the objects whose poses are
-    therefore uncertain.
+    depends on an approximate object may then fail without an error; ``unplaced`` contains the objects whose poses are
+    uncertain for this reason.
     """
 
     loaded: Loaded
@@ -58,7 +59,7 @@ class Lowering:
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
     def run(self, passes: tuple[Pass, ...]) -> Scene:
-        """Run the passes and return the scene; raises :class:`SpecError` with every finding of the failing pass."""
+        """Run the passes and return the scene; raises :class:`SpecError` with all findings from the failing pass."""
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
@@ -71,10 +72,10 @@ Pass = Callable[[Lowering, Scene], Scene]
 
 
 def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
-    """Lower a checked scene document; raises :class:`SpecError` with every finding.
+    """Lower a checked scene document; raises :class:`SpecError` with all findings.
 
     ``cache`` stores convex decompositions for later runs. ``progress`` is called with a name, the number of finished
-    objects, and the total number of objects. Robot models are downloaded only if ``fetch`` is set; robots whose models
+    objects, and the total number of objects. Robot models are downloaded only if ``fetch`` is set. Robots whose models
     are missing are left out.
     """
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
@@ -91,11 +92,11 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 
 
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the objects without their placements; raises :class:`SpecError` with every finding.
+    """Lower the objects without their placements; raises :class:`SpecError` with all findings.
 
-    Objects placed inside others are lowered first, together with all objects that they depend on. If one of them does
-    not fit, the error is detected before the remaining meshes are decomposed, which may take minutes; these meshes are
-    then only checked.
+    Objects placed inside others are lowered first, together with all objects on which they depend. If one of them does
+    not fit, the error is detected before the remaining meshes are decomposed, a process that may take minutes. In that
+    case, the remaining meshes are only checked.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
@@ -120,7 +121,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
-    """Return the objects placed `inside` others, and all objects that they depend on, in the order of the spec."""
+    """Return the objects placed `inside` others, and all objects on which they depend, in the order of the spec."""
     places = lowering.places
     todo, seen = [name for name, place in places.items() if place.inside is not None], set[str]()
     while todo:
@@ -148,12 +149,12 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
-    """Return findings for placements that fail, located at the keys that specify them."""
+    """Return findings for failed placements, located at the keys that specify the placements."""
     return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
 
 
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Solve every `place` and replace it with a pose."""
+    """Solve every `place` constraint and replace it with a pose."""
     places = lowering.places
     if not places:
         return scene
@@ -200,7 +201,7 @@ def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the robots whose models are available; leave out robots without models, along with their cameras."""
+    """Lower the robots whose models are available, and leave out the others along with their cameras."""
     spec = lowering.spec
     if not spec.robots:
         return scene
@@ -249,7 +250,7 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
-    """Add the document and its relations to the scene, for evaluation and for targets that embed the document."""
+    """Add the document and its relations to the scene, both for evaluation and for targets that embed the document."""
     from simfoundry.spec.yaml.write import to_data  # not needed by lints
 
     loaded, path = lowering.loaded, lowering.loaded.path.resolve()
@@ -270,8 +271,8 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 def viewer(spec: SceneSpec) -> Pose | None:
     """Return the frame that defines left, right, front and behind, or None for the world frame.
 
-    In this frame, x points away from the viewer and y to its left. A robot looks along the x axis of its base, as does
-    a camera mounted on the robot.
+    In this frame, x points away from the viewer, and y points to the viewer's left. A robot looks along the x axis of
+    its base, as does a camera mounted on the robot.
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
@@ -281,7 +282,7 @@ def viewer(spec: SceneSpec) -> Pose | None:
 
 
 def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
-    """Yield the object textures that cannot be used, with reasons."""
+    """Yield the object textures that cannot be used, along with the reasons."""
     from simfoundry.assets.textures import document_faults
 
     for (_, name, _), fault in document_faults(loaded, spec):
@@ -294,7 +295,7 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:
-    """Return a camera with resolved principal point and pose."""
+    """Return a camera with its principal point and pose resolved."""
     width, height = spec.size
     cx = (width - 1) / 2 if spec.cx is None else spec.cx
     cy = (height - 1) / 2 if spec.cy is None else spec.cy

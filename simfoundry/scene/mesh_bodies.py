@@ -1,4 +1,4 @@
-"""Bodies and backgrounds from mesh files; meshes are decomposed for a build, or looked up in the cache for a draft."""
+"""Bodies and backgrounds from mesh files. Meshes are decomposed for builds, and looked up in the cache for drafts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MeshBody(NamedTuple):
 
 
 def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[str], object]) -> MeshBody:
-    """Read a mesh file and decompose it into convex parts, using ``cache``; raises :class:`MeshError`."""
+    """Read a mesh file and decompose it into convex parts, using ``cache``; raise :class:`MeshError` on failure."""
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
@@ -61,7 +61,7 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
 
 
 def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
-    """Return the solid of a mesh file and its cached convex parts (or its hull), without decomposing the mesh.
+    """Return a mesh file's solid and its cached convex parts (or its hull), without decomposing the mesh.
 
     Raises the same :class:`MeshError` as :func:`read_body`.
     """
@@ -96,7 +96,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> mass.SolidMoments:
-    """Return the solid that defines the mass of a mesh whose faces are oriented outward."""
+    """Return the solid that defines the mass of a mesh, whose faces must be oriented outward."""
     if how == "hull":
         return mass.mesh(*convex.hull(vertices, limit=len(vertices)))
     if gaps := open_edges(faces):
@@ -120,7 +120,7 @@ def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """Yield the visual pieces of a mesh file; textures are used unchanged, and pieces without a color are gray."""
+    """Yield the visual pieces of a mesh file, with unchanged textures and gray for pieces without a color."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Mesh and texture files, named by their content so that identical files are written only once."""
+"""Mesh and texture files, which are named by their content so that identical files are written only once."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def has_texture(mesh: Mesh) -> bool:
 
 
 def obj_with_material(mesh: Mesh, name: str = "") -> dict[str, bytes]:
-    """Return an OBJ file, along with MTL and PNG files if the mesh has a texture, keyed by file name.
+    """Return an OBJ file, plus MTL and PNG files if the mesh has a texture, keyed by file name.
 
-    The OBJ file comes first. The base name of the files is ``name``; by default, mesh and texture are named by their
-    content.
+    The OBJ file comes first. The base name of the files is ``name``; by default, the mesh and the texture are named by
+    their content.
     """
     digest = name or mesh.digest
     if mesh.texture is None or mesh.uv is None:

@@ -1,7 +1,8 @@
-"""Detect infeasible `inside` placements using the original meshes, before convex decomposition, which takes minutes.
+"""Detect infeasible `inside` placements based on the original meshes, before a convex decomposition that takes minutes.
 
-The convex parts of a mesh contain the mesh and fill its shallow hollows. If an object's mesh collides with the mesh of
-its container at every height at which the container has walls around the object, their convex parts collide as well.
+The convex parts of a mesh contain the mesh and fill its shallow hollows. If an object's mesh collides with its
+container's mesh at every height at which the container has walls around the object, the convex parts of the two collide
+as well.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ def _uncut_link(link: Link) -> Link:
 def certain_misfits(
     objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None, meshes: Collection[str]
 ) -> dict[str, PlaceError]:
-    """Return errors for the objects that certainly do not fit inside their containers at any height.
+    """Return errors for objects that are certain not to fit inside their containers at any height.
 
-    An object is tested only if its container has a pose, or is placed on an object that has a pose. ``meshes`` are the
-    names of objects whose meshes are used without decomposition (see :func:`uncut`).
+    An object is tested only if its container has a pose, or is placed on an object that has a pose. ``meshes`` contains
+    the names of objects whose meshes are used without decomposition (see :func:`uncut`).
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     found = {}
@@ -108,7 +109,7 @@ def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float
 
 
 def _surface_points(shape: Hulls) -> Array:
-    """Return :data:`POINTS` points [m] distributed over the faces of a shape, and some of its corners, (n, 3)."""
+    """Return :data:`POINTS` points [m] distributed over the faces of a shape and some of its corners, shape (n, 3)."""
     corners = shape.corners[:: max(1, len(shape.corners) // POINTS)]
     if not len(shape.triangles):
         return corners

@@ -1,8 +1,8 @@
-"""The lowered scene, which is the input to every backend; backends make no modeling decisions of their own.
+"""The lowered scene, which is the input to all backends. Backends do not make any modeling decisions of their own.
 
-Conventions: SI units; right-handed world, z up; quaternions wxyz; ``X_AB`` is the pose of B in A; full extents, never
-half extents; cylinders and capsules along their local z; camera frames are OpenCV's (x right, y down, z forward). Every
-array is float64 and read-only.
+All quantities are in SI units, and all arrays are float64 and read-only. The world is right-handed with z up,
+quaternions are wxyz, and ``X_AB`` is the pose of B in A. Sizes are full extents, never half extents, and cylinders and
+capsules are aligned with their local z axis. Camera frames use OpenCV axes (x right, y down, z forward).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A geometry that is visible to cameras, posed in its link.
+    """A geometry that is visible to cameras, with its pose in the link.
 
-    ``rgba`` is its color in [0, 1], shape (4,); the texture of a mesh is multiplied by it.
+    ``rgba`` is the color in [0, 1], shape (4,), by which the texture of a mesh is multiplied.
     """
 
     name: str
@@ -38,16 +38,16 @@ class Visual:
 
 @dataclass(frozen=True, eq=False)
 class Collider:
-    """A collider, which is a primitive or a *convex* mesh posed in its link.
+    """A collider: a primitive or a *convex* mesh, with its pose in the link.
 
     Attributes:
-        friction: The Coulomb coefficient of the surface. A contact uses the geometric mean of the two surfaces
+        friction: The Coulomb coefficient of the surface. A contact uses the geometric mean of both coefficients
             (:func:`pair_friction`).
-        restitution: The restitution in [0, 1]. A contact uses the geometric mean of the two surfaces.
+        restitution: The restitution in [0, 1]. A contact uses the geometric mean of both values.
         torsional_friction: The maximum torque that resists spinning, divided by the normal force [m]. A contact uses
-            the larger value of the two surfaces.
+            the larger of the two values.
         rolling_friction: The maximum torque that resists rolling, divided by the normal force [m]. A contact uses the
-            larger value of the two surfaces.
+            larger of the two values.
         material: The name of the surface material, or empty if the spec does not specify one.
     """
 
@@ -63,7 +63,7 @@ class Collider:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid body of an object.
+    """A rigid body that belongs to an object.
 
     Attributes:
         mass: The mass [kg].
@@ -101,9 +101,10 @@ class JointType(StrEnum):
 
 @dataclass(frozen=True)
 class Mimic:
-    """A coupling to another ``joint`` of the same object.
+    """A coupling to another ``joint`` in the same object.
 
-    The position of the coupled joint is ``multiplier * position + offset``, with the position of that other joint.
+    The position of the coupled joint is ``multiplier * position + offset``, where ``position`` is the position of the
+    other joint.
     """
 
     joint: str
@@ -119,8 +120,8 @@ class Mimic:
 class Drive:
     """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
-    The units are: ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m], and
-    ``force_limit`` [N m or N], which is None if the force is unlimited.
+    The units are [N m/rad or N/m] for ``stiffness``, [N m s/rad or N s/m] for ``damping``, [rad or m] for ``target``,
+    and [N m or N] for ``force_limit``, which is None if the force is unlimited.
     """
 
     stiffness: float
@@ -137,19 +138,20 @@ ClosedEnd = Literal["lower", "upper"]
 class Joint:
     """A joint between two links of one object.
 
-    A free joint does not constrain its child, which is a separate body posed relative to the parent.
+    A free joint does not constrain its child, which is a separate body whose pose is relative to the parent.
 
     Attributes:
-        X_PC: The pose of the child link's frame in the parent link's frame at position zero.
+        X_PC: The pose of the child link frame in the parent link frame at position zero.
         axis: The axis through the child's origin, a unit vector in the child frame, shape (3,).
         limits: The limits of the position [rad or m], or None for an unlimited joint.
         damping: The damping [N m s/rad or N s/m].
         friction: The Coulomb friction torque or force [N m or N].
         armature: The armature [kg m^2 or kg].
         position: The initial position of a single-axis joint [rad or m].
-        motion: The initial state of a ball or free joint: the pose of the child's frame relative to its pose at
-            position zero.
-        closed: The limit at which the joint counts as closed. None means position zero, or the limit nearest to zero.
+        motion: The initial state of a ball or free joint: the pose of the child frame relative to its pose at position
+            zero.
+        closed: The limit at which the joint counts as closed. If None, the joint is closed at position zero or at the
+            limit nearest to zero.
     """
 
     name: str
@@ -170,7 +172,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """The closed position [rad or m]: the limit in ``closed``; by default, zero or the limit nearest to zero."""
+        """The closed position [rad or m]: the limit in ``closed`` or, by default, zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -178,22 +180,22 @@ class Joint:
 
     @property
     def has_axis(self) -> bool:
-        """True if the joint state is a single number, because the joint rotates about or slides along one axis."""
+        """True if the joint rotates about or slides along a single axis, so that its state is a single number."""
         return self.type in (JointType.REVOLUTE, JointType.PRISMATIC, JointType.CONTINUOUS)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A named object: a single link, or a tree of links and joints whose first link is the root.
+    """A named object: either a single link or a tree of links and joints whose first link is the root.
 
     Attributes:
         fixed: True if the object is welded to the world; all other objects have a free root.
         X_WO: The pose of the root link's frame in the world.
-        links: The links in topological order, so a parent comes before its children.
+        links: The links in topological order, so that parents come before their children.
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
         labels: The semantic labels; if empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
-        variants: All other variants, as complete objects with the same name.
+        variants: All other variants, each of which is a complete object with the same name.
     """
 
     name: str
@@ -223,13 +225,13 @@ class SceneObject:
         return {joint.child: joint for joint in self.joints}
 
     def qualified(self, link_or_joint: str) -> str:
-        """Return the name in a flat target: the object's name for its root link, otherwise ``object.link``."""
+        """Return a link's or joint's qualified name: ``object.name``, or only the object's name for the root link."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera: image ``width`` x ``height`` [px], intrinsics [px], pose ``X_WC`` (OpenCV axes)."""
+    """A pinhole camera with image ``width`` x ``height`` [px], intrinsics [px], and pose ``X_WC`` (OpenCV axes)."""
 
     name: str
     width: int
@@ -245,8 +247,8 @@ class Camera:
 class MountedCamera:
     """A camera mounted on a link; ``camera.X_WC`` is its pose in the frame of that link.
 
-    ``carrier`` is the name of a robot or an object. ``link`` is one of its frames or links; if empty, the camera is
-    mounted on the base or root.
+    ``carrier`` is the name of a robot or an object, and ``link`` is the name of one of its frames or links. If ``link``
+    is empty, the camera is mounted on the base or root.
     """
 
     carrier: str
@@ -266,8 +268,8 @@ class LightType(StrEnum):
 class Light:
     """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or everywhere (dome).
 
-    ``intensity`` is relative: at 1, a white surface that faces the light is fully lit. ``rgb`` is in [0, 1], shape
-    (3,).
+    ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
+    [0, 1], shape (3,).
     """
 
     name: str
@@ -292,7 +294,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation stated by the spec, such as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
+    """A relation stated in the spec, such as ``OnTop(cup, desk)``, between objects or joints (``object.joint``)."""
 
     predicate: str
     args: tuple[str, ...]
@@ -303,7 +305,7 @@ class Relation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A part of the spec that is missing in every target: its path and the reason.
+    """A part of the spec that is missing from every target, with its path and the reason.
 
     ``X_WB`` is the base pose of a robot.
     """
@@ -321,8 +323,8 @@ class Scene:
         left_out: The parts of the spec that could not be lowered; every target reports them as lost.
         no_contact: The pairs of links in different objects, by qualified name, whose contacts are disabled.
         source: The document, for targets that embed it.
-        viewer: The frame that defines left, right, front and behind: x points away from the viewer and y to its left.
-            None means the world axes.
+        viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y points to the
+            viewer's left. If None, the world axes are used.
     """
 
     name: str
@@ -366,7 +368,7 @@ def pair_friction(a: float, b: float) -> float:
 def pair_resistance(a: float, b: float) -> float:
     """Return the torsional or rolling friction [m] of a contact between two surfaces.
 
-    The larger value is used because one soft surface is enough to cause resistance.
+    The larger value is used, because a single soft surface is enough to cause resistance.
     """
     return max(a, b)
 
@@ -375,12 +377,12 @@ def pair_resistance(a: float, b: float) -> float:
 class Source:
     """The document from which a scene was lowered.
 
-    It is opaque to backends, which may store it but must not base decisions on it.
+    The source is opaque to backends, which may store the source but must not base any decisions on it.
 
     Attributes:
         file: The POSIX path of the document in its project.
-        data: The plain data of the document and of everything it extends, in canonical order. It consists of mappings,
-            tuples, strings and numbers.
+        data: The plain data of the document and of everything that it extends, in canonical order. The data consists of
+            mappings, tuples, strings and numbers.
     """
 
     file: str

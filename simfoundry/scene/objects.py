@@ -29,9 +29,9 @@ Progress = Callable[[str, int, int], None]
 class ObjectLowering:
     """Lowers the objects in a document and collects findings about their meshes.
 
-    Unless ``cuts`` is set, meshes are represented by their convex hulls and not decomposed into convex parts. In a
-    ``draft``, meshes have no visuals either (see :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate``
-    contains the names of objects that are represented only by bounds.
+    Unless ``cuts`` is set, meshes are represented by their convex hulls instead of being decomposed into convex parts.
+    In a ``draft``, meshes also have no visuals (see :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate``
+    contains the names of objects that are represented only by their bounds.
     """
 
     loaded: Loaded
@@ -64,7 +64,7 @@ class ObjectLowering:
     def _builder(
         self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
-        """Return a builder for a link of the object ``owner``; the builder reports slow steps."""
+        """Return a builder for a link of the ``owner`` object; the builder reports slow steps."""
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
         builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft)
@@ -118,7 +118,7 @@ class ObjectLowering:
     def articulated(
         self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str
     ) -> tuple[list[Link], tuple[Joint, ...]]:
-        """Return the links of an asset in topological order, and its joints at the positions set by the object."""
+        """Return an asset's links in topological order, and its joints at the positions set by the object."""
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -137,7 +137,7 @@ class ObjectLowering:
         self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,
         before: int, owner: str,
     ) -> list[Link]:  # fmt: skip
-        """Return the finished link in a list; empty if there are more findings than ``before``."""
+        """Return a list with the finished link, or an empty list if there are more findings than ``before``."""
         if builder.is_approximate:
             self.approximate.add(owner)
         if len(self.findings) > before:
@@ -148,7 +148,7 @@ class ObjectLowering:
 
 
 def _topological(spec: AssetSpec) -> Iterator[str]:
-    """Yield the links from the root outward; siblings are in the order of their joints."""
+    """Yield the links from the root outward, with siblings in the order of their joints."""
     todo = [next(iter(spec.links))]
     while todo:
         link = todo.pop(0)

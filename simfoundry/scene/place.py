@@ -1,8 +1,8 @@
 """Compute the poses of objects placed on, inside or beside other objects.
 
-An object keeps its specified rotation, is moved to its position in the plane, and is lowered along z until it touches
-its support; :data:`CLEARANCE` is left between the two. Only the support stops the object; collisions with other objects
-do not move it.
+An object keeps its specified rotation, is moved to its position in the plane, and is lowered along z until it nearly
+touches its support, leaving a gap of :data:`CLEARANCE`. Only the support stops the object; collisions with other
+objects do not move it.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class PlaceError(Exception):
 
 
 def order(places: Mapping[str, Place]) -> list[str]:
-    """Return the names in ``places``, ordered so that each object comes after its support and its anchors.
+    """Return the names in ``places``, ordered so that each object comes after its support and anchors.
 
-    Objects in a dependency cycle come last, in the order of the document.
+    Objects in a dependency cycle come last, in document order.
     """
     sorter = TopologicalSorter[str](dict.fromkeys(places, ()))
     for name, place in places.items():
@@ -81,7 +81,7 @@ def place_all(
     Objects that depend on a failed placement are not placed either, but no errors are reported for them.
 
     Returns:
-        All objects, with placements solved, and the errors for placements that failed.
+        All objects, with their placements solved, and the errors for failed placements.
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     errors: dict[str, PlaceError] = {}
@@ -107,7 +107,7 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
             world frame.
 
     Raises:
-        PlaceError: The placement is infeasible.
+        PlaceError: If the placement is infeasible.
     """
     held, carrier, xy = approach(item, place, placed, viewer)
     lift = _lift(held, carrier, walled=place.inside is not None)
@@ -122,7 +122,7 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
 def approach(
     item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> tuple[Hulls, _Carrier, Array]:
-    """Return an object's rotated shape above its target position, its support, and the position in the plane [m]."""
+    """Return an object's rotated shape above its target position, its support, and the target position (x, y) [m]."""
     carrier = _Carrier.of(_carrier_name(place) or "", placed)
     shape = hulls(replace(item, X_WO=Pose.of(q=_rotation(place))))
     if not len(shape.corners):
@@ -132,7 +132,7 @@ def approach(
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
-    """Return the frame of a viewer who looks through a camera, with x pointing away and y to the left.
+    """Return the frame of a viewer looking through a camera, with x pointing away from the viewer and y to the left.
 
     If the camera looks straight down, x is the image's up direction.
     """
@@ -156,7 +156,7 @@ def _rotation(place: Place) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Carrier:
-    """The support of a placement: the ``whole`` object, its named ``part``, and that part's frame."""
+    """The support for a placement: the ``whole`` object, the named ``part``, and the frame of this part."""
 
     name: str
     whole: Hulls
@@ -186,7 +186,7 @@ class _Carrier:
 def _position(
     place: Place, shape: Hulls, carrier: _Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> Array:
-    """Return the position of the object's frame in the plane [m], shape (2,); ``shape`` is posed at the origin."""
+    """Return the position of the object frame in the plane [m], shape (2,); ``shape`` is posed at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
@@ -212,7 +212,7 @@ def _position(
 
 
 def _axes(viewer: Pose | None) -> tuple[Array, Array]:
-    """Return the horizontal unit vectors away from the viewer and to its left, shape (3,)."""
+    """Return the horizontal unit vectors that point away from the viewer and to the viewer's left, shape (3,)."""
     x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
     length = math.hypot(x, y)
     if length < 1e-6:
@@ -221,7 +221,7 @@ def _axes(viewer: Pose | None) -> tuple[Array, Array]:
 
 
 def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
-    """Return the height by which an object must be lifted to rest on its support [m]; None if it cannot rest there.
+    """Return the height [m] by which an object must be lifted to rest on its support, or None if it cannot rest there.
 
     If one part of the support is above another, such as a cabinet above its drawer, the result is the highest free
     space in which the object rests on the specified part and, if ``walled`` is set, has walls around it.
@@ -244,7 +244,7 @@ def overlap(thing: Hulls, carrier: Hulls) -> bool:
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
-    """Yield the heights at which an object can rest, highest first, each with the part of the support below it.
+    """Yield the heights at which an object can rest, from highest to lowest, with the part of the support below it.
 
     Part i of the object collides with part j of the support if it is lifted by ``low[i, j]`` to ``high[i, j]``.
     """
@@ -273,7 +273,7 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
 
 
 def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
-    """Return the error for an object that does not have enough space on or inside its support."""
+    """Return the error for an object that does not have enough room on or inside its support."""
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"

@@ -1,4 +1,4 @@
-"""Robots in the lowered scene: locate their native models, and map names in the scene to names in the models."""
+"""Robots in the lowered scene, with their native models and the mapping from names in the scene to names in a model."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ModelFormat(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinkFrame:
-    """A frame that a scene can refer to, at pose ``X_LF`` in a ``link`` of the model."""
+    """A frame that a scene can refer to, at the pose ``X_LF`` in a ``link`` of the model."""
 
     link: str
     X_LF: Pose = IDENTITY
@@ -36,11 +36,11 @@ class LinkFrame:
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """The joints of a gripper; every pair of values is (open, closed).
+    """The joints of a gripper; each pair of values is (open, closed).
 
     Attributes:
         command: The values of the model's actuators, or empty if the joints are driven directly.
-        joints: The positions of the joints [rad or m]; the first joint indicates how far the gripper is closed.
+        joints: The positions of the joints [rad or m]. The first joint indicates how far the gripper is closed.
         follow: Mimic joints that replace the model's closed loops and equality constraints in engines that do not
             support them.
     """
@@ -50,7 +50,7 @@ class Gripper:
     follow: Mapping[str, Mimic]
 
     def closed(self, position: float) -> float:
-        """Return the closed fraction, from 0 to 1, when the first joint is at ``position`` [rad or m]."""
+        """Return how far the gripper is closed, from 0 to 1, when the first joint is at ``position`` [rad or m]."""
         opened, closed = next(iter(self.joints.values()))
         return min(max((position - opened) / (closed - opened), 0.0), 1.0)
 
@@ -65,9 +65,9 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A model mounted on a link of another model; its names are prefixed with ``name.``.
+    """A model that is mounted on a link of another model, with all of its names prefixed with ``name.``.
 
-    ``X_LB`` is the pose of its base in the frame of the link ``to``.
+    ``X_LB`` is the pose of the base of the mounted model in the frame of the ``to`` link.
     """
 
     name: str
@@ -82,9 +82,9 @@ class NativeModel:
 
     Attributes:
         file: The model file, which remains at its original location.
-        digest: A hash of the content of all files of the model.
-        joints: The name of each arm joint in the model, by its name in the scene.
-        effort: The maximum torque or force of joints [N m or N] for which the file does not specify the actual limit.
+        digest: A hash of the content of all model files.
+        joints: The names of the arm joints in the model, keyed by their names in the scene.
+        effort: The maximum torque or force [N m or N] of joints whose actual limit is not specified in the file.
     """
 
     format: ModelFormat
@@ -97,7 +97,7 @@ class NativeModel:
     effort: Mapping[str, float]
 
     def frame(self, name: str) -> LinkFrame:
-        """Return the frame called ``name`` in a scene, which is either a known frame or a link of the model."""
+        """Return the frame that a scene calls ``name``, which is either a known frame or a link of the model."""
         return self.links.get(name) or LinkFrame(name)
 
 
@@ -125,18 +125,18 @@ class Robot:
     models: Mapping[ModelFormat, NativeModel]
 
     def best(self, *formats: ModelFormat) -> NativeModel | None:
-        """Return the model in the first available format."""
+        """Return the robot's model in the first available format."""
         return next((self.models[f] for f in formats if f in self.models), None)
 
     def start(self, model: NativeModel) -> dict[str, float]:
-        """Return the initial joint positions in the model: the arm as specified in the scene, and the gripper open."""
+        """Return the model's initial joint positions, with the arm as specified in the scene and the gripper open."""
         arm = {model.joints.get(name, name): position for name, position in self.positions.items()}
         opened = {n: pair[0] for n, pair in model.gripper.joints.items()} if model.gripper is not None else {}
         return opened | arm
 
 
 def mujoco_model(robot: Robot) -> NativeModel | None:
-    """Return the robot model that is best suited for MuJoCo, or None if there is none."""
+    """Return the robot model that is best suited for MuJoCo, or None if MuJoCo cannot read any of the models."""
     return robot.best(ModelFormat.MJCF, ModelFormat.URDF)
 
 
@@ -213,7 +213,7 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path, fetch: bool) -> Na
 
 
 def _first(references: list[str], document: Path, suffix: str, fetch: bool) -> Path:
-    """Return the first file that exists; otherwise, raise the error for the best file whose package is installed."""
+    """Return the first file that exists; otherwise, raise the error for the first file whose package is installed."""
     reasons = []
     for reference in references:
         try:

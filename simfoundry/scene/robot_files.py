@@ -1,4 +1,4 @@
-"""Locate the files of a robot model and the files that they reference, including in packages that download robots."""
+"""Locate the files of a robot model and all files they reference, including in packages that download robots."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) 
 
 
 def digest(files: list[Path]) -> str:
-    """Return sixteen hexadecimal digits that identify the content of the files, in the given order."""
+    """Return sixteen hexadecimal digits that identify the content of the files in the given order."""
     total = hashlib.sha256()
     for file in files:
         total.update(hashlib.sha256(file.read_bytes()).digest())
@@ -52,7 +52,7 @@ def digest(files: list[Path]) -> str:
 
 
 def model_files(file: Path) -> list[Path]:
-    """Return a model file and all files that it references, without duplicates and in the order of the references.
+    """Return a model file and all files that it references, without duplicates and in order of reference.
 
     Raises :class:`NoModelError` if a file is missing or the model cannot be read.
     """
@@ -138,9 +138,9 @@ _DESCRIPTIONS = "robot_descriptions"
 
 
 class NoModelError(Exception):
-    """An error for a missing model; the message is a clause that states what is missing and how to fix it.
+    """Raised for a missing model; the message is a clause that states what is missing and how to fix the problem.
 
-    ``is_known`` is False if the package that may provide the model is not installed; in that case, the error from
+    ``is_known`` is False if the package that may provide the model is not installed. In that case, an error from
     another source is more informative.
     """
 
@@ -221,8 +221,8 @@ def _described_model(name: str, path: str | None, suffix: str, fetch: bool) -> P
 def _need_cloned(name: str) -> None:
     """Raise :class:`NoModelError` unless the repository of a description has been cloned.
 
-    The package itself cannot determine this without cloning. Therefore, the repository is read from the source of the
-    module, and its folder from a table in the package.
+    The package itself cannot determine this without cloning. Therefore, the repository name is read from the module's
+    source code, and the folder name is read from a table in the package.
     """
     if f"{_DESCRIPTIONS}.{name}" in sys.modules:
         return
@@ -239,7 +239,7 @@ def _need_cloned(name: str) -> None:
 
 @contextmanager
 def _offline() -> Iterator[None]:
-    """Prevent git from using the network or printing while a description that is already cloned is imported."""
+    """Prevent git from using the network or printing messages while an already cloned description is imported."""
     before = os.environ.get("GIT_ALLOW_PROTOCOL")
     os.environ["GIT_ALLOW_PROTOCOL"] = "none"
     try:

@@ -1,4 +1,4 @@
-"""The time-varying state of a scene (object poses and joint positions), read from and written to documents."""
+"""The time-varying state of a scene (object poses and joint positions), which is read from and written to documents."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class SceneState:
     """The state of a scene at one time.
 
     Attributes:
-        poses: The pose ``X_WO`` of each object, by name.
+        poses: The pose ``X_WO`` of each object, by object name.
         joints: The positions of single-axis joints [rad or m], by ``object.joint``.
         motions: The motions of ball and free joints, by ``object.joint``. A motion is the pose of the child's frame
             relative to its pose at position zero; for a ball joint, it has no translation.
@@ -63,7 +63,7 @@ class SceneState:
         return cls.of({o.name: o.X_WO for o in scene.objects}, positions, motions)
 
     def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
-        """Return the positions and motions of an object's joints, by joint name, with defaults from the scene."""
+        """Return the positions and motions of an object's joints, by joint name, using defaults from the scene."""
         found: dict[str, float | Pose] = {}
         for joint in item.joints:
             name = f"{item.name}.{joint.name}"
@@ -79,7 +79,7 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return a copy of an object with its pose and joint positions from a state; other variants are omitted."""
+    """Return a copy of an object with its pose and joint positions taken from a state, omitting other variants."""
     at, joints = state.of_object(item), []
     for joint in item.joints:
         to = at.get(joint.name, joint.position)
@@ -105,7 +105,11 @@ def pose(spec: PoseSpec) -> Pose:
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
-    """Convert a pose to readable form: position to 0.1 mm, and yaw if upright, otherwise roll, pitch and yaw."""
+    """Convert a pose to readable form.
+
+    The position is rounded to 0.1 mm. The rotation is specified by yaw if the pose is upright, and otherwise by roll,
+    pitch and yaw.
+    """
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
     if tilt >= UPRIGHT_DEG:
@@ -121,7 +125,7 @@ def _rpy_deg(pose: Pose) -> tuple[float, float, float]:
 
 
 def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
-    """Return the spec of ``scene``, with poses of free objects and positions of moved joints taken from ``state``."""
+    """Return the spec for ``scene``, with poses of free objects and positions of moved joints taken from ``state``."""
     moved = with_poses(spec, state.poses)
     objects = dict(moved.objects)
     for item in scene.objects:

@@ -32,7 +32,7 @@ def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
 
 
 def tree(facts: dict[str, Any]) -> str:
-    """Format the facts of :func:`summary` as an indented tree: objects are indented below their supports."""
+    """Format the facts from :func:`summary` as a tree in which objects are indented below their supports."""
     objects: dict[str, Any] = facts["objects"]
     children: dict[str | None, list[str]] = {}
     for name, item in objects.items():

@@ -14,7 +14,7 @@ SHOWN = 160
 
 
 class Severity(StrEnum):
-    """Severity of a finding."""
+    """The severity of a finding."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -22,9 +22,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """Finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
+    """A finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
 
-    ``about`` contains the names that the finding concerns besides those in ``path``; ``allow`` can silence it by name.
+    ``about`` contains names that the finding concerns in addition to those in ``path``. Like those, they can be used in
+    ``allow`` to silence the finding.
     """
 
     code: str
@@ -62,7 +63,7 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Return the key or value in our language for each synonym, including terms from other formats."""
+    """Return a mapping from synonyms, including terms from other formats, to keys and values of our language."""
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
@@ -130,7 +131,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     return "\n".join(blocks)
 
 
-# Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue.
+# ECMA-48 "Select Graphic Rendition" codes for bold text in red, yellow or blue.
 _STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
 
 

@@ -1,4 +1,4 @@
-"""Documents with their findings, and checks that the files they refer to exist, fit, and are inside the project."""
+"""Loaded documents, and checks that the files they refer to exist, are of the right type, and are in the project."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def located(reference: str, document: Path) -> Path:
     spec = find_spec(package)  # locates the folder without running any code
     if spec is None or not spec.submodule_search_locations:
         hint = f"install it (`pip install {package}`), or give a path relative to this document"
-        raise FileError("SF203", f"the package `{package}` is not installed", hint)
+        raise FileError("SF203", f"the `{package}` package is not installed", hint)
     folder = Path(spec.submodule_search_locations[0]).resolve()
     target = (folder / path).resolve()
     if not target.is_relative_to(folder):
@@ -84,7 +84,7 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
 
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
     if Path(reference).is_absolute() or not target.is_relative_to(root):
-        hint = f"files must be inside the project, {root}; copy it there and give a relative path"
+        hint = f"files must be inside the project, {root}; copy the file there and use a relative path"
         raise FileError("SF204", f"`{reference}` is outside the project", hint + _or_mark(target, root))
     if suffixes and not reference.lower().endswith(suffixes):
         message = f"`{reference}` does not have a supported file type"
@@ -110,7 +110,7 @@ def _or_mark(target: Path, root: Path) -> str:
 
 
 def shown(reference: str, document: Path) -> Path:
-    """Return the path of a file for display; it is relative if the document's own path is."""
+    """Return the path of a file for display, which is relative if the document's own path is relative."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
     return plain if plain.resolve() == target else target
 
@@ -136,11 +136,11 @@ class Loaded:
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """Return the errors, including those of the documents that it uses."""
+        """Return the errors in this document and in the documents that it uses."""
         return [d for d in self.all_findings() if d.severity is Severity.ERROR]
 
     def all_findings(self) -> list[Diagnostic]:
-        """Return the findings of this document and of those that it uses."""
+        """Return the findings for this document and for the documents that it uses."""
         return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
     def files(self) -> list[Path]:
@@ -162,5 +162,5 @@ class Loaded:
         return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
-        """Return the path of a file for display; it is relative if this document's own path is."""
+        """Return the path of a file for display, which is relative if this document's own path is relative."""
         return shown(reference, self.path)

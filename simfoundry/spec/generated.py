@@ -12,7 +12,7 @@ from simfoundry.spec.editor.schema import schemas
 
 
 def generated() -> dict[str, str]:
-    """Return the text of every generated file by its path in the repository."""
+    """Return the text of every generated file, keyed by its path in the repository."""
     files = {f"schemas/{name}": text for name, text in schemas().items()}
     return {**files, "docs/reference.md": reference(), "docs/findings.md": findings_page()}
 
@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> int:
     """Write files that are out of date, or only report them with ``--check``; return the exit status."""
     root = Path.cwd()
     if not (root / "schemas").is_dir():
-        print("run this in the root of the repository, which contains the folder `schemas`", file=sys.stderr)
+        print("run this in the root of the repository, which contains the `schemas` folder", file=sys.stderr)
         return 2
     differing = stale(root)
     if "--check" in arguments:

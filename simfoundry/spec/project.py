@@ -56,7 +56,7 @@ class Project:
 
     @cached_property
     def exclude(self) -> tuple[str, ...]:
-        """Return the patterns for files and folders that are skipped by commands that process folders.
+        """Return the patterns for files and folders that commands on folders skip.
 
         Raises :class:`SpecError` if the marker file cannot be read.
         """
@@ -74,7 +74,7 @@ class Project:
         return spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
-        """Return True if a command on the folder ``named`` skips ``path``.
+        """Return True if a command that was given the folder ``named`` skips ``path``.
 
         Only paths below ``named`` can be skipped, never ``named`` itself.
         """
@@ -111,7 +111,7 @@ def common_project(*files: Path) -> Project:
     try:
         closest = Path(os.path.commonpath(folders))
     except ValueError:  # on different drives
-        raise NoProjectError(f"no folder contains {_listed(files)}; move them into one") from None
+        raise NoProjectError(f"no folder contains {_listed(files)}; move them into one folder") from None
     here = Path.cwd()
     below = closest.is_relative_to(here) and not _is_shared(here)
     project = find_project(closest) or Project(here if below else closest)
@@ -134,7 +134,10 @@ class NoProjectError(Exception):
 
 
 def markers(project: Project) -> dict[Path, str]:
-    """Return the marker file to write by path; empty if the project already has one or its folder is shared."""
+    """Return the content of the marker file to write, keyed by its path.
+
+    The result is empty if the project already has a marker file or if its folder is shared.
+    """
     return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
 
 
@@ -148,7 +151,7 @@ def _listed(files: Iterable[Path]) -> str:
 
 
 def _parts(path: Path, root: Path) -> tuple[str, ...]:
-    """Return the path components from ``root`` to ``path``, without resolving a final link; empty if outside."""
+    """Return the path components from ``root`` to ``path``, without resolving a final link, or () if it is outside."""
     whole = Path(os.path.normpath(path.absolute()))
     real = Path(os.path.realpath(whole.parent)) / whole.name
     return real.relative_to(root).parts if real.is_relative_to(root) else ()

@@ -1,4 +1,4 @@
-"""Targets, which are simulators described as data.
+"""Targets: simulators that are described as data.
 
 A profile names a backend and describes how the simulator interprets the files.
 """

@@ -1,4 +1,4 @@
-"""Compilation of many scenes in parallel processes, in which a crash or hang does not affect the other scenes."""
+"""Compilation of many scenes in parallel processes, so that a crash or hang does not affect other scenes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 
 @dataclass(frozen=True)
 class CompileJob:
-    """A scene document to compile, the targets, and the build folder."""
+    """A scene document to compile, with its targets and its build folder."""
 
     scene: Path
     targets: tuple[str, ...]
@@ -40,10 +40,10 @@ class CompileOutcome:
         scene: The path of the scene document.
         out: The build folder.
         state: Either ``compiled``, ``up to date`` or ``failed``.
-        targets: The entry file of each target.
-        losses: The number of losses in each target.
+        targets: The entry file for each target.
+        losses: The number of losses for each target.
         error: A sentence that explains the failure, if any.
-        findings: The diagnostics for the documents.
+        findings: The diagnostics reported for the documents.
     """
 
     scene: str
@@ -69,7 +69,7 @@ def compile_all(
 ) -> list[CompileOutcome]:
     """Compile all jobs in ``workers`` processes that call ``function``, and return the outcomes in job order.
 
-    ``report`` is called from any thread with the current activity and the number of completed jobs. If a process
+    ``report`` may be called from any thread, with the current activity and the number of completed jobs. If a process
     crashes, hangs or runs out of memory, its job fails with an error that names the last activity, and a new process
     replaces the failed one.
     """
@@ -99,7 +99,7 @@ def _failure(job: CompileJob, error: str = "", findings: Sequence[Diagnostic] = 
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
-    """Compile one scene in this process unless its build is up to date; errors are reported in the outcome."""
+    """Compile one scene in this process, unless its build is up to date; errors are reported in the outcome."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
@@ -156,10 +156,10 @@ def _read_back(job: CompileJob) -> CompileOutcome:
 
 
 def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[CompileJob]:
-    """Yield a job for each path in ``paths``, or for each scene document in the folder and its subfolders.
+    """Yield a job for each document in ``paths``, and for each scene document below a folder in ``paths``.
 
-    Builds preserve the folder structure. The contents of ``out``, and files and folders whose names start with a dot,
-    are skipped.
+    The folder structure is preserved in the build folder. The contents of ``out`` are skipped, as are files and folders
+    whose names start with a dot.
     """
     for path in paths:
         if not path.is_dir():

@@ -1,4 +1,4 @@
-"""Build folders, which contain one folder per target and a loss report."""
+"""Build folders, each of which contains one folder per target and a loss report."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MANIFEST = "manifest.json"
 
 
 class TargetsError(SimfoundryError):
-    """Raised if some targets could not be compiled; all other targets are written.
+    """Raised if some targets could not be compiled; all other targets have been written.
 
     ``artifacts`` contains the artifacts that were written; ``failures`` maps each failed target to the reason.
     """
@@ -54,10 +54,10 @@ def build(
     to ``out/build.json``, with the hashes of the manifests.
 
     Raises:
-        OutputError: If a folder contains files that were not written by a build, or that were edited afterward, unless
+        OutputError: If a folder contains files that were not written by a build or were edited afterward, unless
             ``force`` is set.
-        TargetsError: If a target fails. The other targets are written, but no record is, and the failed target's folder
-            is unchanged.
+        TargetsError: If a target fails. The other targets are still written, but the record is not, and the failed
+            target's folder remains unchanged.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
@@ -86,7 +86,7 @@ def build(
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that compile, and the failure reasons of all others by name."""
+    """Return the artifacts of the targets that compile, and the reasons why the others fail, by name."""
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
@@ -149,7 +149,7 @@ def _ensure_ours(folder: Path) -> None:
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     """Return the content of ``loss.json`` by target.
 
-    For each feature that the scene uses, ``features`` counts the elements for which it is kept, approximated or
+    For each feature used in the scene, ``features`` counts the elements for which the feature is kept, approximated or
     dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
     """
     return {
@@ -185,7 +185,7 @@ def _mark(found: Mapping[str, int]) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], align: str = "<") -> list[str]:
-    """Format the rows of a table as lines; ``align`` is ``<`` or ``>`` and applies to all columns but the first."""
+    """Format the rows of a table as lines; ``align`` is ``<`` or ``>`` and applies to all columns except the first."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     forms = ["<", *align * (len(widths) - 1)]
     return ["  ".join(map("{:{}{}}".format, row, forms, widths)).rstrip() for row in rows]

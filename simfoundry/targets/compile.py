@@ -1,4 +1,4 @@
-"""Compilation of a scene for a target, which combines a backend's files with a simulator's loader."""
+"""Compilation of a scene for a target, combining a backend's files with a simulator's loader."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
 
 
 def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
-    """Yield one loss each for friction and restitution, based on the pair in the scene with the largest error."""
+    """Yield one loss for friction and one for restitution, each based on the pair with the largest error."""
     for field in ("friction", "restitution"):
         if getattr(combines, field) is None:
             continue

@@ -34,14 +34,14 @@ class UnknownTargetError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Target:
-    """A format or simulator for which scenes are compiled: its profile and the folder with its other files."""
+    """A format or simulator for which scenes are compiled, with its profile and the folder for its other files."""
 
     profile: TargetSpec
     folder: Path | None = None
 
     @property
     def name(self) -> str:
-        """The name for ``-t``, which is also the name of the target's folder in a build."""
+        """The name to use with ``-t``, which is also the name of the target's folder in a build."""
         return self.profile.name
 
     @property
@@ -60,7 +60,7 @@ class Target:
 
     @property
     def readback(self) -> Path | None:
-        """The module with which ``verify`` reads builds back, or None if builds cannot be read back."""
+        """The module that ``verify`` uses to read builds back, or None if builds cannot be read back."""
         return self._file(READBACK) if self.profile.engine is not None else None
 
     def _file(self, name: str) -> Path | None:
@@ -75,7 +75,7 @@ def _own_folders() -> Mapping[str, Path]:
 
 
 def target_names() -> list[str]:
-    """Return all names that ``-t`` accepts: plain backends, then simulators, then targets of installed packages."""
+    """Return all names that ``-t`` accepts: plain backends, then simulators, then targets from installed packages."""
     return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
@@ -103,7 +103,7 @@ def find_target(name: str) -> Target:
 
 
 def _plain(backend: str) -> Target:
-    """Return the target for a backend that has no target folder; its files are used without a profile."""
+    """Return the target for a backend that has no target folder, whose files are used without a profile."""
     from simfoundry.targets.profile import TargetSpec
 
     data = {"simfoundry": "target/1", "name": backend, "backend": backend}
@@ -132,7 +132,7 @@ def read_profile(path: Path) -> Target:
 
 
 def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diagnostic]:
-    """Yield the problems in a profile that its data types cannot detect."""
+    """Yield the problems in a profile that validation of its data types cannot detect."""
     from simfoundry.targets.profile import BEHAVIORS, QUANTITIES, READ_BACK
 
     def known(name: str, choices: Collection[str], place: tuple[str, ...], what: str) -> Iterator[Diagnostic]:
@@ -176,6 +176,6 @@ _KINDS = {float: "a number", bool: "`true` or `false`", str: "a string"}
 
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
-    """Return the default values of a backend's options by name."""
+    """Return the default values of a backend's options, keyed by name."""
     parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}

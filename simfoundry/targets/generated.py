@@ -17,13 +17,13 @@ _GROUPS = {"scene": "Scenes", "object": "Objects", "body": "Bodies", "joint": "J
 
 
 def cells_of(target: Target) -> dict[str, SupportCell]:
-    """Return the fidelity of each feature in a target, from its backend's table and the changes in its profile."""
+    """Return the fidelity of each feature in a target, based on its backend's table and the changes in its profile."""
     cells = dict(features_of(target.backend))
     profile = target.profile
     for name, how in profile.restores.items():
         cells[name] = SupportCell(None, how)
     for name, rule in profile.combines.model_dump(exclude_none=True).items():
-        reason = f"uses {RULES[rule][0]} of a pair; exact if both values are equal"
+        reason = f"uses {RULES[rule][0]} of the two values; exact if the values are equal"
         cells[name] = SupportCell(Fidelity.APPROXIMATED, reason)
     for name, gap in profile.gaps.items():
         cells[name] = SupportCell(Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
@@ -31,7 +31,7 @@ def cells_of(target: Target) -> dict[str, SupportCell]:
 
 
 def support_page() -> str:
-    """Return the page that contains the matrix and all reasons, from the template ``support.md.jinja``."""
+    """Return the page with the matrix and all reasons, generated from the ``support.md.jinja`` template."""
     from jinja2 import Environment, StrictUndefined
 
     columns = []
@@ -46,7 +46,7 @@ def support_page() -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Update the page if it is out of date, or only report its state if ``--check`` is given.
+    """Update the page if it is out of date, or only report that it is if ``--check`` is given.
 
     Returns:
         The exit status.

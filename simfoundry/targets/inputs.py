@@ -1,4 +1,4 @@
-"""Hashes of everything that a build depends on; equal inputs and software yield byte-identical builds.
+"""Hashes of everything that a build depends on. Identical inputs and software produce byte-identical builds.
 
 Names are relative to the project, so the record is the same on every machine.
 """
@@ -35,7 +35,7 @@ _PACKAGE = Path(simfoundry.__file__).parent
 
 
 def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
-    """Return the names and SHA-256 hashes of all inputs to the build of a valid scene.
+    """Return the names and SHA-256 hashes of all inputs for building a valid scene.
 
     ``documents`` are hashed by content, ignoring comments. ``files`` contains meshes with their materials and textures,
     ``robots`` contains robot models or the reasons why they are missing, and ``targets`` contains profiles.
@@ -57,7 +57,7 @@ def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
 def software() -> dict[str, str]:
     """Return the versions of this package and of the libraries that affect the content of the files.
 
-    In a checkout, where any file may be edited, the package version includes a hash of its files.
+    In a checkout, where any file may be edited, the package version includes a hash of the files.
     """
     found = {"simfoundry": simfoundry.__version__}
     if (_PACKAGE.parent / "pyproject.toml").is_file():
@@ -100,7 +100,7 @@ def _references(spec: object) -> Iterator[str]:
 
 
 def _named(path: Path, root: Path) -> str:
-    """Return the path relative to the project, or relative to site-packages for a file in an installed package."""
+    """Return a path relative to the project or, for a file in an installed package, relative to site-packages."""
     resolved = path.resolve()
     if resolved.is_relative_to(root):
         return resolved.relative_to(root).as_posix()
@@ -109,7 +109,7 @@ def _named(path: Path, root: Path) -> str:
 
 
 def _of_file(path: Path) -> str:
-    """Return the hash of a file; a missing file is not an error here because it is reported where it is used."""
+    """Return the hash of a file. A missing file is not an error here, because it is reported where the file is used."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -117,7 +117,7 @@ def _of_file(path: Path) -> str:
 
 
 def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
-    """Return a hash of a robot's models and its user-defined description, or the reason why it has no model."""
+    """Return a hash of a robot's models and user-defined description, or the reason why no model is available."""
     folder = own_folder()
     own = [_of_file(p) for p in sorted(folder.glob("*.yaml"))] if folder is not None else []
     try:

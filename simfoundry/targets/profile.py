@@ -1,4 +1,4 @@
-"""The document type ``target/1``, which describes a simulator: its backend, known gaps, and settings for ``verify``."""
+"""The ``target/1`` document type, which describes a simulator: its backend, known gaps, and settings for ``verify``."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ BEHAVIORS = (
 
 
 class Gap(Model):
-    """A feature that the simulator does not preserve, in addition to the losses of its backend."""
+    """A feature that the simulator does not preserve, in addition to the backend's losses."""
 
     fidelity: Literal["approximated", "dropped"] = Field(
-        description="`approximated` if it is partly preserved, `dropped` if it is not preserved."
+        description="`approximated` if the feature is partly preserved, `dropped` if it is not preserved."
     )
     kind: Literal["notimpl", "notyet", "never"] = Field(
         description="`notimpl`: not implemented here; `notyet`: the simulator could support it; `never`: it cannot."
     )
-    reason: Words = Field(description="The reason, and the size of the error.")
+    reason: Words = Field(description="The reason for the loss, and the size of the error.")
     size: Positive | None = Field(
         None, description="The largest error in SI units of an approximated feature; `simfoundry verify` checks it."
     )
 
 
 class Band(Model):
-    """The accepted range of a behavior for which the simulator is known to deviate from the analytic value."""
+    """The accepted range for a behavior in which the simulator is known to deviate from the analytic value."""
 
     low: float = Field(description="The smallest accepted value, in the unit of the behavior.")
     high: float = Field(description="The largest accepted value.")
@@ -58,7 +58,9 @@ class Band(Model):
 class Tolerance(Model):
     """The largest error that `simfoundry verify` accepts, and the reason for it."""
 
-    value: Positive = Field(description="Relative for a quantity that is read back; in the behavior's unit otherwise.")
+    value: Positive = Field(
+        description="The tolerance: relative for quantities that are read back, or in the behavior's unit."
+    )
     reason: Words = Field(description="The reason why the tolerance is not smaller.")
 
 
@@ -68,7 +70,7 @@ class Tested(Model):
     how: Literal["run", "checked"] = Field(
         description="`run`: loaded in the simulator by its loader; `checked`: only the code was reviewed."
     )
-    versions: tuple[str, ...] = Field((), description="The simulator releases with which it was run.")
+    versions: tuple[str, ...] = Field((), description="The simulator releases with which the target was run.")
     note: Words | None = Field(None, description="Observations from the test.")
 
 
@@ -127,5 +129,5 @@ class TargetSpec(Model):
 
     @property
     def restored(self) -> frozenset[str]:
-        """The features that the loader restores, and those for which the simulator has its own combination rule."""
+        """The features that the loader restores, and features for which the simulator uses its own combination rule."""
         return frozenset(self.restores.keys() | self.combines.model_dump(exclude_none=True).keys())

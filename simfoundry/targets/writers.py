@@ -1,4 +1,4 @@
-"""Additional files that some simulators require besides the files of a backend.
+"""Additional files that some simulators require besides the backend's files.
 
 For example, OmniGibson reads a scene JSON that references one USD file per object.
 """
@@ -20,13 +20,13 @@ SCENE_FILE = "scene.json"
 
 
 def omnigibson_files(scene: Scene) -> dict[str, bytes]:
-    """Return ``scene.json`` and ``objects/<object>.usda``, which use the stage's meshes and textures in ``assets``."""
+    """Return ``scene.json`` and ``objects/<object>.usda`` files, which use meshes and textures from ``assets``."""
     files = {f"objects/{item.name}.usda": _object_layer(scene, item) for item in scene.objects}
     return {SCENE_FILE: scene_json(scene), **files}
 
 
 def scene_json(scene: Scene) -> bytes:
-    """Return the scene's objects and their state in OmniGibson's save format, with xyzw quaternions."""
+    """Return the objects in a scene and their state in OmniGibson's save format, with xyzw quaternions."""
     settings = {"use_floor_plane": False, "floor_plane_visible": False}
     # `Scene.__init__` and `restore` read the keys of both registries, but our scenes have no particle systems.
     registry = {"object_registry": {item.name: _state(item) for item in scene.objects}, "system_registry": {}}
@@ -62,7 +62,7 @@ def _state(item: SceneObject) -> dict[str, object]:
 
 
 def _object_layer(scene: Scene, item: SceneObject) -> bytes:
-    """Return a layer whose default prim is the object in its own frame, with its materials as descendants."""
+    """Return a layer whose default prim is the object, posed in its own frame and with its materials as descendants."""
     from pxr import Sdf
 
     # Joints are at zero in the file, because OmniGibson sets their positions from its saved state.
@@ -87,13 +87,13 @@ Writer = Callable[[Scene], Mapping[str, bytes]]
 
 
 def objects_file(scene: Scene) -> dict[str, bytes]:
-    """Return ``objects.json`` with gravity, and each object's prim, joints and kind (static, rigid or articulated)."""
+    """Return ``objects.json`` with gravity and each object's prim, joints and kind (static, rigid or articulated)."""
     data = {"gravity": rounded_list(scene.gravity), "objects": {item.name: _object(item) for item in scene.objects}}
     return {"objects.json": (json.dumps(data, indent=2) + "\n").encode()}
 
 
 def environment_file(_: Scene) -> dict[str, bytes]:
-    """Return ``environment.usda``, the stage without its physics scene, for simulators that clone the stage."""
+    """Return ``environment.usda``, the stage without its physics scene, for simulators that clone stages."""
     return {"environment.usda": Path(__file__).with_name("environment.usda").read_bytes()}
 
 

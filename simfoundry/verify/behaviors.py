@@ -54,13 +54,13 @@ _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
 # Distance [m] that a box must move in one second to count as slipping, which happens 0.1 degrees above the slip angle.
 _SLID_M = 0.01
 
-_SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
+_SWING = 0.1  # [rad], small enough for the series expansion of the period below to be accurate to 1e-6
 _INERTIA, _TORQUE = rigs.pendulum_constants()
 # Period of the pendulum [s], expanded in the amplitude, and decay rate of its damped swings [1/s].
 _PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
 _DAMPING = 0.02  # N m s/rad; the amplitude halves in 5.6 s, which is more than four periods
 _RATE = _DAMPING / (2 * _INERTIA)
-_WEIGHT = rigs.GRAVITY  # of one kilogram [N]
+_WEIGHT = rigs.GRAVITY  # weight of one kilogram [N]
 
 
 def free_fall() -> Measurement:
@@ -85,7 +85,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the boxes that slipped during the last second; the boxes settle before the last second."""
+    """Return a mask of the boxes that slipped during the last second; before that, the boxes have time to settle."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -93,14 +93,14 @@ def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
 
 
 def pendulum_period() -> Measurement:
-    """Measure the period of a pendulum over six swings [s]."""
+    """Measure the period [s] of a pendulum over six swings."""
     moments = yield Trial(rigs.scene_of("pendulum", rigs.pendulum(_SWING)), Run(8.5, 0.004))
     crossings = _crossings(moments, "pendulum.joint")
     return float((crossings[-1] - crossings[0]) / (len(crossings) - 1) * 2)
 
 
 def damped_decay() -> Measurement:
-    """Measure the decay rate of a damped pendulum [1/s] from its first to its last peak."""
+    """Measure the decay rate [1/s] of a damped pendulum between its first and last peaks."""
     moments = yield Trial(rigs.scene_of("decay", rigs.pendulum(_SWING, _DAMPING)), Run(8.5, 0.004))
     times, heights = _peaks(moments, "pendulum.joint")
     slope, _ = np.polyfit(times, np.log(heights), 1)
@@ -133,7 +133,7 @@ def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def rebound() -> Measurement:
-    """Measure the ratio of a ball's speed after its first bounce to its speed before, computed from its heights."""
+    """Measure the ratio of a ball's speeds after and before its first bounce, computed from the ball's heights."""
     ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
     floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
     moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
@@ -145,26 +145,26 @@ def rebound() -> Measurement:
 
 
 def limit_holds() -> Measurement:
-    """Measure the final distance of a falling slider of 1 kg from its stop at 0.3 m [mm]."""
+    """Measure the final distance [mm] of a falling 1 kg slider from its stop at 0.3 m."""
     moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
     return (moments[-1].joints["slider.joint"] - 0.3) * 1000
 
 
 def friction_holds() -> Measurement:
-    """Measure how far a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N [mm]."""
+    """Measure how far [mm] a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def friction_slips() -> Measurement:
-    """Measure the acceleration of a slider weighing 9.81 N with a Coulomb friction of 6 N [m/s^2]."""
+    """Measure the acceleration [m/s^2] of a slider weighing 9.81 N with a Coulomb friction of 6 N."""
     moments = yield Trial(rigs.scene_of("slip", rigs.slider(friction=6.0)), Run(1.0, 1.0))
     last = moments[-1]
     return 2 * last.joints["slider.joint"] / last.time**2
 
 
 def damped_friction() -> Measurement:
-    """Measure the terminal speed of a slider weighing 9.81 N with 4 N s/m damping and 3 N Coulomb friction [m/s]."""
+    """Measure the terminal speed [m/s] of a slider weighing 9.81 N with 4 N s/m damping and 3 N Coulomb friction."""
     moments = yield Trial(rigs.scene_of("both", rigs.slider(damping=4.0, friction=3.0, travel=9.0)), Run(2.5, 0.5))
     before, last = moments[-2], moments[-1]
     return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
@@ -174,9 +174,9 @@ _SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
 
 
 def drive_holds() -> Measurement:
-    """Measure the position at which a motor with 200 N/m and a target of 50 mm holds a slider weighing 9.81 N [mm].
+    """Measure the position [mm] at which a motor with 200 N/m and a target of 50 mm holds a slider weighing 9.81 N.
 
-    The weight adds 49 mm to the target.
+    The weight moves this position 49 mm past the target.
     """
     moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
     return moments[-1].joints["slider.joint"] * 1000
@@ -222,7 +222,7 @@ def _dropped() -> Scene:
 
 
 def settled_position() -> Measurement:
-    """Measure the largest position error of four objects after a fall of 5 mm [mm]."""
+    """Measure the largest position error [mm] of four objects after a fall of 5 mm."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     off = [moments[-1].pose(n).p - [*scene.object(n).X_WO.p[:2], z] for n, z in _RESTING.items()]
@@ -230,7 +230,7 @@ def settled_position() -> Measurement:
 
 
 def settled_rotation() -> Measurement:
-    """Measure the largest rotation of four objects after a fall of 5 mm [deg]."""
+    """Measure the largest rotation [deg] of four objects after a fall of 5 mm."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))

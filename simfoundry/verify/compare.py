@@ -75,7 +75,7 @@ Keys = frozenset[tuple[str, str]]
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of ``name`` that differs in an engine; ``covered`` is the loss or gap that explains the difference."""
+    """A quantity of the element ``name`` that differs in an engine; ``covered`` is the loss or gap that explains it."""
 
     name: str
     quantity: str
@@ -85,13 +85,13 @@ class Difference:
     covered: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the difference as plain data for JSON, without an error that is NaN."""
+        """Return the difference as plain data for JSON, omitting the error if it is NaN."""
         return asdict(self) | {"error": self.error if math.isfinite(self.error) else None}
 
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of compared quantities, the unexplained differences, the explained differences, and stale losses."""
+    """The result of a comparison: quantities compared, unexplained and explained differences, and stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -248,7 +248,7 @@ class _Checker:
             self._numbers(name, "joint position", expected.position, got.position, keys)
 
     def _silent(self, expected: set[str], got: set[str]) -> None:
-        """Compare the pairs of links whose collisions are disabled, among links that could touch."""
+        """Compare the pairs of links that could touch but whose collisions are disabled."""
         colliding = {name for name, link in self.expected.links.items() if link.colliders}
         for pair in sorted(expected | got):
             ends = set(pair.split("|"))

@@ -44,7 +44,7 @@ class ProofStatus(StrEnum):
 class SceneBuilds:
     """A scene to verify, with its name in the tables, and its build and losses for each engine.
 
-    The losses are those of the backend; an engine's loader may restore some of the features.
+    The losses come from the backend; an engine's loader may restore some of the lost features.
     """
 
     name: str
@@ -87,7 +87,7 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """The measured value of a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
+    """The value measured for a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
 
     behavior: str
     engine: str
@@ -112,7 +112,7 @@ def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path
 
 
 def _in_each(engines: Engines, workers: int, work: Callable[[InstalledEngine], list[T]]) -> list[list[T]]:
-    """Return the results of ``work`` for each engine, with up to ``workers`` engines in parallel."""
+    """Return the results of ``work`` for each engine, running up to ``workers`` engines in parallel."""
     with ThreadPoolExecutor(max(1, workers)) as pool:
         return list(pool.map(work, engines))
 
@@ -158,7 +158,7 @@ def measure_behaviors(
 
 
 class _Bench:
-    """The measurements in one engine, in which concurrent trials share a process."""
+    """Runs the measurements in one engine; concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout

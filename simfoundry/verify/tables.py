@@ -1,4 +1,4 @@
-"""Text output of the results: tables of read-backs and behaviors by engine, and details of every failure."""
+"""Text output for verification results: tables of read-backs and behaviors by engine, and details of every failure."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def details(
     for r in rested:
         if r.verdict in (ProofStatus.FAILED, ProofStatus.MISMATCH):
             away = f"{r.mm:.2f} mm and {r.deg:.2f} deg away from its state in the other engines"
-            lines.append(f"{r.subject} left alone in {r.engine}: {r.error or f'{r.worst} ends {away}'}")
+            lines.append(f"{r.subject} simulated in {r.engine}: {r.error or f'{r.worst} ends {away}'}")
     return lines
 
 

@@ -237,9 +237,9 @@ BAD = {
     "empty": (_empty, "SF501", (7, 14), "depth.png could not be read as an image", "export it again"),
     "all 0": (_all_invalid, "SF502", (7, 14), "all values are invalid", "check `invalid`"),
     "all NaN": (_all_nan, "SF502", (7, 14), "all values are invalid", "check `invalid`"),
-    "m as mm": (_meters_as_millimeters, "SF502", (8, 14), "median is 0.0008 m", "meters: `scale: 1`"),
-    "mm as m": (_millimeters_as_meters, "SF502", (8, 14), "median is 800 m", "millimeters: `scale: 0.001`"),
-    "mm as 0.1 mm": (_millimeters_as_tenths, "SF502", (8, 14), "median is 0.08 m", "millimeters: `scale: 0.001`"),
+    "m as mm": (_meters_as_millimeters, "SF502", (8, 14), "median is 0.0008 m", "meters; use `scale: 1`"),
+    "mm as m": (_millimeters_as_meters, "SF502", (8, 14), "median is 800 m", "millimeters; use `scale: 0.001`"),
+    "mm as 0.1 mm": (_millimeters_as_tenths, "SF502", (8, 14), "median is 0.08 m", "millimeters; use `scale: 0.001`"),
     "0.1 mm as mm": (_tenths_as_millimeters, "SF502", (8, 14), "0% of depth.png", "tenths of a millimeter"),
     "channels": (_channels, "SF501", (7, 14), "depth.png has 3 channels", "16-bit PNG"),
     "words": (_words, "SF501", (7, 14), "does not contain an image", ""),
@@ -256,7 +256,7 @@ BAD = {
     "intrinsics smaller": (_smaller_intrinsics, "SF501", (9, 5), "far from the middle", "an image of 80 x 60"),
     "focal": (_absurd_focal, "SF501", (9, 18), "`fx` 15000 px", "in pixels"),
     "swapped": (_swapped, "SF501", (9, 5), "far from the middle", "swapped"),
-    "aspect": (_flat_pixels, "SF501", (9, 5), "imply implausible pixels", ""),
+    "aspect": (_flat_pixels, "SF501", (9, 5), "implausible aspect ratio", ""),
     "looks elsewhere": (_looks_elsewhere, "SF501", (10, 7), "almost none of the points", "inverted"),
 }
 

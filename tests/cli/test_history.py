@@ -15,7 +15,7 @@ ROUGHER = BASE.replace("friction: 0.35", "friction: 0.5")
 OWN = [
     "moved.scene.yaml",
     "  objects.cup.friction: 0.7 → 0.9",
-    "  (only the keys of this file: git does not pass the revision of table.scene.yaml it extends here;",
+    "  (only this file's own keys are compared, because git does not report the revision of table.scene.yaml;",
     "   `simfoundry log moved.scene.yaml` shows each commit in full)",
 ]
 WHOLE = ["moved.scene.yaml", "  cup: friction 0.7 → 0.9", "  1 changed"]

@@ -179,7 +179,7 @@ def test_nothing_is_overwritten_without_force(project: Path) -> None:
         (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins, policy"),
         (["a.task.yaml"], "contains no scene"),
         (["a.cousins.yaml"], "contains no scene"),
-        (["a.scene.yaml", "--name", "My Desk"], "`My Desk` cannot be a name"),
+        (["a.scene.yaml", "--name", "My Desk"], "`My Desk` is not a valid name"),
         (["123.scene.yaml"], "no name can be derived from `123`"),
         (["a.scene.yaml", "--from", "simfoundry.yaml"], "`--from` is for tasks and recipes"),
         (["a.task.yaml", "--from", "nowhere.scene.yaml"], "does not exist"),

@@ -125,7 +125,7 @@ def action(**parts: Any) -> bytes:
     ("answer", "words"),
     [
         (msgpack.packb({"error": "CUDA out of memory"}), "failed: CUDA out of memory"),
-        (b"ERROR", "failed without giving a reason"),
+        (b"ERROR", "failed without stating a reason"),
         (b"\xc1", "it is not valid msgpack"),
         (msgpack.packb([]), "a `list`, not a mapping"),
         (msgpack.packb(7), "a `int`, not a mapping"),

@@ -293,7 +293,7 @@ SOUND = {
     [
         (
             {"action_space": "joint_velocity"},
-            "action space is `joint_velocity`, but the document says `action_space: joint_position`",
+            "action space is `joint_velocity`, but the document specifies `action_space: joint_position`",
         ),
         ({"action_space": "cartesian_position"}, "action space is `cartesian_position`"),
         ({"image_resolution": [180, 320]}, "needs images of 320 × 180, but `observation/exterior_image_0_left` has"),

@@ -60,9 +60,9 @@ def test_a_broken_plug_in_is_a_sentence(site: Path, value: str, text: str, cause
     with pytest.raises(PluginError) as caught:
         BACKENDS.load("tau")
     message = str(caught.value)
-    assert message.startswith("the backend `tau` of the package ab 0.1 cannot be loaded: ")
+    assert message.startswith("the `tau` backend from the package ab 0.1 cannot be loaded: ")
     assert cause in message and "\n" not in message
-    assert message.endswith("(entry point `tau = ab:X` in the group `simfoundry.backends`)")
+    assert message.endswith("(entry point `tau = ab:X` in the `simfoundry.backends` group)")
 
 
 def test_two_packages_with_one_name_are_told_apart(site: Path) -> None:
@@ -71,7 +71,7 @@ def test_two_packages_with_one_name_are_told_apart(site: Path) -> None:
         write_package(site, name, {"simfoundry.backends": {"tau": f"{name}:X"}}, {f"{name}.py": "X = 1.0"})
     assert "tau" in BACKENDS.names()
     with pytest.raises(
-        SimfoundryError, match=r"of the package (one|two) 0.1 .* the package (one|two) 0.1 provides an extension"
+        SimfoundryError, match=r"from the package (one|two) 0.1 .* the package (one|two) 0.1 provides an extension"
     ):
         BACKENDS.load("tau")
 

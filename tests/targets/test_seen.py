@@ -260,9 +260,9 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
     ("variant", "code", "words"),
     [
         ("{material: glass}", "SF201", "no material is called `glass`"),
-        ("{scale: 2}", "SF107", "`scale` is for meshes"),
+        ("{scale: 2}", "SF107", "`scale` applies only to meshes"),
         ("{asset: nowhere.obj}", "SF203", "file `nowhere.obj` does not exist"),
-        ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "give one of `shape`, `asset`"),
+        ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "specify only one of `shape`, `asset`"),
         ("{}", "SF107", "must override at least one property"),
         ("{colour: [1, 0, 0]}", "SF101", "unknown key `colour`"),
     ],

@@ -7,14 +7,14 @@ the background. A primitive that is both visual and collider becomes one geom wi
 in group 2; colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
 geom that uses it, for example ``bowl_collision_3``.
 
-Settings that are the same for all scenes are in ``settings.xml``. Each material becomes a default class;
+Settings shared by all scenes are in ``settings.xml``. Each material becomes a default class;
 :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike materials. Mass properties are explicit.
-Links connected by a joint do not collide: a drawer is held in its cabinet by its joint, not by contacts.
+Links connected by a joint do not collide: for example, a joint rather than contacts keeps a drawer in its cabinet.
 
-The initial state is the keyframe ``initial``. Without this keyframe, free bodies are at their initial poses, but joints
-are at zero. The attribute ``ref`` could give joints a different initial position, but ball joints do not support this
-attribute, some readers measure joint coordinates relative to ``ref`` (Newton uses ``qpos - ref``), and editing a
-position by hand would then require changing the body pose, ``ref`` and the keyframe together.
+The initial state is stored in the ``initial`` keyframe. Without this keyframe, free bodies are at their initial poses,
+but joints are at zero. The ``ref`` attribute could also specify an initial joint position, but it has three drawbacks:
+ball joints do not support it, some readers measure joint coordinates relative to it (Newton uses ``qpos - ref``), and
+anyone editing a position by hand would have to change the body pose, ``ref`` and the keyframe together.
 
 A robot keeps its own MJCF model, placed below a body named after the robot. All of its names are prefixed with that
 name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
@@ -64,10 +64,10 @@ def compile_mjcf(
     Args:
         scene: The lowered scene.
         timestep: The simulation time step [s].
-        cylinder_sides: If three or more, cylinders collide as prisms with this many sides, for readers that do not
-            support cylinder collisions.
-        contacts: Either `exact`, or `native` to omit the contact pairs, in which case MuJoCo uses the larger of two
-            friction coefficients.
+        cylinder_sides: If this number is at least three, cylinders collide as prisms with this many sides, for readers
+            that do not support cylinder collisions.
+        contacts: `exact` to write contact pairs, or `native` to omit them, in which case MuJoCo uses the larger of the
+            two friction coefficients.
 
     Raises:
         InvalidSceneError: If a name or the contact mode is invalid.
@@ -92,7 +92,7 @@ def compile_mjcf(
         qpos.extend(add_object(world, item, assets, materials))
     excluded = scene_contacts.excluded_pairs(scene)
     if excluded:
-        root.append(ET.Comment("Pairs of bodies that do not collide, mostly because a joint already connects them."))
+        root.append(ET.Comment("Pairs of bodies that do not collide, usually because they are connected by a joint."))
         contact = ET.SubElement(root, "contact")
         for a, b in excluded:
             ET.SubElement(contact, "exclude", body1=a, body2=b)

@@ -1,4 +1,4 @@
-"""Conversion of objects to MJCF bodies with their joints and geoms."""
+"""Conversion of objects to MJCF bodies with joints and geoms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _JOINT_TYPES = {
 def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> Iterator[float]:
     """Add an object's bodies to the world, and yield its initial ``qpos`` in MuJoCo's depth-first order.
 
-    Each tree of links is a child of the world body, because MuJoCo allows free joints only there.
+    Each tree of links is a child of the world body, the only place where MuJoCo allows free joints.
     """
     links = {link.name: link for link in item.links}
 
@@ -56,7 +56,7 @@ def add_background(world: ET.Element, background: Background, assets: Assets) ->
 
 
 def free_joint_name(tree: Tree) -> str:
-    """Return the name of the free joint at a tree's root: the object's name or ``object.joint``."""
+    """Return the name of the free joint at the root of a tree: the object's name or ``object.joint``."""
     return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
 
 
@@ -142,7 +142,7 @@ def _turn(q: Array) -> dict[str, str]:
 
 
 class Assets:
-    """The ``<asset>`` element under construction, and the files that the element refers to, by file name."""
+    """The ``<asset>`` element under construction, and the files that it refers to, keyed by file name."""
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
@@ -193,7 +193,8 @@ _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
 def add_mimics(root: ET.Element, scene: Scene) -> None:
     """Add ``<equality>`` with one entry named ``object.joint`` per mimic joint.
 
-    MuJoCo's polynomial applies to deviations from the model's reference configuration, in which all joints are at zero.
+    MuJoCo applies the polynomial to deviations from the model's reference configuration, in which all joints are at
+    zero.
     """
     followers = [(o.name, j, j.mimic) for o in scene.objects for j in o.joints if j.mimic is not None]
     if not followers:

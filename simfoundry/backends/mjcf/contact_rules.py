@@ -1,17 +1,19 @@
-"""Exact contact friction in MuJoCo, where every pair of surfaces uses the geometric mean of its two coefficients.
+"""Exact contact friction in MuJoCo: each pair of surfaces uses the geometric mean of both friction coefficients.
 
 MuJoCo uses the larger friction of two geoms and averages their damping. In a scene, a pair uses the geometric mean of
 both friction coefficients and of both restitutions, and the larger resistance to spinning and rolling. Every geom
 stores only its own values: ``friction``, and the restitution as ``user`` data, because MuJoCo does not support
-restitution. Two surfaces are called unlike if MuJoCo's rule combines them incorrectly, which is corrected in two ways:
+restitution. Two surfaces are called unlike if MuJoCo's rule combines them incorrectly. Such pairs are corrected in two
+ways:
 
 - :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with a ``<pair>`` for every two unlike geoms
   that can collide. This works in every program that opens the scene, but MuJoCo tests each pair in every step.
-- :func:`make_exact`, which `load()` calls, modifies a specification in memory. For groups of many unlike geoms, which
-  may exceed :data:`MAX_PAIRS`, the function adds invisible proxy geoms at the geoms of one surface. Proxies have the
-  properties of the contact, take priority over the other surface, and collide only with that surface.
+- :func:`make_exact`, which `load()` calls, modifies a specification in memory. If a group of unlike geoms is so large
+  that it may exceed :data:`MAX_PAIRS`, the function adds invisible proxy geoms in the same place as the geoms with one
+  of the surfaces. Proxies have the desired contact properties, take priority over the other surface, and collide only
+  with it.
 
-Contacts with geoms that do not belong to the scene, such as those of a robot, keep MuJoCo's rule.
+Contacts with geoms that do not belong to the scene, such as robot geoms, still follow MuJoCo's rule.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ class ContactSurface(NamedTuple):
 
 
 class ContactGeom(NamedTuple):
-    """A collision geom, with its name, body, static flag, surface and material class."""
+    """A collision geom with its name, body, static flag, surface and material class."""
 
     name: str
     body: str
@@ -74,7 +76,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. If any geoms are static, they are in ``one``."""
+    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. Any static geoms are in ``one``."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -101,7 +103,7 @@ def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
 
 
 def is_native(a: ContactSurface, b: ContactSurface) -> bool:
-    """Return true if MuJoCo's own rule yields the desired contact properties from the values of the two geoms."""
+    """Return true if MuJoCo's own rule yields the desired contact properties for the two geoms."""
     contact = desired_contact(a, b)
     slides = format_number(max(a.friction, b.friction)) == format_number(contact.friction)
     return slides and solref(a.restitution) == solref(b.restitution) == solref(contact.restitution)
@@ -123,7 +125,7 @@ def solref(restitution: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=256)
 def damping_ratio(restitution: float) -> float:
-    """Return the damping ratio at which a spring and damper that can only push has the given restitution.
+    """Return the damping ratio with which a push-only spring-damper has the given restitution.
 
     The bodies separate when the force, not the penetration, reaches zero (Schwager and Poeschel, Granular Matter 9,
     2007). A critically damped contact therefore still rebounds with a restitution of exp(-2). Lower restitutions cannot
@@ -139,18 +141,18 @@ def damping_ratio(restitution: float) -> float:
 
 
 def rebound(ratio: float) -> float:
-    """Return the restitution of a spring and damper that can only push; the damping ratio must be below 1."""
+    """Return the restitution of a push-only spring-damper whose damping ratio is below 1."""
     root = math.sqrt(1 - ratio * ratio)
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
 
 def contact_dimensions(surface: ContactSurface) -> int:
-    """Return MuJoCo's ``condim`` for a contact, depending on whether it resists spinning or rolling."""
+    """Return MuJoCo's ``condim`` for a contact, which depends on its resistance to spinning and rolling."""
     return 6 if surface.rolling else 4 if surface.spinning else 3
 
 
 def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
-    """Return the groups of geoms that MuJoCo combines incorrectly, with static groups first, sorted by size."""
+    """Return the groups of geoms that MuJoCo combines incorrectly, sorted by size with static groups first."""
     moving, static = (by_surface(geoms, static) for static in (False, True))
     found = [(static[a], moving[b]) for a, b in product(static, moving) if not is_native(a, b)]
     found += [(moving[a], moving[b]) for a, b in combinations(moving, 2) if not is_native(a, b)]
@@ -159,7 +161,7 @@ def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
 
 
 def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurface, list[ContactGeom]]:
-    """Group either the static or the movable geoms by surface."""
+    """Group either the static geoms or the movable geoms by surface."""
     groups: dict[ContactSurface, list[ContactGeom]] = {}
     for geom in geoms:
         if geom.static == static:
@@ -175,7 +177,7 @@ def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[Contac
 
 
 def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], list[UnlikeGroup]]:
-    """Return the groups whose pairs are written to :data:`CONTACTS_FILE`, and the groups that are too large for it."""
+    """Return the groups whose pairs are written to :data:`CONTACTS_FILE`, followed by the groups that are too large."""
     kept, left, room = list[UnlikeGroup](), list[UnlikeGroup](), MAX_PAIRS
     for group in unlike_groups(geoms):
         count = len(group.one) * len(group.other)
@@ -217,7 +219,7 @@ def _unused_name(wish: str, taken: set[str]) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return the ``condim``, ``friction`` and ``solref`` of a pair, which inherits no values from its geoms."""
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair; pairs do not inherit values from their geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -237,7 +239,7 @@ def read_scene(folder: Path) -> mujoco.MjSpec:
 
 
 def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
-    """Compile the files of a build into a model with exact contacts, like the build's `load()`."""
+    """Compile the files of a build into a model with exact contacts, as the build's `load()` does."""
     assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
     spec = _specification(files["scene.xml"], assets)
     make_exact(spec)
@@ -274,14 +276,14 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
 
 
 def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
-    """Return the surface of a geom, without any spinning and rolling resistance that its ``condim`` disables."""
+    """Return the surface of a geom, excluding any spinning or rolling resistance disabled by its ``condim``."""
     sliding, spinning, rolling = (float(v) for v in geom.friction)
     restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
     return ContactSurface(sliding, restitution, spinning * (geom.condim > 3), rolling * (geom.condim > 4))
 
 
 def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
-    """Return the pairs of bodies between which a specification excludes contacts."""
+    """Return the pairs of bodies whose contacts are excluded in a specification."""
     return frozenset(frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes)
 
 
@@ -307,7 +309,7 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits that no robot uses, or none if a robot geom would not collide with the first bit alone."""
+    """Return the mask bits unused by robots, or none if a robot geom would not collide with the first bit alone."""
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -326,7 +328,7 @@ def _needs_proxies(group: UnlikeGroup, bit_of: Bits) -> bool:
 def _set_masks(
     geoms: Iterable[ContactGeom], by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> None:
-    """Set masks so that geoms collide with robots and with all surfaces in the scene for which there are no proxies.
+    """Set masks so that geoms collide with robots and with all surfaces in the scene that have no proxies.
 
     The affinity of a moving geom is the bit of its surface, and its type contains the bits of all surfaces with which
     the geom collides directly. A geom without a bit collides with everything; pairs override its incorrect contacts.

@@ -1,6 +1,6 @@
-"""Robots and mounted cameras in MJCF. Each robot keeps its own model, below a body named after the robot.
+"""Robots and mounted cameras in MJCF. Each robot's own model is placed below a body named after the robot.
 
-The scene's options override the options in the robot's file. A robot's contacts are as specified in its file, except
+The scene's options override the options in the robot's file. Robot contacts use the values in the robot's file, except
 for the stiffness of the finger contacts.
 """
 
@@ -32,9 +32,9 @@ _FIRM = 2
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
-    """Add a robot, including every element in its file, or return None if it has no model that MuJoCo can read.
+    """Add a robot with every element defined in its file, or return None if it has no model that MuJoCo can read.
 
-    The finger contacts are as stiff as a time step of ``timestep`` [s] allows.
+    The finger contacts are made as stiff as possible for a time step of ``timestep`` [s].
     """
     native = mujoco_model(robot)
     if native is None:
@@ -62,10 +62,10 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
     """Make the finger contacts stiff so that a grasped object follows the fingers closely.
 
     The constraint solver uses the servo damping at the beginning of a step, but the integrator uses the damping at the
-    end. Whenever the arm jerks, the difference acts on a grasped object, which creeps by an amount proportional to the
-    time constant of the contact: over a motion of 10 cm, a marker in the hand crept 8 mm at MuJoCo's default of 20 ms,
-    and 2 mm at 4 ms. The weight makes the fingers' stiffness dominate the contact; its friction is still the larger of
-    the two values.
+    end. Whenever the arm jerks, the difference acts on a grasped object and makes it creep by an amount proportional to
+    the time constant of the contact. Over a motion of 10 cm, a marker in the hand crept by 8 mm at MuJoCo's default of
+    20 ms, but by only 2 mm at 4 ms. The weight lets the fingers' stiffness dominate the contact; the contact friction
+    is still the larger of the two values.
     """
     gripper = read.native.gripper
     if gripper is None:
@@ -140,7 +140,7 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 
 
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
-    """Yield the losses of a robot in MuJoCo for a time step of ``timestep`` [s]."""
+    """Yield a robot's losses in MuJoCo for a time step of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
         reason = "It has no MJCF; MuJoCo reads its URDF and uses the convex hulls of its meshes as colliders."
         yield approximate("robots", robot.name, reason)

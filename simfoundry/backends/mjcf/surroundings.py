@@ -24,7 +24,10 @@ _HALF_PIXEL = 0.5
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:
-    """Add a camera with exact intrinsics; MuJoCo measures the principal point from the image center, left and up."""
+    """Add a camera with exact intrinsics.
+
+    MuJoCo measures the principal point from the image center, to the left and up.
+    """
     X_WG = camera.X_WC @ OPENCV_FROM_OPENGL
     principal = (camera.width / 2 - (camera.cx + _HALF_PIXEL), camera.height / 2 - (camera.cy + _HALF_PIXEL))
     attributes = {"name": camera.name, "pos": numbers(X_WG.p), "quat": numbers(X_WG.q)}

@@ -3,9 +3,9 @@
 ``world.json`` contains the surfaces and joint motions of the objects, the motors and frames of the robots, and the
 ``getCameraImage`` arguments for each camera.
 
-A link has a single friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`.
-Bullet adds a margin around convex meshes that cannot be disabled, so meshes are shrunk by this margin to keep their
-effective faces in the correct place.
+Each link has a single friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`.
+Bullet always adds a margin around convex meshes, so meshes are shrunk by this margin to keep their effective faces in
+the correct place.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
 
 
 def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:
-    """Return the entry of a Bullet body, which is an object or a freely moving part of one; empty keys are omitted."""
+    """Return the entry for a Bullet body (an object or one of its freely moving parts), omitting empty keys."""
     item = tree.owner
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     body: dict[str, object] = {
@@ -121,7 +121,7 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
-    """Return a scene's robots as URDFs by name, and the losses of robots and mounted cameras."""
+    """Return the robots in a scene as URDFs, keyed by name, and the losses of robots and mounted cameras."""
     robots, losses = {}, []
     for robot in scene.robots:
         found = robot_urdf(robot, write)
@@ -161,12 +161,12 @@ def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, ob
 
 
 def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
-    """Return the gains of a servo for Bullet, whose motors are velocity constraints, or nothing if they are unknown.
+    """Return the gains of a servo for Bullet's motors, which are velocity constraints, or nothing if they are unknown.
 
-    A spring and damper move a light joint at the velocity ``stiffness * error / damping``. Bullet's motor moves it by
-    ``gain * error`` per step of ``timestep`` [s], using as much force as necessary. Gripper joints keep their
-    stiffness, which the loader's ``press`` uses to limit their force. For arm joints, which do not sag, this limit
-    would only cause oscillations.
+    A spring and damper move a light joint at a velocity of ``stiffness * error / damping``. Bullet's motor moves the
+    joint by ``gain * error`` per step of ``timestep`` [s], using as much force as necessary. The loader's ``press``
+    function limits the force of gripper joints based on their stiffness, so the stiffness is included for them. For arm
+    joints, which do not sag, this limit would only cause oscillations.
     """
     if joint not in robot.servos:
         return {}
@@ -178,11 +178,11 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
 def with_rotors(item: SceneObject) -> SceneObject:
     """Return a copy of the object with the armature of each rotating joint added to the inertia of its child link.
 
-    Geared motors contribute most of a finger's inertia, up to a thousand times the inertia of its links. Bullet
-    resolves contacts with a few dozen impulses per step, each proportional to the affected inertia. Without rotors,
-    fingers of 1e-5 kg m^2 would therefore press with only a hundredth of their motor's force. Each rotor is modeled as
-    a thin disk with half of its inertia about the transverse axes, because Bullet treats a physically impossible
-    inertia as zero.
+    Most of a finger's inertia comes from its geared motor: up to a thousand times the inertia of its links. Bullet
+    resolves contacts with a few dozen impulses per step, each proportional to the affected inertia. Without rotors, a
+    finger with 1e-5 kg m^2 would therefore press with only a hundredth of its motor's force. Each rotor is modeled as a
+    thin disk with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia
+    as zero.
     """
     links = {link.name: link for link in item.links}
     for joint in item.joints:
@@ -194,7 +194,7 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
-    """Return the image size, view matrix and projection matrix of a camera, with column-major matrices as in OpenGL."""
+    """Return a camera's image size, view matrix and projection matrix; matrices are column-major, as in OpenGL."""
     view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.X_WC.inverse().matrix
     matrices = {"view": rounded_list(view.T), "projection": rounded_list(projection_matrix(camera).T)}
     return {"width": camera.width, "height": camera.height, **matrices}
@@ -211,7 +211,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
-    """Return the arguments for the main light and the sum of all dome lights; empty for a scene without lights."""
+    """Return the arguments for the main light and the sum of all dome lights, or none if there are no lights."""
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)

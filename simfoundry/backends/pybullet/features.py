@@ -1,4 +1,4 @@
-"""Losses of a scene in PyBullet; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in PyBullet; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LIGHTS = {
 
 
 def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> Iterator[Loss]:
-    """Yield what is lost when a scene is loaded in PyBullet, excluding the losses of its robots.
+    """Yield the losses that occur when a scene is loaded in PyBullet, excluding those of its robots.
 
     ``timestep`` is the time step of the simulation [s].
     """

@@ -1,8 +1,8 @@
 """Collision shapes and surfaces in Bullet.
 
-A link has a single friction, restitution and resistance for all of its colliders. Bullet multiplies the frictions and
-the restitutions of two bodies, so each link stores the square root of its own value; the product is then the geometric
-mean.
+Each link has a single friction, restitution and resistance for all of its colliders. Bullet multiplies the frictions
+and the restitutions of two bodies, so each link stores the square root of its own value; the product is then the
+geometric mean.
 
 For spinning and rolling, Bullet's pairwise resistance is the sum of each link's coefficient times the sliding friction
 of the other link, whereas the scene uses the larger resistance of the two links. If all links that a resisting link can
@@ -29,7 +29,7 @@ from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 
 class Resistance(NamedTuple):
-    """The value written for each link, by qualified name, and the largest relative error of any pair."""
+    """The value written for each link, keyed by qualified name, and the largest relative error of any pair of links."""
 
     written: dict[str, float]
     error: float
@@ -40,7 +40,7 @@ Resistances = dict[str, Resistance]
 
 
 class _BulletSurface(NamedTuple):
-    """A link's sliding friction as stored in Bullet, and its resistance in the scene [m]."""
+    """The sliding friction of a link as stored in Bullet, and the link's resistance in the scene [m]."""
 
     friction: float
     resistance: float
@@ -58,7 +58,8 @@ def robot_friction(link: Link, scene: Scene) -> float:
     """Return Bullet's friction coefficient for a link of a converted robot, chosen to match its grip in MuJoCo.
 
     MuJoCo uses the larger friction of a pair, whereas Bullet multiplies this coefficient by the square root of the
-    object's friction. The result is exact if all objects have the same friction, and an intermediate value otherwise.
+    object's friction. The result is exact if all objects have the same friction; otherwise, it is an intermediate
+    value.
     """
     own = link_mean(link, "friction")
     met = {link_mean(k, "friction") for item in scene.objects for k in item.links if k.colliders} - {0.0}
@@ -84,7 +85,7 @@ def scene_resistances(scene: Scene) -> Resistances:
 
 
 def _resistance(scene: Scene, field: str) -> Resistance:
-    """Return the values to write for a resistance ``field``, based on the largest value in each link [m]."""
+    """Return the values to write for the resistance ``field``, based on the largest value [m] in each link."""
     owners: dict[_BulletSurface, set[str]] = {}
     surfaces: dict[str, _BulletSurface] = {}
     for item, link in [(o, k) for o in scene.objects for k in o.links if k.colliders]:
@@ -101,7 +102,7 @@ def _resistance(scene: Scene, field: str) -> Resistance:
 
 
 def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[float]:
-    """Return the values of ``a`` that would be exact for its pairs with the ``others``.
+    """Return the values of ``a`` that would be exact for each of its pairs with the ``others``.
 
     If both links have resistance, each contributes its share.
     """
@@ -130,7 +131,7 @@ SKIN = 1e-3
 
 
 def split_under_skin() -> Split:
-    """Return a split that shrinks each mesh by Bullet's margin; a mesh that is too thin to shrink is unchanged."""
+    """Return a split that shrinks each mesh by Bullet's margin; meshes that are too thin remain unchanged."""
     done: dict[str, Mesh] = {}
 
     def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
@@ -147,7 +148,7 @@ def split_under_skin() -> Split:
 def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
     """Return a mesh's convex hull with every face moved inward by ``distance`` [m], or None if the mesh is too thin.
 
-    With a margin of the same size, the faces are in their original position and the edges are rounded.
+    After a margin of the same size is added, the faces are in their original positions and the edges are rounded.
     """
     from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 

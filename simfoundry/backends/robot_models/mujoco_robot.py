@@ -1,6 +1,6 @@
-"""Robots read by MuJoCo from MJCF or URDF, with meshes named by a hash of their content.
+"""Robots that MuJoCo reads from MJCF or URDF, with meshes named by a hash of their content.
 
-MuJoCo is the only available reader for both formats. If a robot has no model in a target's own format, the model read
+MuJoCo is the only available reader for both formats. If a robot has no model in the target's own format, the model read
 by MuJoCo is converted.
 """
 
@@ -39,13 +39,13 @@ class RobotModelError(SimfoundryError):
 
     @classmethod
     def missing(cls, where: str, kind: str, name: str, known: Iterable[str]) -> RobotModelError:
-        """Return the error for an unknown joint or link, which lists the available names."""
+        """Return the error for an unknown joint or link, listing the available names."""
         return cls(f"{where} has no {kind} `{name}`; available {kind}s: {', '.join(known)}")
 
 
 @dataclass(frozen=True, eq=False)
 class MujocoRobot:
-    """A robot in MuJoCo.
+    """A robot model loaded in MuJoCo.
 
     Attributes:
         native: The model that was read.
@@ -99,7 +99,7 @@ def _assemble(
 ) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
     """Return a single spec that combines the model with its attached models at the world origin.
 
-    Also returns the positions and controls in the keyframe ``home``, which are empty if there is no such keyframe.
+    Also returns the positions and controls in the ``home`` keyframe, which are empty if the keyframe does not exist.
     """
     import mujoco
 
@@ -158,7 +158,7 @@ def _keep(path: Path, files: dict[str, bytes]) -> str:
 
 
 def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
-    """Return a URDF's text with meshes named by content, omitting COLLADA meshes, which MuJoCo cannot read."""
+    """Return the text of a URDF with meshes named by content, omitting COLLADA meshes, which MuJoCo cannot read."""
     text = file.read_text(encoding="utf-8")
     for name in urdf_meshes(text):
         path = urdf_mesh(file, name)
@@ -203,7 +203,7 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
 
 
 def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
-    """Return the initial positions from the scene and the gripper, and otherwise from the keyframe ``home``."""
+    """Return initial positions as specified by the scene and the gripper, or otherwise by the ``home`` keyframe."""
     import mujoco
 
     qpos = np.array(home)
@@ -249,7 +249,7 @@ def xml(read: MujocoRobot) -> str:
 
 
 def body_name(read: MujocoRobot, frame: str) -> str:
-    """Return the prefixed name of the body for a robot frame; raise :class:`RobotModelError` if it does not exist."""
+    """Return the prefixed name of the body for a robot frame; raise :class:`RobotModelError` if the body is missing."""
     link = read.native.frame(frame).link if frame else root_name(read).removeprefix(read.prefix)
     name = read.prefix + link
     bodies = [body.name for body in read.spec.bodies]
@@ -265,9 +265,10 @@ def root_name(read: MujocoRobot) -> str:
 
 
 def document_fields(robot: Robot) -> dict[str, object] | None:
-    """Return a robot's fields in a scene document, except its pose, or None for a robot without a description.
+    """Return the fields of a robot in a scene document, except for its pose, or None if the robot has no description.
 
-    They are written alongside the robot's model so that an import restores the robot instead of an articulated object.
+    The fields are written alongside the robot model so that an import restores a robot instead of an articulated
+    object.
     """
     if robot.kind == FILES_ONLY:
         return None

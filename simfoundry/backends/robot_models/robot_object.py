@@ -1,4 +1,4 @@
-"""Conversion of a robot to an articulated object or a URDF, for targets whose format the robot has no model in.
+"""Conversion of a robot to an articulated object or a URDF, for targets in whose format the robot has no model.
 
 The model read by MuJoCo is converted to the scene's representation: a tree of links with masses, shapes and joints.
 Closed loops are cut, and the robot's ``follow`` describes their effect on the joints.
@@ -41,8 +41,8 @@ class RobotObject:
 
     Attributes:
         item: The object.
-        links: The link names in the item, which contain no dots, by link name in the model.
-        joints: The joint names in the item by joint name in the model.
+        links: The link names in the item, which contain no dots, keyed by the link names in the model.
+        joints: The joint names in the item, keyed by the joint names in the model.
         loops: The number of closed loops that were cut.
     """
 
@@ -148,7 +148,7 @@ def _rgba(model: mujoco.MjModel, g: int) -> Array:
 
 
 def _geometry(model: mujoco.MjModel, g: int) -> Geometry | None:
-    """Return the shape of a geom, or None for a plane, which is never part of a robot."""
+    """Return the shape of a geom, or None if the geom is a plane, because planes are never part of a robot."""
     import mujoco
 
     size, kinds = model.geom_size[g], mujoco.mjtGeom
@@ -189,7 +189,7 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
-    """Return the actuators that drive a single joint, and the gripper's actuators for each joint that leads others."""
+    """Return the drives of joints with their own actuator and of gripper joints that do not follow another joint."""
     import mujoco
 
     model, drives = read.model, {}
@@ -207,14 +207,14 @@ def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
 
 
 def _leaders(read: MujocoRobot) -> Iterator[str]:
-    """Yield the gripper's joints that do not follow another joint."""
+    """Yield the gripper joints that do not follow another joint."""
     gripper = read.native.gripper
     if gripper is not None:
         yield from (name for name in gripper.joints if name not in gripper.follow)
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """Return each joint's mimic, from the description or the model's equations, and the number of cut loops."""
+    """Return the mimics from the description and the model's equations, by joint, and the number of cut loops."""
     import mujoco
 
     model, gripper = read.model, read.native.gripper
@@ -317,7 +317,7 @@ def _effort(joint: ET.Element) -> float:
 
 
 def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
-    """Copy a URDF and its meshes to ``robots/``, preserving their relative layout, and return the URDF's path as well.
+    """Copy a URDF and its meshes to ``robots/`` with the same relative layout, and also return the URDF's new path.
 
     Mesh paths are made relative to the URDF; the rest of the text is unchanged.
     """
@@ -359,7 +359,7 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 
 
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
-    """Yield the losses of converting a robot from its MJCF or URDF."""
+    """Yield the losses from converting a robot's MJCF or URDF."""
     kind = source.format.value.upper()
     reason = f"It has no model in this format; its {kind} is converted, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)

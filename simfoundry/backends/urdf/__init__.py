@@ -2,10 +2,10 @@
 
 ``physics.json`` contains additional physical properties, which the loaders for Drake, Genesis and SAPIEN use.
 
-A free object is written as a robot whose root is not attached to anything. ``floating`` joints are never written,
-because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their link, and products of
-inertia are written explicitly, because some readers ignore the rotation of inertial frames. Links, joints and colliders
-keep their names from the scene; the robot is named after the object.
+A free object is written as a robot whose root is not attached to anything, and ``floating`` joints are never written,
+because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their links, and products of
+inertia are written explicitly, because some readers ignore the rotation of an inertial frame. Links, joints and
+colliders keep their names from the scene; the robot is named after the object.
 """
 
 from __future__ import annotations

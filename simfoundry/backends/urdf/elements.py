@@ -47,7 +47,7 @@ _EFFORT, _VELOCITY = "1000", "100"
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
-    """Return the URDFs of all objects, one per freely moving part, and their shared assets, by path."""
+    """Return the URDFs of all objects (one per freely moving part) and their shared assets, keyed by path."""
     files: dict[str, bytes] = {}
     for item in scene.objects:
         texts = _WRITTEN.get(item)
@@ -81,7 +81,7 @@ def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the files in ``known``, a visual-only URDF with a single link in the world frame, and its assets."""
+    """Return the files in ``known``, plus a visual-only URDF with a single link in the world frame and its assets."""
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
@@ -99,7 +99,7 @@ def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 
 def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
-    """Yield the geometry, replacing a capsule, which URDF does not support, by a cylinder and two spheres."""
+    """Yield the geometry, with a cylinder and two spheres in place of a capsule, which URDF does not support."""
     if not isinstance(geometry, Capsule):
         yield "", geometry, IDENTITY
         return
@@ -157,7 +157,10 @@ def _add_shape(
 
 
 def _add_material(parent: ET.Element, visual: Visual) -> None:
-    """Add a color and an optional texture. Readers share materials by name, so the name depends on the content."""
+    """Add a color and an optional texture.
+
+    The material name depends on the content, because readers share materials by name.
+    """
     tint = numbers(visual.rgba)
     name = "rgba_" + tint.replace(" ", "_")
     mesh = visual.geometry
@@ -194,7 +197,7 @@ def _joint_type(joint: Joint, dialect: Dialect) -> str:
 
 
 def _limit(joint: Joint) -> dict[str, str]:
-    """Return a ``limit`` element's attributes; many readers lock prismatic joints without limits at zero."""
+    """Return the attributes of a ``limit`` element; without limits, many readers lock prismatic joints at zero."""
     strength = joint.drive.force_limit if joint.drive is not None else None
     limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
     unbounded = (-UNBOUNDED_M, UNBOUNDED_M) if joint.type is JointType.PRISMATIC else None

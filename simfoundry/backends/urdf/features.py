@@ -1,4 +1,4 @@
-"""Losses of a scene in URDF and its JSON manifests; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in URDF and its JSON manifests; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _drop(feature: str, element: str = "") -> Loss:
 
 
 def urdf_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield what is lost when a scene is written as URDF, excluding the losses of its robots."""
+    """Yield the losses that occur when a scene is written as URDF, excluding those of its robots."""
     yield _drop("gravity")
     for item in scene.objects:
         colliders = [collider for link in item.links for collider in link.colliders]

@@ -1,4 +1,4 @@
-"""The JSON files next to the URDFs: ``poses.json`` with poses, and ``physics.json`` with all other properties."""
+"""The JSON files next to the URDFs: ``poses.json`` contains poses, and ``physics.json`` all other properties."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _SERVO_TIME = 0.05
 
 
 def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]) -> bytes:
-    """Return ``physics.json``, which lists collision shapes by the same names and in the same order as the URDF.
+    """Return ``physics.json``, which lists collision shapes with the same names and in the same order as the URDF.
 
-    A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and any
-    mimic joints that the URDF does not contain.
+    Converted robots are described like objects. For robots with their own URDF, only motors and mimic joints that are
+    missing from the URDF are included.
     """
     own = {name: _robot(robot) for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
@@ -75,7 +75,7 @@ def drive_data(drive: Drive) -> dict[str, float]:
 
 
 def mimic_data(leader: Mimic) -> dict[str, object]:
-    """Return the leading joint of a mimic joint, and its ratio and offset."""
+    """Return the name of the joint that a mimic joint follows, and the ratio and offset."""
     return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
 
 
@@ -85,7 +85,7 @@ def pose_data(pose: Pose) -> dict[str, object]:
 
 
 def _robot(robot: RobotUrdf) -> dict[str, object]:
-    """Return the motors of a robot with its own URDF, which specifies their maximum forces."""
+    """Return the motors of a robot with its own URDF; the URDF specifies the maximum forces."""
     motors = {
         name: drive_data(Drive(force / _SERVO_ERROR, _SERVO_TIME * force / _SERVO_ERROR, robot.positions[name], force))
         for name, force in robot.efforts.items()
@@ -103,7 +103,7 @@ def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
 
 
 def placement(tree: Tree) -> dict[str, object]:
-    """Return the pose of a part of an object, its fixed flag, its joint positions and its joints' closed limits."""
+    """Return the pose, the fixed flag, and the joints' positions and closed limits for a part of an object."""
     closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
     joints = {j.name: rounded(j.position) for j in tree.joints if j.has_axis}
     placed = {"fixed": tree.fixed, **pose_data(tree.X_WT), "joints": joints}
@@ -111,13 +111,13 @@ def placement(tree: Tree) -> dict[str, object]:
 
 
 def robot_placement(robot: RobotUrdf) -> dict[str, object]:
-    """Return a robot's base pose and joint positions in the same form as for a fixed object."""
+    """Return a robot's base pose and joint positions in the format used for fixed objects."""
     joints = {name: rounded(position) for name, position in robot.positions.items()}
     return {"urdf": robot.path, "category": "robot", "fixed": True, **pose_data(robot.X_WB), "joints": joints}
 
 
 def poses_entry(tree: Tree) -> dict[str, object]:
-    """Return the ``poses.json`` entry of a part of an object; a freely moving part includes its free joint."""
+    """Return the ``poses.json`` entry for an object part, including the free joint of a freely moving part."""
     entry = {"urdf": f"{tree.name}.urdf"} | semantics(tree.owner) | placement(tree)
     joint = tree.free_joint
     if joint is None:

@@ -23,7 +23,7 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Scopes:
-    """The prims on a stage that contain the objects and the shared materials."""
+    """The prims that contain the objects and the shared materials on a stage."""
 
     objects: Prim
     looks: Prim
@@ -31,12 +31,12 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Return true if no link in the tree can move, in which case the links have colliders but no rigid bodies."""
+    """Return true if no link in the tree can move; such links have colliders but no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
 def define_object(scopes: Scopes, item: SceneObject) -> None:
-    """Define ``item`` at its pose in the world, with its links as siblings below it at their joint positions.
+    """Define ``item`` at its world pose, with its links as sibling prims below it, posed by the joint positions.
 
     The articulation root of a free object is its root link. For a fixed object, PhysX requires the articulation root on
     a prim above both the root link and the joint that fixes it; otherwise PhysX simulates the joints in maximal
@@ -81,8 +81,8 @@ def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
 def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
     """Author the free joint of a body as attributes, because UsdPhysics has no prim type for free joints.
 
-    ``simfoundry:freePose`` is the body's pose in its parent at the zero position, as a USD matrix, which multiplies row
-    vectors.
+    ``simfoundry:freePose`` is the body's pose in its parent frame at the zero position, written as a USD matrix (for
+    row vectors).
     """
     matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
     body.attribute("simfoundry:freeJoint", "token", joint.name, uniform=True)
@@ -93,8 +93,8 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
 def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
     """Define the joints and the articulation of a tree.
 
-    The articulation specifies whether its links can collide with each other; filtered pairs exclude individual pairs.
-    If a fixed object also has a freely moving part, the articulation root of the fixed part is its anchor joint.
+    The articulation specifies whether its links can collide with each other; filtered pairs exclude individual pairs of
+    links. If a fixed object also has a freely moving part, the articulation root of the fixed part is its anchor joint.
     """
     root = links[tree.root.name]
     if tree.fixed:
@@ -112,7 +112,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact. A static link has no rigid body, so its colliders represent the link."""
+    """Exclude pairs of links from contact. A static link has no rigid body, so it is represented by its colliders."""
     every_mover, every_touched = defaultdict[str, list[Prim]](list), defaultdict[str, list[Prim]](list)
     found = defaultdict[Prim, list[Prim]](list)
 
@@ -139,13 +139,13 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
-    """Return the prim that contains the links of an object: the object's own prim, or the prim of its variant."""
+    """Return the prim that contains an object's links: the object's own prim or the prim of its variant."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim
 
 
 def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
-    """Return an object's rigid bodies, and the collision prims of each link, by qualified name."""
+    """Return an object's rigid bodies and the collision prims of each link, keyed by qualified name."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     for tree in trees(item):
@@ -209,7 +209,7 @@ def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
 
 
 def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
-    """Define ``joint`` between the links ``parent`` and ``child``, following ``leader`` if one is given.
+    """Define ``joint`` between the ``parent`` and ``child`` links; if ``leader`` is given, the joint follows it.
 
     In UsdPhysics, angles are in degrees and joints rotate about a coordinate axis of the joint frames. Both frames are
     therefore rotated so that the coordinate axis closest to the scene's joint axis coincides with it.
@@ -248,8 +248,8 @@ def _ball(prim: Prim, joint: Joint) -> None:
 def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
     """Make a joint follow another joint in Newton and PhysX.
 
-    Newton uses the same equation as the scene, whereas PhysX has all terms on one side. PhysX softens the constraint
-    with a natural frequency, which is zero for a rigid gear.
+    Newton uses the same equation as the scene, whereas PhysX moves all terms to one side. PhysX can soften the
+    constraint with a natural frequency; zero makes the gear rigid.
     """
     physx, leader = f"physxMimicJoint:{_MIMIC}", f"{scope.path}/{mimic.joint}"
     multiplier, offset = mimic.multiplier * unit / unit_of_leader, mimic.offset * unit
@@ -288,10 +288,10 @@ def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> Non
 def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
     """Add a joint's damping, drive, Coulomb friction, armature and position.
 
-    UsdPhysics supports only the first two, as a single drive whose gains are per degree. ``simfoundry:damping`` is the
-    part of the drive's damping that belongs to the joint itself. The other values are PhysX and Newton attributes, in
-    which torques [N m] and armatures [kg m^2] do not depend on the angle unit. ``unit`` is 1 for a position in meters,
-    and the number of degrees per radian for an angle.
+    UsdPhysics supports only damping and drives, combined as a single drive with gains per degree.
+    ``simfoundry:damping`` is the part of the drive's damping that belongs to the joint itself. The other values are
+    PhysX and Newton attributes, in which torques [N m] and armatures [kg m^2] do not depend on the angle unit. ``unit``
+    is 1 for a position in meters, and the number of degrees per radian for an angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
     motor, axis, state = f"drive:{kind}:physics", f"physxJointAxis:{kind}", f"state:{kind}:physics"

@@ -1,4 +1,4 @@
-"""Losses of a scene in a USD stage; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in a USD stage; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ FEATURES = read_cells(Path(__file__).parent)
 
 
 def usd_losses(scene: Scene) -> tuple[Loss, ...]:
-    """Return the losses of ``scene`` in a stage, in scene order."""
+    """Return the losses that occur when ``scene`` is written as a stage, in scene order."""
     every = [item for each in scene.objects for item in (each, *each.variants)]
     return (*_contacts(every), *dict.fromkeys(loss for item in every for loss in _object(item)), *_lights(scene))
 
 
 def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
-    """Yield the losses of friction and restitution, which are exact only with PhysX's combine modes."""
+    """Yield the friction and restitution losses; both quantities are exact only with PhysX's combine modes."""
     colliders = [c for item in objects for link in item.links for c in link.colliders]
     for name in ("friction", "restitution"):
         values = [float(getattr(collider, name)) for collider in colliders]

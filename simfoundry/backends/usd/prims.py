@@ -19,7 +19,7 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 class Attribute(NamedTuple):
     """A prim attribute with its USD type name.
 
-    The value is None if no value is authored, or if the attribute is connected to the property ``source``.
+    The value is None if no value is authored or if the attribute is connected to the ``source`` property.
     """
 
     type_name: str
@@ -29,7 +29,7 @@ class Attribute(NamedTuple):
 
 
 class Asset(NamedTuple):
-    """A file path used as an attribute value."""
+    """A file path as an attribute value."""
 
     path: str
 
@@ -68,7 +68,7 @@ class Prim:
         return self.variants[name]
 
     def define(self, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
-        """Define a child prim of the given type and apply API schemas, which do not need to be registered."""
+        """Define a child prim of the given type and apply API schemas, even if they are not registered."""
         self.children[name] = Prim(name, type_name, f"{self.path}/{name}", specifier, schemas=list(schemas))
         return self.children[name]
 
@@ -106,12 +106,12 @@ class Prim:
 
 
 def settled(value: float) -> float:
-    """Round a coordinate [m] or quaternion component to twelve decimals, which turns rounding noise into zero."""
+    """Round a coordinate [m] or quaternion component to twelve decimals so that rounding noise becomes zero."""
     return round(float(value), 12) + 0.0
 
 
 def vec3(values: Iterable[float]) -> tuple[float, ...]:
-    """Return three values for single precision; out-of-range values become infinite, as they will be for readers."""
+    """Return three values for single precision; out-of-range values become infinite, as they do for readers."""
     return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 
@@ -225,14 +225,14 @@ def _list(items: Iterable[str]) -> str:
 
 @lru_cache(maxsize=16384)  # the same strings occur repeatedly
 def quoted(text: str) -> str:
-    """Quote a string with the quotes that require the fewest escapes, or triple quotes if it has several lines."""
+    """Quote a string using the quotes that require the fewest escapes, or triple quotes if it spans several lines."""
     quote = "'" if '"' in text and "'" not in text else '"'
     fence = quote * 3 if "\n" in text else quote
     return f"{fence}{text.translate(_ESCAPES[quote])}{fence}"
 
 
 def _escapes(quote: str) -> list[str]:
-    """Return the escaped form of each ASCII character inside the given quotes."""
+    """Return the escape sequence for each ASCII character inside the given quotes."""
     plain = {chr(k): chr(k) for k in range(128)}
     control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
     return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())

@@ -1,4 +1,4 @@
-"""Robots on a stage, either referenced from their own USD or converted from MJCF or URDF, and mounted cameras."""
+"""Mounted cameras and robots on a stage; robots are referenced from their own USD or converted from MJCF or URDF."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RobotsInUsd:
 
 
 def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
-    """Define all robots below ``/World/Robots``, which is omitted if the scene has no robots."""
+    """Define all robots below ``/World/Robots``, or omit this prim if the scene has no robots."""
     found = RobotsInUsd()
     if not scene.robots:
         return found
@@ -72,7 +72,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
 
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    """Reference a copy of the robot's own USD and all files in its folder, and set the scene's joint positions."""
+    """Copy the robot's own USD with all files in its folder, reference it, and set the scene's joint positions."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(native.file))
@@ -107,7 +107,7 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
 
 
 def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
-    """Yield a loss if the robot's file refers to missing layers."""
+    """Yield a loss if the robot file refers to missing layers."""
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
         count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
@@ -170,7 +170,7 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """Yield the prim of the link on which a camera is mounted, in each variant with this link, and the frame's pose."""
+    """Yield the prim of a mounted camera's link, once per variant that has this link, and the pose of its frame."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]

@@ -1,7 +1,7 @@
-"""Shapes and materials, with primitives as USD primitives, and meshes as references to a layer next to the stage.
+"""Shapes and materials: primitives become USD primitives, and meshes become references to a layer next to the stage.
 
 Visual materials use UsdPreviewSurface; contact materials have UsdPhysics, PhysX and Newton attributes. Arrays are
-stored in layers in USD's binary format, which is a third of the size of text and is memory-mapped when read.
+stored in layers in USD's binary format, which is a third of the size of the text format and is memory-mapped when read.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, unif
 
 
 def crate_bytes(layer: Sdf.Layer) -> bytes:
-    """Return the layer in the crate format; equal layers give equal bytes in every process and Python version.
+    """Return the layer in the crate format; identical layers produce identical bytes, even across Python versions.
 
-    USD can write crates only to files, in version 0.8.0, which all releases since 2020 can read.
+    USD can only write crates to files. The crate version is 0.8.0, which all releases since 2020 can read.
     """
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         path = Path(folder) / "layer.usdc"
@@ -143,7 +143,7 @@ def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDAr
 
 
 def texture_of(visual: Visual) -> bytes | None:
-    """Return the texture of ``visual`` if its mesh has texture coordinates, or else None."""
+    """Return the texture of ``visual``, or None if its mesh has no texture coordinates."""
     geometry = visual.geometry
     return geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
 
@@ -154,13 +154,13 @@ def texture_path(texture: bytes) -> str:
 
 
 def define_visual(parent: Prim, looks: Prim, visual: Visual) -> None:
-    """Define ``visual`` below ``parent``, with its material in the scope ``looks``."""
+    """Define ``visual`` below ``parent``, with its material in the ``looks`` scope."""
     prim = define_geometry(parent, visual.name, visual.geometry, visual.X_LG, ["MaterialBindingAPI"])
     prim.relate("material:binding", [visual_material(looks, visual)])
 
 
 def visual_material(scope: Prim, visual: Visual) -> Prim:
-    """Return the material of ``visual``, which is named by content and shared by visuals with the same appearance."""
+    """Return the material of ``visual``. Materials are named by content and shared by visuals that look the same."""
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
     rgba = tuple([rounded(v) for v in visual.rgba.tolist()])
@@ -217,7 +217,7 @@ def _texture(material: Prim, color: Array, texture: str) -> Prim:
 def contact_material(scope: Prim, collider: Collider) -> Prim:
     """Return the contact material of ``collider``.
 
-    The material contains √μ and √e with PhysX's combine mode ``multiply``, which yields geometric means. The surface's
+    The material stores √μ and √e with PhysX's ``multiply`` combine mode, which yields geometric means. The surface's
     own coefficients are stored in ``simfoundry:friction`` and ``simfoundry:restitution``.
     """
     name = f"friction_{_word(collider.friction)}_restitution_{_word(collider.restitution)}"

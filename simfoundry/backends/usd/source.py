@@ -1,11 +1,11 @@
-"""Storage of a scene's source document in the stage, with a record of the stage as written by the backend.
+"""Storage of a scene's source document in the stage, along with a record of the stage as written by the backend.
 
-The data is stored in prim metadata, which USD composes, so the data survives flattening, crates, sublayers and
+The data is stored in prim metadata. USD composes this metadata, so it survives flattening, crates, sublayers and
 references. In ``customData`` under ``simfoundry``, the default prim stores the document without the parts that have
 their own prims (``document``). Each part stores its own data (``spec``) and its path in the document (``part``), so
 copying or deleting a prim also copies or deletes its data. ``built`` records the values written by the backend, which
-allows readers to detect later edits. In an object with variants, each variant has its own ``built`` and ``variant``,
-which is the variant's name; the composed stage contains the entries of the selected variant.
+allows readers to detect later edits. If an object has variants, each variant has its own ``built`` record and its name
+in ``variant``; the composed stage contains the entries of the selected variant.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
 
 
 def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[str, dict[str, Any]]) -> None:
-    """Collect the values of a part and its descendant prims by relative path; the part itself has the empty path."""
+    """Collect the values of a part and its descendant prims by relative path, which is empty for the part itself."""
     values = _values(prim)
     said = observed(values)
     for binding, name in _BINDINGS.items():
@@ -146,7 +146,7 @@ def _transform(values: Mapping[str, Any]) -> list[float]:
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
-    """Return the scene-linear red, green, blue and opacity of a material; they multiply the texture, if there is one.
+    """Return the scene-linear red, green, blue and opacity of a material, which multiply any texture.
 
     ``material`` contains the shader attributes by shader name. Returns None if the material no longer has the structure
     that this backend writes.
@@ -158,14 +158,14 @@ def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
 
 
 def contact(material: Mapping[str, Any]) -> list[float] | None:
-    """Return a contact material's friction and restitution, each as the value for PhysX and the surface's own value."""
+    """Return a contact material's friction and restitution, each as the PhysX value and the surface's own value."""
     names = ("physics:dynamicFriction", f"{KEY}:friction", "physics:restitution", f"{KEY}:restitution")
     values = [plain(material.get(name)) for name in names]
     return None if None in values else values
 
 
 def _lines(data: Mapping[str, Any]) -> str:
-    """Format JSON with one line per top-level key, which makes the metadata readable."""
+    """Format JSON with one line per top-level key to keep the metadata readable."""
     entries = [f"{json_string(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 

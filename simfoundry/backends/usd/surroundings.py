@@ -89,7 +89,7 @@ _POINT_RADIUS = 0.02  # m, about the size of a light bulb; a sphere light needs 
 
 
 def define_light(scope: Prim, light: Light) -> None:
-    """Define ``light`` such that intensity 1 makes a white surface facing it look white, at 1 m for a point light."""
+    """Define ``light`` so that intensity 1 makes a white surface facing it (1 m away for a point light) look white."""
     match light.type:
         case LightType.DISTANT:
             prim = scope.define(light.name, "DistantLight")

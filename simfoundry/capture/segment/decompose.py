@@ -34,8 +34,10 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
 
     If ``frame.instances`` is set, its masks are cleaned and used. Otherwise, the surface above the support is cut at
     depth steps and inward creases; outward bends do not separate objects. Parts separated by an occluder are joined
-    again if they are coplanar, and unsupported parts are joined to the parts that they touch. Raises
-    :class:`CaptureError` if the depth is unusable or no object is found.
+    again if they are coplanar, and unsupported parts are joined to the parts that they touch.
+
+    Raises:
+        CaptureError: The depth is unusable, or no object is found.
     """
     frame = frame.cleaned()
     points_W = support.X_WC.apply(frame.points)

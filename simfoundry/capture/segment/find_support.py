@@ -73,7 +73,10 @@ def find_support(frame: Frame) -> SupportSurface:
     Among all planes that could be a tabletop, the support is the one with the most objects and visible surface,
     weighted by proximity. A box with another box on top scores lower than the table below, because the table supports
     both. The floor scores lower because it is farther away and the objects on a table are too high above the floor to
-    count as standing on it. Raises :class:`CaptureError` if the depth is unusable or no plane is found.
+    count as standing on it.
+
+    Raises:
+        CaptureError: The depth is unusable, or no plane is found.
     """
     frame = frame.cleaned()
     small = _view(frame, step=max(1, frame.depth.shape[1] // SURVEY_WIDTH))
@@ -336,7 +339,7 @@ def _pixel_of_cell(X_WC: Pose, K: Array, corner: Array, cell: float) -> Array:
 
 
 def _largest(mask: Mask, measured: Mask) -> Mask | None:
-    """Return the connected component of ``mask`` that contains the most of ``measured``; None if the mask is empty."""
+    """Return the component of ``mask`` that contains the most pixels of ``measured``; None if the mask is empty."""
     labels, areas = components(mask)
     sizes = np.bincount(labels[measured], minlength=len(areas))[1:]
     return np.asarray(labels == 1 + int(np.argmax(sizes))) if len(sizes) else None

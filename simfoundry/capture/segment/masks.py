@@ -79,7 +79,7 @@ def filled(mask: Mask) -> Mask:
 
 
 def thinned(points: Array, count: int) -> Array:
-    """Return every n-th point, such that between ``count`` and twice as many points remain."""
+    """Return every n-th point, with n chosen so that ``count`` to twice as many points remain."""
     return points[:: max(1, len(points) // count)]
 
 
@@ -126,7 +126,7 @@ class Plan:
     cell: float
 
     def contains(self, xy: Array) -> Mask:
-        """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the mask; False for NaN points."""
+        """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the plan; False for NaN points."""
         index = np.round((np.nan_to_num(xy, nan=-1e6) - self.corner) / self.cell)
         rows, columns = self.mask.shape
         inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)

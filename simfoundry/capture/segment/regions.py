@@ -221,7 +221,7 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
 
 
 def _solve(s: Array) -> Array:
-    """Solve the least-squares problem at every pixel from its moment sums, slightly damped toward fronto-parallel."""
+    """Solve the least-squares problem at every pixel from its moment sums, with slight damping toward no slope."""
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -243,8 +243,8 @@ def normals_of(fits: Array, K: Array) -> Array:
 def _across(shape: tuple[int, ...], reach: int) -> Iterator[tuple[Window, Window, Window, tuple[int, int]]]:
     """Yield windows for comparing pixels across the image in each direction.
 
-    Each item contains the windows of the middle pixels, of the pixels ``reach`` before and of those ``reach`` after
-    them, and the offset (u, v) between the latter two.
+    Each item contains three windows, which select the middle pixels, the pixels ``reach`` before them, and the pixels
+    ``reach`` after them, followed by the offset (u, v) between the last two windows.
     """
     h, w = shape
     for du, dv in ((1, 0), (0, 1), (1, 1), (1, -1)):
@@ -277,7 +277,7 @@ def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, 
 
 
 def _breaks(depth: Array) -> Array:
-    """Return the depth jump [m] to adjacent pixels in excess of any slope; this requires no surface on either side."""
+    """Return the depth jump [m] to adjacent pixels, or 0 if a sloping surface could explain it."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):

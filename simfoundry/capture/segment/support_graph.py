@@ -103,7 +103,7 @@ def below(labels: Labels, crop: Crop) -> dict[int, float]:
 
 
 def sinking(labels: Labels, crop: Crop) -> dict[int, float]:
-    """Return the fraction of each region's lower edge below which its surface continues below the level of the support.
+    """Return the fraction of each region's lower edge at which the surface continues below the support's level.
 
     An object on the support ends at that level; an object on the floor behind the support does not.
     """
@@ -117,7 +117,7 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
-    """Return the labeled pixels, the pixels right below them in the direction of gravity, and the labels of the latter.
+    """Return the labeled pixels, the pixels right below them in the direction of gravity, and the lower pixels' labels.
 
     Labels outside the crop are -1.
     """

@@ -65,7 +65,7 @@ class _Axes:
         return cls(evidence, across, np.array([across[1], -across[0]]))
 
     def is_free(self, t: Array, s: Array, level: float) -> Mask:
-        """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera saw to be free."""
+        """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera observed to be free."""
         frame = self.evidence.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
         p_C = self.evidence.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
@@ -131,9 +131,10 @@ def _columns(t: Array) -> Array:
 def _mirror_depths(fronts: list[_Slice]) -> Array:
     """Return the position of the mirror plane in each slice [m].
 
-    Over the inner 85% of its width, an ellipse curves back by 0.47 of its half depth, which determines the plane. A
-    flat front provides no information, so the depth prior for boxes is used instead. Standing objects are usually
-    symmetric about a single plane from base to cap, so all slices use the median, as far as their widths allow.
+    The plane is computed from the curvature of the front: over the inner 85% of its width, an ellipse curves back by
+    0.47 of its half depth. A flat front provides no information, so the depth prior for boxes is used instead. Standing
+    objects are usually symmetric about a single plane from base to cap, so all slices use the median position, as far
+    as their widths allow.
     """
     width = np.array([one.t[-1] - one.t[0] for one in fronts])
     front, turned = np.array([np.percentile(one.near, [10.0, 85.0]) for one in fronts]).T
@@ -142,7 +143,7 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """Return a percentile of ``s`` near each column; columns without points are interpolated."""
+    """Return a percentile of the depths ``s`` near each column; columns without points are interpolated."""
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))
@@ -226,7 +227,7 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilize(rings: Array) -> Array:
-    """Add a thin pad to a solid that would tip over: the hull of its base and a disk under its center of mass."""
+    """Add a thin pad to a solid that would tip over: a hull of its base and a disk under its center of mass."""
     import shapely
 
     foot = rings[0, :, :2]
@@ -268,7 +269,8 @@ def loft_mesh(rings: Array) -> Mesh:
     """Return a closed mesh through rings of points [m], shape (k, sides, 3).
 
     The rings are ordered from the bottom up, and each is counterclockwise when seen from above. The mesh is closed with
-    triangle fans about the mean of the first and the last ring, which must be star-shaped about it.
+    a triangle fan on the first ring and one on the last, centered at the mean of the ring. Both rings must be
+    star-shaped about their means.
     """
     levels, sides, _ = rings.shape
     top_down = rings[::-1].reshape(-1, 3)

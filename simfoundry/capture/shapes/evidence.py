@@ -33,7 +33,7 @@ PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The points of an object, and rays through and around it.
+    """The observed points on an object, and the rays through and around it.
 
     Attributes:
         frame: The RGB-D image.
@@ -76,7 +76,7 @@ class Evidence:
 
     @property
     def top(self) -> float:
-        """Height of the object [m], robust to noise: the median of its highest 2% of points, but at least ten."""
+        """Noise-robust height of the object [m]: the median of its highest 2% of points, but at least of ten points."""
         z = self.points[:, 2]
         count = max(min(10, len(z)), len(z) // 50)
         return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
@@ -132,7 +132,7 @@ def main_body(points: Array, pitch: float) -> Mask:
 def depth_scale(distance: float) -> float:
     """Return the residual [m] that exceeds the noise of common depth cameras at a given distance [m].
 
-    It grows with the square of the distance.
+    The residual grows with the square of the distance.
     """
     return 0.005 + 0.004 * distance**2
 
@@ -168,7 +168,7 @@ def smooth_gaps(x: Array, values: Array) -> Array:
 
 
 def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the rays: a regular grid over the bounding window of the mask, with a margin."""
+    """Return the rows and columns of the rays, a regular grid over the mask's bounding window and a margin."""
     rows, cols = np.nonzero(mask)
     margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
     top, bottom = max(0, rows.min() - margin), min(mask.shape[0] - 1, rows.max() + margin)
@@ -254,7 +254,7 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
     """Cast rays against triangles in the world (vertices [m], shape (n, 3); faces, shape (k, 3)).
 
-    There are no restrictions on the rays or the solid.
+    This works for any rays and any solid.
     """
     face = first_faces(eye, rays, vertices, faces)
     hit = face >= 0
@@ -340,7 +340,7 @@ def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
 
 
 def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Array, Array]:
-    """Return the nearest of the previous hits, shape (m,), and the candidate hits on each edge, shape (k, m)."""
+    """Return the nearest hit per ray among the previous hits, shape (m,), and candidates on each edge, shape (k, m)."""
     pick = np.argmin(depth, axis=0)[None]
     nearest = np.take_along_axis(depth, pick, 0)[0]
     closer = nearest < best
@@ -349,10 +349,11 @@ def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Arr
 
 @dataclass(frozen=True, eq=False)
 class FitCandidate:
-    """The best solid from one family of shapes; ``guessed`` is True if a prior supplied an extent that was not visible.
+    """The best solid from one family of shapes.
 
     The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
-    mesh. ``profile`` contains (radius, height) [m], shape (k, 2), for a body of revolution.
+    mesh. ``profile`` contains (radius, height) [m], shape (k, 2), for a body of revolution. ``guessed`` is True if a
+    prior supplied an extent that was not visible.
     """
 
     family: str

@@ -81,8 +81,8 @@ def fit_shape(
 def choose(found: list[FitCandidate]) -> FitCandidate:
     """Return the candidate with the lowest cost.
 
-    A completed shape is chosen only if it explains clearly more than the best simple shape, because it follows every
-    dent, so its residuals are always smaller than those of a box fitted to a slightly bulging carton.
+    A completed shape follows every dent, so its residuals are smaller than those of a box even for a slightly bulging
+    carton. It is therefore chosen only if it explains clearly more than the best simple shape.
     """
     best = min(found, key=lambda c: c.cost)
     simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
@@ -91,7 +91,7 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:
-    """Fit every family of shapes that the evidence can support; few points support only boxes and cylinders."""
+    """Fit every family of shapes that the evidence supports. With few points, these are only boxes and cylinders."""
     found = [fit_box(evidence), fit_cylinder(evidence)]
     if len(evidence.points) < FEW_POINTS:
         return found
@@ -102,10 +102,14 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
 def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
     """Return the confidence in a fit, in [0, 1].
 
-    The confidence is the product of five factors: the fraction of measured pixels explained within the noise scale; the
-    fraction of rays without intrusion into free space; ``exp(-fit / (5% of the size))``; ``min(1, sqrt(points /
-    400))``; and a factor that is 0.6 if a prior supplied an extent that was not visible, 0.7 for a completed shape,
-    because its entire far side is a guess, and otherwise 1.
+    The confidence is the product of five factors:
+
+    - the fraction of measured pixels explained within the noise scale
+    - the fraction of rays without intrusion into free space
+    - ``exp(-fit / (5% of the size))``
+    - ``min(1, sqrt(points / 400))``
+    - 0.6 if a prior supplied an extent that was not visible, 0.7 for a completed shape (because its entire far side is
+      a guess), and otherwise 1
     """
     result = candidate.agreement
     size = float(np.ptp(evidence.points, axis=0).max())

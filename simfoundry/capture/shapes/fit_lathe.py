@@ -1,4 +1,4 @@
-"""Fit bodies of revolution: bottles and jars as plain solids; bowls, cups and pots as solids with a cavity."""
+"""Fit bodies of revolution to bottles and jars, which are solid, and to bowls, cups and pots, which are hollow."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
-    """Return a mask of the points clearly below the rim that are seen through its disk of ``radius`` [m]."""
+    """Return a mask of the points clearly below the rim that are seen through the opening of ``radius`` [m]."""
     below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)

@@ -20,7 +20,7 @@ Solid = tuple[Cylinder | Sphere, Pose]
 
 
 def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
-    """Minimize ``cost`` with the Nelder-Mead method from ``start``, with an initial simplex given by ``steps``.
+    """Minimize ``cost`` with the Nelder-Mead method from ``start``; ``steps`` are the edges of the initial simplex.
 
     Returns:
         The minimum cost and its parameters; the result is deterministic.
@@ -34,7 +34,7 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
-    """Return an initial vertical axis, from the width across the view and the nearest points.
+    """Estimate an initial vertical axis from the object's width across the view and from its nearest points.
 
     Returns:
         The position of the axis in xy [m], shape (2,), and the radius [m].
@@ -108,7 +108,7 @@ def _fit_round(
     steps: Array,
     evaluations: int,
 ) -> FitCandidate:
-    """Optimize the parameters of ``solid``, beginning at the best of ``starts``."""
+    """Optimize the parameters of ``solid``, starting from the best of ``starts``."""
 
     def judge(shape: Cylinder | Sphere, X_WO: Pose) -> RayAgreement:
         if isinstance(shape, Sphere):
@@ -172,7 +172,7 @@ def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
 
 
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
-    """Move one face, or change the yaw, as long as the cost decreases, in progressively smaller steps.
+    """Move one face at a time or change the yaw, in progressively smaller steps, as long as the cost decreases.
 
     Nelder-Mead stalls at discontinuities caused by individual pixels, especially if a band of pixels without depth
     separates the object from the background: in that case, no small change to all parameters reduces the cost.
@@ -188,7 +188,7 @@ def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Arra
 
 
 def _moves(x: Array, step: float) -> Iterator[Array]:
-    """Yield boxes with one face moved outward or inward by ``step`` [m], or rotated to move a corner about as far."""
+    """Yield boxes that have one face moved by ``step`` [m] or that are rotated enough to move a corner about as far."""
     c, s = math.cos(x[2]), math.sin(x[2])
     for sign in (step, -step):
         for axis, direction in ((0, (c, s)), (1, (-s, c))):
@@ -206,11 +206,11 @@ def _moves(x: Array, step: float) -> Iterator[Array]:
 def _supply_depth(evidence: Evidence, x: Array) -> tuple[bool, Array]:
     """Extend a box with only one visible upright face away from the camera, based on the depth prior.
 
-    The extension is limited by observed free space. An extent counts as measured if enough points are on a face along
-    it; a box that faces the camera has no such points for its depth.
+    The extension is limited by observed free space. An extent counts as measured if enough points are on faces along
+    that extent. If a box squarely faces the camera, no points measure its depth.
 
     Returns:
-        True if an extent was guessed, and the parameters of the box.
+        A flag that is True if an extent was guessed, and the parameters of the box.
     """
     size, X_WO = _unpack(x, evidence.base_z)
     local = X_WO.inverse().apply(evidence.points)

@@ -29,7 +29,9 @@ _TOO_FAR = 0.3  # as a fraction of the object's size; beyond this, a uniform col
 
 @dataclass(frozen=True, eq=False)
 class _Texels:
-    """The texels on the surface: ``row`` and ``col``, and points [m] and normals in the object frame, shape (n, 3)."""
+    """The texels on the surface, with ``row`` and ``col`` in the texture, and the points [m] and normals in the object
+    frame, shape (n, 3).
+    """
 
     row: NDArray[np.intp]
     col: NDArray[np.intp]
@@ -54,10 +56,12 @@ def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
 
 
 def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: Mask) -> Mesh:
-    """Return the mesh of a fitted shape in its object frame, textured with a PNG from the image (texture v points up).
+    """Return a fitted shape as a mesh in its object frame, with a PNG texture from the image (texture v points up).
 
-    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors outside the mask are never used. Raises
-    ``ValueError`` if the mask is empty.
+    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors outside the mask are never used.
+
+    Raises:
+        ValueError: The mask is empty.
     """
     if not mask.any():
         raise ValueError("cannot create a texture from an empty mask")
@@ -140,8 +144,8 @@ class _View:
 def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
     """Return the colors of all texels, shape (n, 3).
 
-    A texel that was not visible gets the color of the opposite point if that was visible, otherwise the color of the
-    nearest visible point, or ``plain`` if that point is too far away.
+    A texel that was not visible gets the color of the opposite point if that point was visible. Otherwise, it gets the
+    color of the nearest visible point, or ``plain`` if that point is too far away.
     """
     points, normals = texels.points, texels.normals
     center = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -159,7 +163,7 @@ def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
 
 
 def _borrow(key: Array, colors: Array, done: Mask) -> None:
-    """Fill in, in place, each color that is not ``done`` from the nearest one that is; colors too far away are kept."""
+    """Replace each color that is not ``done``, in place, with the nearest color that is, unless it is too far away."""
     from scipy.spatial import cKDTree
 
     lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
@@ -194,7 +198,7 @@ def _eroded(mask: Mask, pixels: int) -> Mask:
 
 
 def encode_png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode an RGB image as PNG; equal images give equal bytes."""
+    """Encode an RGB image as PNG. Identical images produce identical bytes."""
     import cv2
 
     _, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
@@ -265,7 +269,7 @@ def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
 
 
 def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Return the direction of each face; an isolated face joins its neighbors, to keep the number of charts low."""
+    """Return the direction of each face. An isolated face gets its neighbors' direction, to keep the charts few."""
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
     pairs = _neighbors(faces)

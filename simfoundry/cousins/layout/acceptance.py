@@ -1,4 +1,4 @@
-"""Accept or reject layouts: settle them, and then check relations, visibility and reachability."""
+"""Accept or reject layouts: settle them, then check relations, visibility and reachability."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason for each required relation that does not hold, and a reason if the goal is already true."""
+    """Yield a reason for each required relation that does not hold, and another reason if the goal is already true."""
     required = (
         ("not_as_asked", "does not hold at rest", layout.asked),
         ("relation_lost", "no longer holds", kept_relations(twin, layout.poses)),
@@ -93,7 +93,7 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
         conditions["goal_true"] = twin.goal
     holds = twin.judge.holds(conditions, StateBatch.of(twin.scene, [state]))
     for code, says, texts in required:
-        if texts and not holds[code][0]:  # usually, all texts are true
+        if texts and not holds[code][0]:  # usually, all conditions are true
             for text, verdict in ((text, twin.judge(text, state)) for text in texts):
                 if not verdict.value:
                     yield Reason(code, f"{text} {says}: {verdict.why}", {"margin": verdict.margin})
@@ -105,8 +105,8 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
     """Return the twin's relations that must still hold after the ``moved`` objects are moved.
 
-    These are the relations without moved objects, the relations between a rider and its support, and the relations
-    about an object's own joints or orientation.
+    These are the relations that do not involve moved objects, those between a rider and its support, and those that
+    concern only an object's own joints or orientation.
     """
     gone = set(moved)
 
@@ -151,7 +151,7 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
 
 
 def _too_far(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason for each task object that all arms are too short to reach, even if it moves while it settles."""
+    """Yield a reason for each task object that no arm is long enough to reach, even if it moves while settling."""
     for name in _grasped(twin) if twin.goal is not None else ():
         box = twin.box(name, state.poses[name])
         slack = DRIFT + math.sin(math.radians(TILT_DEG)) * float(np.linalg.norm(box[1] - box[0]))
@@ -172,11 +172,11 @@ def _out_of_reach(name: str, result: Reached) -> Reason:
 # time only if the engine has put all bodies to sleep, so that nothing can move again.
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
 
-# Sleep threshold [m/s]. MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
+# Sleep threshold [m/s]. MuJoCo puts a body to sleep after ten steps below this speed. Otherwise, bodies would creep by
 # hundredths of a millimeter.
 SLEEP = 5e-4
 
-# Time [s] at which velocities are set to zero if only balls are still moving. Balls in a hollow then stay in place.
+# Time [s] after which velocities are set to zero if only balls are still moving, so that balls stay in a hollow.
 CALM_S = 2.0
 
 

@@ -1,4 +1,4 @@
-"""Keep track of the objects in a scene, and place more objects among them, individually or in batches."""
+"""Keep track of the objects in a scene and place more objects among them, individually or in batches."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return the object ``name`` to be placed on ``on``, with all its riders except for those in ``staying``."""
+        """Return the object called ``name``, to be placed on ``on`` with all its riders except those in ``staying``."""
         riders = tuple(n for n in twin.riders(name) if n not in set(staying))
         key = (name, on, riders)
         if key not in twin.placeables:
@@ -104,7 +104,7 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Ignore the support in overlap tests if no part of it is above its level, because placed objects touch it."""
+        """Ignore a support in overlap tests if nothing protrudes above its level, because placed objects touch it."""
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -121,8 +121,8 @@ class Arrangement:
             thing: The object.
             region: Region from which placements are drawn.
             rng: Random generator.
-            allowed: Additional test of many candidates at once.
-            also: Additional test that is called with the object posed among the twin's solids.
+            allowed: Additional test that is applied to many candidates at once.
+            also: Additional test that is applied once the object has been posed among the twin's solids.
         """
         self._stand_on(region.support)
 
@@ -137,7 +137,7 @@ class Arrangement:
         """Place objects anywhere on a support, one after another.
 
         Returns:
-            None if all objects were placed; otherwise the first object that could not be placed and its search result.
+            None if all objects were placed; otherwise, the first object that could not be placed and its search result.
         """
         self._stand_on(support)
         for first in range(0, len(things), TOGETHER):
@@ -154,12 +154,12 @@ class Arrangement:
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-        """Return True if an object is clear of the entries ``met``, whose rectangles it overlaps."""
+        """Return True if an object is clear of the entries ``met`` even though it overlaps their rectangles."""
         self.pose(thing, thing.pose(x, y, region.z, yaw))
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return True if an object or one of its riders is closer to one of the ``others`` than the clearance.
+        """Return True if an object or any of its riders is closer to any of the ``others`` than the required clearance.
 
         Contact with the object named ``on`` is allowed, but overlap is not.
         """
@@ -171,7 +171,7 @@ class Arrangement:
         )
 
     def pose(self, thing: Placeable, X_WO: Pose) -> dict[str, Pose]:
-        """Pose an object and its riders among the twin's solids, and return their poses X_WO."""
+        """Pose an object and its riders among the twin's solids and return their poses X_WO."""
         poses = {thing.name: X_WO}
         if thing.riders:
             before = self.twin.state.poses
@@ -192,7 +192,7 @@ class Arrangement:
         """
         x, y, yaw = spot
         poses = self.pose(thing, thing.pose(x, y, z, yaw))
-        for name in poses:  # all of them share the combined shadow; if it overlaps, each is tested
+        for name in poses:  # all of them share the combined shadow; each is tested if that shadow overlaps
             self.there.add(name, thing.outline, x, y, z, yaw)
         self.solid += poses
         self.moved |= poses

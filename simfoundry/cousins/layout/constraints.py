@@ -28,8 +28,8 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.predicate import parse_call, texts
 
-# Number of rounds of :data:`DROPS` before an object that can only partly fit is rejected. If one in fifty drops
-# succeeds, 8 of 100 recipes are wrongly rejected. Recipes with lower success rates are not useful.
+# Number of rounds of :data:`DROPS` before an object that can only partly fit is rejected. For recipes in which one drop
+# in fifty succeeds, 8 of 100 are wrongly rejected. Recipes with lower success rates are not useful.
 DOUBTED = 2
 
 
@@ -52,7 +52,7 @@ class PlacementConstraints:
 
 
 def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
-    """Resolve a scene axis. The result is cached in the twin.
+    """Resolve the placement constraints of a scene axis. The result is cached in the twin.
 
     Raises:
         ImpossibleError: The axis can never be satisfied. The error contains all reasons.
@@ -66,7 +66,7 @@ def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
 def anchor_of(twin: Twin, axis: SceneAxis) -> str:
     """Return the name of the anchor, or an empty string if there is none.
 
-    If the axis does not specify an anchor, the anchor is the first object in the goal that the axis does not move.
+    If the axis does not specify an anchor, the first object in the goal that the axis does not move is used.
     """
     if axis.anchor is not None:
         return axis.anchor
@@ -93,7 +93,7 @@ def _resolved(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
         several = min(axis.relations_per_object, len(set(words)))
         if len(sets[name][0]) < several:
             listed = ", ".join(dict.fromkeys(words))
-            text = f"no {several} of {listed} can hold for `{name}` at once, as required by `relations_per_object`"
+            text = f"`{name}` cannot satisfy {several} of {listed} at once, as required by `relations_per_object`"
             reasons.append(Reason("contradiction", text, {"together": several}))
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
@@ -188,11 +188,11 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
 
 
 def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) -> float:
-    """Return an upper bound of the gap [m] to the anchor at which an object fits on a support.
+    """Return an upper bound on the gap [m] between the anchor and an object that still fits on a support.
 
-    The object's center must be at least half its width from the edge of the support and, if a side is requested, beyond
-    the edge of the anchor on that side. The gap is smaller than the distance between the center and the anchor by at
-    least half the width.
+    The object's center must be at least half the object's width from the edge of the support. If a side is requested,
+    the center must also be beyond the edge of the anchor on that side. The distance from the center to the anchor
+    exceeds the gap by at least half the object's width.
 
     Args:
         support: The support.
@@ -231,8 +231,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
         return
     sides = twin.shape(name).size(), max(boxes, key=np.prod)
     size, room = (" x ".join(f"{100 * v:.1f}" for v in np.sort(side)[::-1]) for side in sides)
-    text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of it must be"
-    text += " inside, but "
+    text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of the "
+    text += "object must be inside, but "
     if share <= SURE:
         text += f"at most {share:.0%} fits in any orientation"
     else:
@@ -241,8 +241,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return True if at least one of many drops places an object that fits only partly inside the anchor."""
-    rng = np.random.default_rng(0)  # the result must not depend on a candidate
+    """Return True if any of many drops succeeds in placing an object inside the anchor, even if it fits only partly."""
+    rng = np.random.default_rng(0)  # use a fixed seed, because the result must not depend on the candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
         if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
@@ -267,10 +267,10 @@ AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
-    """Return sets of up to ``together`` predicates that can hold at once, such that each predicate is in a set.
+    """Return sets of up to ``together`` predicates that can hold at once; each predicate is in at least one set.
 
-    The sets are as large as possible. A predicate that is not compatible with any set of the maximum size is in the
-    largest sets with which it is compatible.
+    The sets are as large as possible. A predicate that cannot be part of any set of the maximum size appears in the
+    largest sets possible for it.
     """
     words = tuple(dict.fromkeys(allowed))
     found: list[tuple[str, ...]] = []
@@ -291,7 +291,7 @@ def compatible(words: Iterable[str]) -> bool:
 
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
-    """Return the horizontal unit vector toward the side that a predicate denotes, shape (3,), or None."""
+    """Return the horizontal unit vector toward a predicate's side, shape (3,), or None if it has no side."""
     if word not in AXES:
         return None
     column, sign = AXES[word]
@@ -312,7 +312,7 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Return the reasons why the objects that must rest on given surfaces cannot fit, or an empty tuple if they might.
+    """Return the reasons why objects cannot all fit on the given surfaces, or an empty tuple if they might fit.
 
     Args:
         twin: The twin. Objects that the axis does not move stay in place.
@@ -320,7 +320,7 @@ def too_full(
         axis: The scene axis that moves objects, or None.
         items: Distractors to choose from. All are used before any distractor is repeated.
         count: Number of distractors. In the best case, the smallest distractors are chosen.
-        around: Name of the object onto which the axis moves objects; by default, one of the places.
+        around: Name of the object onto which the axis moves objects; by default, the owner of one of ``places``.
     """
     moves = axis.objects if axis is not None else {}
     names = list(dict.fromkeys(place.name for place in places))
@@ -342,7 +342,7 @@ def too_full(
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Return a lower bound of the total shadow area [m^2] of ``count`` items, used in turn.
+    """Return a lower bound on the total shadow area [m^2] of ``count`` objects chosen from ``items`` in turn.
 
     If the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed and the result is 0.
     """
@@ -354,6 +354,6 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
 
 
 def _sum(areas: Sequence[float], count: int) -> float:
-    """Return the sum of ``count`` areas used in turn, where the last, incomplete turn uses the smallest areas."""
+    """Return the sum of ``count`` areas, used in turn. An incomplete last round uses the smallest areas."""
     whole, rest = divmod(count, len(areas))
     return whole * sum(areas) + sum(sorted(areas)[:rest])

@@ -33,20 +33,20 @@ def drop(
 ) -> Reason | None:
     """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
 
-    An object that must be on the anchor is placed on one of the anchor's levels, or at its first contact from above. It
-    may slide from there as it settles. Poses in which it balances on a narrow edge are rejected. An object that must be
-    inside the anchor is first dropped upright, and then also on its sides if it does not fit.
+    An object that must be on the anchor is placed on one of the anchor's levels or where it first touches the anchor
+    from above, and may slide from there as it settles. Poses in which it balances on a narrow edge are rejected. An
+    object that must be inside the anchor is first dropped upright and, if that fails, also on its sides.
 
     Args:
         table: The arrangement to which the object is added.
         anchor: Name of the anchor.
         thing: The object to place.
-        words: Names of the predicates between the object and the anchor.
+        words: Names of the predicates that must hold between the object and the anchor.
         axis: The scene axis, which specifies the yaw range.
         rng: Random generator.
 
     Returns:
-        The reason for the failure, or None if the object was placed.
+        The reason why the object could not be placed, or None if it was placed.
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
@@ -54,7 +54,12 @@ def drop(
     low, high = (math.radians(v) for v in axis.yaw_deg)
     others = [name for name in table.solid if name != anchor]
     why = ""
-    counts = {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0}
+    counts = {
+        "did not fit": 0,
+        "would balance on an edge": 0,
+        "did not satisfy the predicates": 0,
+        "collided with another object": 0,
+    }
     levels = () if "Inside" in words else twin[anchor].levels if X_WA is twin.state.poses[anchor] else ()
     areas = np.array([level.area for level in levels])
     ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
@@ -78,12 +83,12 @@ def drop(
             continue
         verdict = twin.judge(asked, twin.posed({anchor: X_WA, thing.name: X_WO}))
         if not verdict.value:
-            counts["did not lie as asked"] += 1
+            counts["did not satisfy the predicates"] += 1
             why = why or verdict.why
             continue
         table.pose(thing, X_WO)
         if table.clashes(thing, [*others, anchor] if level is not None else others, anchor):
-            counts["met another thing"] += 1
+            counts["collided with another object"] += 1
             continue
         table.put(thing, float(X_WO.p[2]), (float(X_WO.p[0]), float(X_WO.p[1]), float(yaw)), dropped=True)
         return None
@@ -95,9 +100,10 @@ def drop(
 
 
 def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
-    """Return the pose of an object on a level with its frame above a point; raise :class:`PlaceError` if it overhangs.
+    """Return the pose of an object that stands on a level.
 
-    ``xy`` [m] is the point, and ``yaw`` [rad] is the rotation about z.
+    The object's frame is above the point ``xy`` [m] and rotated by ``yaw`` [rad] about z. If the object overhangs the
+    level, :class:`PlaceError` is raised.
     """
     X_WO = thing.pose(*xy, thing.height(level), yaw)
     turn = cmath.rect(1.0, yaw)
@@ -151,7 +157,7 @@ def dropped(
     return Pose.of(found.p, turned.q)
 
 
-# Number of sampled orientations, about 25 degrees apart.
+# Number of orientations to sample; neighboring orientations are about 25 degrees apart.
 TURNS = 240
 
 # Number of sample points in the object, the same as in the predicate ``Inside``.
@@ -170,7 +176,7 @@ def cavity_extents(hole: Cavity) -> Array:
 
 
 def largest_share(forms: Iterable[Form], extents: Array) -> float:
-    """Return the largest fraction of an object's volume that fits into a box in any of the sampled orientations.
+    """Return the largest fraction of an object's volume that fits into a box in any sampled orientation.
 
     ``extents`` [m] are the side lengths of the box.
     """
@@ -193,7 +199,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return masks of the values covered by windows of the given length, one window per start value, shape (n, n)."""
+    """Return masks of the values inside windows of the given length, shape (n, n); window i starts at value i."""
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 

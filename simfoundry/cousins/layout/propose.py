@@ -1,8 +1,8 @@
 """Propose new layouts in which objects are placed around an anchor, subject to a recipe's constraints.
 
 The predicates of each object are chosen first, uniformly among the allowed ones. The objects are then placed one after
-another, largest first. Each placement is uniform over all allowed and free placements. If an object cannot be placed,
-all objects are placed again, up to a maximum number of attempts.
+another, starting with the largest. Each placement is drawn uniformly from all allowed and free placements. If an object
+cannot be placed, all objects are placed again, up to a maximum number of attempts.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Layout:
 
     Attributes:
         asked: Conditions that must hold at rest.
-        poses: Poses X_WO by name of all objects that move, including riders.
+        poses: Poses X_WO of all objects that move, including riders, keyed by name.
         dropped: Names of the objects that were dropped onto or into the anchor. They may move as they come to rest.
     """
 
@@ -47,7 +47,7 @@ class Layout:
     dropped: frozenset[str] = frozenset()
 
     def extended(self, table: Arrangement, asked: tuple[str, ...] = ()) -> Layout:
-        """Return this layout with the objects that were placed in an arrangement added to it."""
+        """Return this layout extended by the objects that were placed in an arrangement."""
         poses = MappingProxyType({**self.poses, **table.moved})
         return Layout((*self.asked, *asked), poses, self.dropped | table.dropped)
 
@@ -77,7 +77,7 @@ def propose(twin: Twin, axis: SceneAxis, rng: Rng, layout: Layout = NOTHING) -> 
 
 
 def scatter(twin: Twin, names: Sequence[str], rng: Rng, on: str = "", layout: Layout = NOTHING) -> Layout | Rejected:
-    """Place objects at random, without predicates, on the object ``on`` or on any of the twin's level surfaces.
+    """Place objects at random, without predicates, on the object ``on`` or on any level surface in the twin.
 
     An object that does not fit on its randomly chosen surface is placed on a different surface.
 
@@ -167,7 +167,7 @@ def _place(
 
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
-    """Return a region that contains all placements of an object with at most the maximum gap to the anchor."""
+    """Return a region that contains every placement of an object whose gap to the anchor is within the maximum."""
     lowest, highest = table.twin.box(anchor, table.poses[anchor])
     reach = axis.gap[1] + thing.outline.radius
     low = np.maximum(support.bounds[0], lowest[:2] - reach)
@@ -205,7 +205,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Return the reason why an object could not be placed, with the free area of the support and candidate counts."""
+    """Return the reason why an object could not be placed, including the support's free area and candidate counts."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {"width_m": wide, "shadow_m2": thing.outline.area, "support_m2": support.area, "free_m2": free}

@@ -32,7 +32,7 @@ FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
 # Clearance between objects that should not touch [m]; equal to the contact margin of the engines.
 GAP = 0.002
 
-# Number of candidates per object in a batch.
+# Number of candidate placements drawn for each object in a batch.
 EACH = 4
 
 # Tolerance [m] on the height of an object's lowest point for the object to stand on a level.
@@ -48,7 +48,7 @@ Spot = tuple[float, float, float]
 # z [rad], shape (n,) each.
 Allowed = Callable[[Array, Array, Array], Mask]
 
-# Function that returns True if a candidate is clear of the given entries, whose rectangles it overlaps.
+# Function that returns True if a candidate is clear of the given entries even though it overlaps their rectangles.
 Clear = Callable[[float, float, float, tuple[int, ...]], bool]
 
 # Function that returns True if a candidate passes a test that is too expensive to run on many candidates.
@@ -56,7 +56,7 @@ Last = Callable[[float, float, float], bool]
 
 
 class Occupancy:
-    """Rectangles and height ranges of the objects in a scene. An object has one entry for each link."""
+    """The rectangles and height ranges occupied by the objects in a scene, with one entry for each link."""
 
     def __init__(self, room: int = 64) -> None:
         self.count = 0
@@ -82,7 +82,7 @@ class Occupancy:
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Ignore only the entries of ``owner``, because objects that stand on it touch it."""
+        """Ignore the entries of ``owner``, and no others, because objects that stand on ``owner`` touch it."""
         self._rows[3:5] = self._rows[6:]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
@@ -90,10 +90,10 @@ class Occupancy:
     def overlaps(
         self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> dict[int, list[int]]:
-        """Map the index of each rectangle to the given entries that it overlaps or is closer to than ``gap`` [m].
+        """Map the index of each rectangle to the entries that overlap it or are less than ``gap`` [m] away from it.
 
-        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m]. Rectangles that do
-        not overlap any entry are omitted.
+        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m]. Rectangles without
+        any such entry are omitted.
         """
         found = dict[int, list[int]]()
         rows = self._rows[:, entries.start : entries.stop]
@@ -114,7 +114,7 @@ class Occupancy:
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Return True if at least one of the entries is a box that fills its rectangle."""
+        """Return True if any of the given entries is a box that fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
@@ -161,7 +161,7 @@ class Region:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """Lower bounds of x, y [m] and the rotation [rad], and the sizes of their ranges, shape (3,) each."""
+        """The lower bounds of x, y [m] and the rotation [rad], and the sizes of these three ranges, shape (3,) each."""
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 
@@ -179,8 +179,8 @@ class Found:
     Attributes:
         spot: x and y [m] of the object's frame and its rotation about z [rad], or None if the search failed.
         tried: Number of candidates drawn.
-        standing: Number of candidates that were entirely over the support.
-        allowed: Number of candidates over the support that also satisfied the predicates.
+        standing: Number of candidates that are entirely over the support.
+        allowed: Number of those candidates that also satisfy the predicates.
     """
 
     spot: tuple[float, float, float] | None
@@ -204,12 +204,12 @@ def find(
     Args:
         outline: Top view of the object.
         region: Region from which placements are drawn.
-        there: Objects that have already been placed.
+        there: Occupancy of the objects that have already been placed.
         rng: Random generator.
         gap: Required distance from other objects [m].
-        allowed: Additional test of many candidates at once.
-        clear: Test of a candidate whose rectangle overlaps entries. If it is None, these candidates are rejected.
-        last: Additional test that is called only for candidates that passed all other tests.
+        allowed: Additional test that is applied to many candidates at once.
+        clear: Test for a candidate whose rectangle overlaps entries, or None to reject these candidates.
+        last: Additional test that is applied only to candidates that passed all other tests.
     """
     tried = standing = permitted = 0
     size, offset = FIRST if allowed is None else FIRST_JUDGED, outline.middle
@@ -295,7 +295,7 @@ class Batch:
             self._doubt(c, met)
 
     def _doubt(self, c: int, met: Iterable[int]) -> None:
-        """Record that candidate ``c`` overlaps the entries ``met``."""
+        """Record that the rectangle of candidate ``c`` overlaps the entries ``met``."""
         if self._boxy[c // EACH] and self._there.any_boxy(met):
             self._dead[c] = True
         else:
@@ -310,7 +310,7 @@ class Batch:
         return None
 
     def entered(self, entries: range, chosen: int | None) -> None:
-        """Record that an object was placed at candidate ``chosen``, or elsewhere, and occupies the given entries."""
+        """Record the entries of an object that was placed at candidate ``chosen`` or, if it is None, elsewhere."""
         if chosen is None:
             self._meet_entries(entries)
             return
@@ -319,7 +319,7 @@ class Batch:
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
-    """Return the corners of the shadows [m], shape (n, 2, m), padded to equal length by repeating the last corner."""
+    """Return the shadows' corners [m], shape (n, 2, m). Shorter lists are padded by repeating the last corner."""
     out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
     for row, outline in zip(out, outlines, strict=True):
         count = outline.spread.shape[1]

@@ -1,6 +1,6 @@
 """Support surfaces and shadows of objects.
 
-A shadow is the convex outline of an object's vertical projection. It is stored with the smallest rectangle around it.
+A shadow is the convex outline of an object's vertical projection, stored along with its smallest bounding rectangle.
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ def _areas(corners: Array) -> Array:
 
 
 def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
-    """Return the unit directions of a polygon's edges and the coordinates of its corners relative to each edge.
+    """Return the unit directions of a polygon's edges, and the coordinates of its corners relative to each edge.
 
-    The directions have the shape (m, 2); the coordinates along and across each edge have the shape (m, m) each.
+    The directions have shape (m, 2). The coordinates along the edges and those across them have shape (m, m) each.
     """
     edges = np.roll(corners, -1, axis=0) - corners
     edges /= np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), 1e-12)
@@ -129,7 +129,7 @@ def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
 
 
 def _rectangle(corners: Array) -> tuple[complex, complex, complex]:
-    """Return the rectangle of smallest area around a convex polygon: center [m], half extents [m] and rotation.
+    """Return the smallest-area rectangle around a convex polygon: center [m], half extents [m] and rotation.
 
     One side of this rectangle is parallel to an edge of the polygon. All results are complex numbers.
     """
@@ -157,14 +157,14 @@ def _fills(shape: Hulls, corners: Array, half: complex, low: float, high: float)
 # Minimum z component of the unit normal of a level face.
 UPWARD = 0.999
 
-# Faces whose heights differ by less than this [m] belong to the same level.
+# Maximum height difference [m] between faces that belong to the same level.
 STEP = 1e-3
 
-# Width [m] below which a strip, such as the side panel of a shelf or the rim of a box, is too narrow to stand on. Most
+# Width [m] below which a strip, such as a shelf's side panel or a box's rim, is too narrow to support objects. Most
 # graspable objects are wider and would have to balance on it.
 NARROW = 0.04
 
-# Height above a level [m] at which rays test whether a hand can reach it; higher than the lips of trays.
+# Height above a level [m] at which rays test whether a hand can reach the level; greater than the height of tray lips.
 ABOVE = 0.02
 
 # Minimum fraction of the rays from an open level's center that must leave the object. The fraction is about a sixth for
@@ -174,7 +174,7 @@ OPEN_SHARE = 0.05
 # Ray directions (x, y, 1) that cover a field of view of about 90 degrees.
 _FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
 
-# Axes of five views, each with its viewing direction last: +x, -x, +y, -y and up.
+# Axes of five views that look along +x, -x, +y, -y and up. The viewing direction is the last axis of each view.
 VIEWS = (
     ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
     ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
@@ -270,7 +270,7 @@ def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
-    """Return the level surface of an object closest to the height ``near`` [m], or its largest if ``near`` is None.
+    """Return an object's level surface closest to the height ``near`` [m], or the largest one if ``near`` is None.
 
     The result is None if the object has no level faces.
     """
@@ -292,7 +292,7 @@ def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[f
 
 
 def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
-    """Return the height [m] and triangles [m], shape (m, 3, 3), of each level surface in ascending order."""
+    """Return the height [m] and triangles [m], shape (m, 3, 3), of each level surface, lowest first."""
     level = shape.normals[:, 2] > UPWARD
     if links is not None:
         level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
@@ -322,7 +322,7 @@ def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Suppor
 
 
 def _plane(triangles: Array) -> BaseGeometry:
-    """Return the area covered by triangles in the top view."""
+    """Return the area that triangles cover when viewed from above."""
     import shapely
 
     area = np.abs(_areas(triangles[:, :, :2]))
@@ -330,13 +330,13 @@ def _plane(triangles: Array) -> BaseGeometry:
 
 
 def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
-    """Return an area without strips narrower than ``narrow`` [m]; the corners of the remaining area are unchanged."""
+    """Remove strips narrower than ``narrow`` [m] from an area, keeping the corners of the remaining area."""
     half = narrow / 2
     return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Return True if the object encloses a level so that a hand cannot reach the level's center."""
+    """Return True if an object encloses one of its levels so that a hand cannot reach the level's center."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from simfoundry.predicates import Judge
 
 
-# Distance [m] of absent objects from the scene and from each other; they must not collide as they fall.
+# Distance [m] of absent objects from the scene and from each other, chosen so that they do not collide as they fall.
 ELSEWHERE = 100.0
 
 # Minimum height [m] of a tabletop above the floor; the lowest tables are about this high.
@@ -56,9 +56,9 @@ class Twin:
         state: State at rest.
         goal: Goal of the task, or None if there is no task.
         robots: The robots in the scene.
-        carried: Names of the objects that support each free object.
+        carried: Names of the objects that support each free object, keyed by the free object's name.
         absent: Names of objects in the scene that no layout has placed yet.
-        base: Twin from which this twin was derived by :meth:`extended` or :meth:`at`. Unchanged data are shared.
+        base: Twin from which this one was derived by :meth:`extended` or :meth:`at`. Unchanged data is shared.
     """
 
     scene: Scene
@@ -145,7 +145,7 @@ class Twin:
         same = self.base.scene.by_name.get(name) is item and self.base.state.poses[name] is self.state.poses[name]
         return same and self.base.state.of_object(item) == self.state.of_object(item)
 
-    # -- prepared on first use ----------------------------------------------------------------------------------------
+    # -- created on first use -----------------------------------------------------------------------------------------
 
     @cached_property
     def judge(self) -> Judge:
@@ -173,7 +173,7 @@ class Twin:
     # -- shapes -------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> TwinObject:
-        """Return the object ``name`` at its rest pose."""
+        """Return the object called ``name`` at its rest pose."""
         if name not in self._objects:
             if self.base is not None and self._is_as_in_base(name):
                 self._objects[name] = self.base[name]
@@ -214,7 +214,7 @@ class Twin:
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """Visible fraction of each free object in the twin itself from the best camera, without absent objects."""
+        """Fraction of each free object that the best camera sees in the twin itself; absent objects are omitted."""
         if self.base is not None:
             return self.base.shares_seen
         if not self.scene.cameras:
@@ -228,10 +228,10 @@ class Twin:
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
 
     def upright(self, name: str, on: str) -> Pose:
-        """Return the orientation of an object before it is rotated about z to place it, as a pose at the origin.
+        """Return the orientation that an object has before it is rotated about z and placed, as a pose at the origin.
 
-        If only ``on`` supports the object in the twin, this is its orientation in the twin. Otherwise, the object may
-        lean or lie in a container, so its frame is made upright and only its yaw is preserved.
+        If only ``on`` supports the object in the twin, its orientation in the twin is used. Otherwise, the object may
+        be leaning, or lying in a container, so its frame is made upright and only its yaw is preserved.
         """
         if name not in self.absent and self.carried.get(name) == (on,):
             return Pose.of(q=self.state.poses[name].q)
@@ -240,7 +240,7 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """Return the objects that move along with ``name``, because only ``name`` or other riders support them."""
+        """Return the objects that move along with ``name`` because they are supported only by it or by other riders."""
         if self.base is not None:
             return self.base.riders(name)
         return self._riders.get(name, ())
@@ -260,8 +260,8 @@ class Twin:
     def places(self) -> tuple[Support, ...]:
         """Level surfaces on which new objects can be placed.
 
-        These are the levels of all fixed objects except for the floor under furniture. If there are no such levels, the
-        largest level of the object that supports the most other objects is used.
+        These are the levels of all fixed objects, except for the floor under furniture. If there are none, the object
+        that supports the most other objects provides its largest level.
         """
         found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
@@ -272,7 +272,7 @@ class Twin:
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """Return the shadow of an object and the riders ``along`` when the object's frame has the pose ``upright``."""
+        """Return the combined shadow of an object and the riders in ``along``, with its frame at pose ``upright``."""
         if not along:
             return self[name].outline(upright)
         key = (name, tuple(upright.q.tolist()), tuple(along))
@@ -300,7 +300,7 @@ class Twin:
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """Relations listed in the scene that hold in :attr:`state`. The results for unchanged objects are reused."""
+        """The relations listed in the scene that hold in :attr:`state`; results for unchanged objects are reused."""
         return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
 
     def _holds(self, text: str) -> bool:
@@ -311,7 +311,7 @@ class Twin:
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
-    """Return True if a level is the floor, which is far below the ground level and under most of it."""
+    """Return True if a level is the floor, that is, far below the ground object's level and under most of it."""
     import shapely
 
     if ground.height - level.height < UNDERFOOT:

@@ -46,7 +46,7 @@ class TwinRobots:
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:
-        """The robots that have a model, as objects."""
+        """The robots that have a model, represented as objects."""
         bodies = Bodies(self._scene)
         return tuple(bodies[name].item for name in bodies.robots)
 
@@ -59,12 +59,12 @@ class TwinRobots:
 
     @cached_property
     def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
-        """Shadows of the links of each obstacle in the world frame, by obstacle name."""
+        """Shadows of each obstacle's links in the world frame, keyed by obstacle name."""
         return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot's collision geometry; the visual meshes have too many triangles."""
+        """Surface of each robot's collision geometry, used because the visual meshes have too many triangles."""
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
@@ -117,7 +117,7 @@ class TwinObject:
         return edges_of(self.placed, self.still_links)
 
     def outline(self, upright: Pose) -> Outline:
-        """Return the object's shadow when its frame has the pose ``upright``."""
+        """Return the object's shadow with its frame at the pose ``upright``."""
         key = tuple(upright.q.tolist())
         if key not in self.outlines:
             self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))
@@ -143,7 +143,7 @@ class TwinObject:
 def _shape(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> Hulls:
     """Return the convex parts of an object at the origin.
 
-    The result is cached, because library objects occur in many twins under different names.
+    The result is cached because library objects occur in many twins under different names.
     """
     return hulls(SceneObject("", "", False, IDENTITY, links, joints))
 
@@ -192,9 +192,9 @@ class Solids:
             self.put(item.name, item.X_WO)
 
     def _in_frame(self, item: SceneObject, joints: Mapping[str, float | Pose]) -> tuple[Index, Array, Array]:
-        """Return the geom indices of an object, and the geoms' positions [m] and rotations in the object's frame.
+        """Return the indices, positions [m] and rotations of an object's geoms in the object's frame.
 
-        The shapes are (k,), (k, 3) and (k, 3, 3).
+        The arrays have shapes (k,), (k, 3) and (k, 3, 3).
         """
         ids, p, turned = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
         poses = link_poses(item, joints)
@@ -232,7 +232,7 @@ class Solids:
         return any(self._distance(self._model, self._data, i, j, gap + 1e-3, None) < gap for i, j in near)
 
     def distance(self, a: str, b: str, far: float) -> float:
-        """Return the signed distance between two objects [m], limited to ``far``; negative if they overlap."""
+        """Return the signed distance between two objects [m], which is at most ``far`` and negative if they overlap."""
         best = far
         for i, j, bound in self._near(a, b, far):
             if bound >= best:
@@ -241,9 +241,10 @@ class Solids:
         return float(best)
 
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
-        """Yield the geom indices of parts that may be closer than ``far`` [m], and a lower bound of their distance [m].
+        """Yield pairs of parts that may be closer than ``far`` [m].
 
-        The pairs are sorted by increasing lower bound.
+        Each pair consists of two geom indices and is followed by a lower bound on their distance [m]. Pairs are sorted
+        by increasing lower bound.
         """
         if not len(self._own[a][0]) or not len(self._own[b][0]):
             return
@@ -258,7 +259,7 @@ class Solids:
 
 
 def _bare(link: Link) -> Link:
-    """Return the link without visuals, and with equal surfaces so that the model has no explicit contact pairs."""
+    """Return a link without visuals and with uniform surfaces, so that no explicit contact pairs are needed."""
     colliders = tuple(
         replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
     )

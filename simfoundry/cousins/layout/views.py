@@ -14,7 +14,7 @@ from simfoundry.geometry.shapes import Geometry, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, SceneObject
 
-# Fraction of an object that at least one camera must see. If less is visible in the twin, that fraction is sufficient.
+# Fraction of an object that at least one camera must see. If less is visible in the twin, that much is sufficient.
 SEEN = 0.6
 
 # Near plane of a camera [m].
@@ -32,8 +32,8 @@ class VisibleSurface:
     """The visible surface of an object.
 
     Attributes:
-        corners: Coordinates of the three corners of each triangle in the surface frame S [m], shape (3, 3, m): x, y and
-            z of all first corners, then of all second and all third corners.
+        corners: Coordinates of the three corners of each triangle in the surface frame S [m], shape (3, 3, m). The
+            first index is the corner, the second the coordinate (x, y, z), and the third the triangle.
         center: Center of the bounding sphere in S [m], shape (3,).
         radius: Radius of the bounding sphere [m].
         X_WS: Pose of S in the world.
@@ -81,7 +81,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """Return the fraction of an object's silhouette that is inside the image and not occluded by ``others``."""
+    """Return the fraction of an object's silhouette that is inside the camera image and not hidden by ``others``."""
     X_CW = camera.X_WC.inverse()
     local = thing.seen_from(X_CW).transpose(2, 0, 1)
     corners = local.reshape(-1, 3)
@@ -155,7 +155,7 @@ def best_view(
         cameras: The cameras; there must be at least one.
         name: Name of the object.
         surfaces: Surfaces of all objects by name; other objects may occlude this one.
-        enough: The search stops at the first camera that sees at least this fraction.
+        enough: Fraction that is sufficient; the search stops at the first camera that sees at least this much.
 
     Returns:
         The name of the camera and the fraction that it sees.

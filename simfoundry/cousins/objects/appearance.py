@@ -26,7 +26,7 @@ class VariantMaterial:
     """A material for variants.
 
     ``density`` is a range [kg/m^3], and ``friction`` and ``restitution`` are coefficients. If ``colors`` is empty, the
-    material can have all colors of the object's category.
+    material can have any color in the object's category.
     """
 
     density: tuple[float, float]
@@ -36,7 +36,7 @@ class VariantMaterial:
 
     @property
     def middle(self) -> float:
-        """The density that is written to documents [kg/m^3]."""
+        """The middle of the density range [kg/m^3], which is written to documents."""
         return round((self.density[0] + self.density[1]) / 2, -1)
 
 
@@ -111,7 +111,7 @@ def category_prior(category: str) -> CategoryPrior | None:
 
 
 def same_kind(a: str, b: str) -> bool:
-    """Return True if two names denote the same category: `blue_cup` and `tumbler_2` are both a `cup`."""
+    """Return True if two names denote the same category; for example, `blue_cup` and `tumbler_2` are both cups."""
     one, other = category_prior(a), category_prior(b)
     if one is not None or other is not None:
         return one is other
@@ -124,7 +124,7 @@ JITTER = 0.035
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of a component, and of all parts of the same link that have the same color."""
+    """Change the color of a component and of all same-colored parts of its link."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
@@ -163,14 +163,14 @@ def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
 
 
 def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
-    """Scale a color's lightness by the lightness of a part's own color relative to that of the first part."""
+    """Scale a color's lightness by the ratio of a part's original lightness to the first part's lightness."""
     share = 1.0 if own is None or first is None else float(np.clip(sum(own) / max(sum(first), 0.1), 0.6, 1.4))
     r, g, b = (round(min(v * share, 0.98), 3) for v in color)
     return r, g, b
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """Assign a color to a link instead of its parts, if all parts have this color."""
+    """Assign a color to a link instead of its parts if all its parts have that color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec
@@ -180,7 +180,7 @@ def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
 
 
 def color_of(spec: AssetSpec, key: Key) -> Color | None:
-    """Return the color of a part: its own color, or else its link's or its material's; None if none is specified."""
+    """Return the color of a part or, failing that, of its link or its material; None if no color is specified."""
     body = spec.links[key[0]]
     part = body.parts[key[1]]
     material = part.material or body.material
@@ -190,7 +190,7 @@ def color_of(spec: AssetSpec, key: Key) -> Color | None:
 
 
 def _remade(spec: AssetSpec, old: str, name: str) -> AssetSpec:
-    """Return the asset with the material ``old`` replaced everywhere with the material ``name`` from the tables."""
+    """Return the asset with every use of material ``old`` replaced by material ``name`` from the tables."""
     stuff = priors().materials[name]
     made = Material(density=stuff.middle, friction=stuff.friction, restitution=stuff.restitution)
     materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}

@@ -1,4 +1,4 @@
-"""Check that a variant can be used in the tasks in the same way as the twin's object."""
+"""Check that a variant can replace the twin's object in its tasks."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ from simfoundry.worlds.settle import settle
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """The requirements on a variant.
+    """The requirements that a variant must meet.
 
     Attributes:
-        rests: `OnTop` and `Inside` calls with the object that must be possible.
+        rests: `OnTop` and `Inside` calls that involve the object and must be satisfiable.
         joints: Names of the joints that must move.
         opening: Opening of the gripper that must grasp the object [m], or None if no gripper must grasp it.
         others: The other objects in the calls, by name.
@@ -87,7 +87,7 @@ MARGIN = 0.003
 
 @dataclass(frozen=True, eq=False)
 class ObjectBaseline:
-    """The twin's object and the requirements that it meets. Variants must meet only these requirements.
+    """The twin's object and the requirements that it meets, which are the only ones that variants must meet.
 
     Attributes:
         item: The lowered object.
@@ -111,7 +111,7 @@ class ObjectBaseline:
             lacks.append(f"stands: {unstable}")
         width, opening = grasp_width(solid(item)), needs.opening
         if opening is not None and width > opening - MARGIN:
-            lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
+            lacks.append(f"the object is {length(width)} wide, but the gripper only opens to {length(opening)}")
             opening = None
         rests = tuple(call for call, why in failures.items() if why is None)
         return cls(item, replace(needs, rests=rests, opening=opening), tuple(lacks), unstable is None)
@@ -127,7 +127,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
         if width > opening - MARGIN:
             fits = math.isfinite(width)
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
-            text = f"it {narrow}, but the gripper opens only {length(opening)}"
+            text = f"it {narrow}, but the gripper only opens to {length(opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": opening})
     if twin.needs.joints:
         yield from _joint_faults(item, twin.item)
@@ -153,7 +153,7 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
 
 
 def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> Iterator[Reason]:
-    """Yield a reason for each of the longest side, the mass and the density that is not in the category's range.
+    """Yield a reason for each quantity (longest side, mass, density) that is outside the category's range.
 
     If the category is unknown, the ranges are relative to the twin's object.
     """
@@ -171,7 +171,7 @@ def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> I
         yield Reason("mass", text, {"mass": weight, "least": weights[0], "most": weights[1]})
     density = weight / float(np.prod(high - low))
     if not LIGHTEST / 4 <= density <= HEAVIEST:
-        yield Reason("mass", f"its mean density within its bounds is {density:.3g} kg/m^3", {"density": density})
+        yield Reason("mass", f"its mean density within its bounding box is {density:.3g} kg/m^3", {"density": density})
 
 
 # Name of the table in a trial.
@@ -196,7 +196,7 @@ DEEPEST = 0.001
 # Minimum joint range of a variant as a fraction of the twin's joint range.
 LEAST_RANGE = 0.75
 
-# Orientations in which to put one object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
+# Orientations to try when one object is put into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
 # tilted in two directions.
 TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
 
@@ -214,8 +214,8 @@ def instability(item: SceneObject) -> str | None:
 def rest_failure(call: Call, objects: Mapping[str, SceneObject]) -> str | None:
     """Return the reason why ``OnTop(a, b)`` or ``Inside(a, b)`` does not hold after ``a`` is released on or in ``b``.
 
-    A few orientations of ``a`` are tried, and the joints of ``b`` are opened first. The result is None if the predicate
-    holds for at least one orientation. ``objects`` contains both objects by name.
+    The joints of ``b`` are opened first, and then a few orientations of ``a`` are tried. The result is None if the
+    predicate holds for at least one orientation. ``objects`` contains both objects, keyed by name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     try:
@@ -261,7 +261,7 @@ def _release_failure(call: Call, a: SceneObject, b: SceneObject) -> str | None:
 
 
 def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
-    """Yield a reason if a joint has a much smaller range than the twin's joint or if the links jam."""
+    """Yield a reason if a joint has a much smaller range than in the twin or if the links jam."""
     limits = {joint.name: joint.limits for joint in twin.joints if joint.limits is not None}
     for joint in item.joints:
         if joint.limits is None or joint.name not in limits:
@@ -277,7 +277,7 @@ def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
 
 
 def _jam(item: SceneObject) -> tuple[float, str]:
-    """Return the deepest penetration between links of an object [m], and a description of the joint position.
+    """Return the deepest penetration between links of an object [m] and a description of the joint positions.
 
     Each joint is moved over its entire range while the other joints stay closed.
     """

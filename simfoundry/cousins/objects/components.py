@@ -27,7 +27,7 @@ Parts = Mapping[Key, PartSpec]
 
 
 def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
-    """Return the parts of all links by key."""
+    """Return the parts of all links, keyed by link name and part name."""
     return {(link, name): part for link, body in spec.links.items() for name, part in body.parts.items()}
 
 
@@ -44,7 +44,7 @@ def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetS
 
 
 def with_added(spec: AssetSpec, link: str, added: Mapping[str, PartSpec], but: Iterable[Key] = ()) -> AssetSpec:
-    """Return the spec with parts added to a link, and with the parts ``but`` removed.
+    """Return the spec with the parts in ``but`` removed and new parts added to a link.
 
     If the name of an added part is already used, the part gets a numbered name.
     """
@@ -64,7 +64,7 @@ MANY = 5
 
 
 class Kind(StrEnum):
-    """The function of a component."""
+    """The functional kind of a component, such as a vessel or a handle."""
 
     VESSEL = "vessel"  # solid of revolution with a cavity
     TURNED = "turned"  # solid of revolution without a cavity
@@ -84,7 +84,7 @@ class Kind(StrEnum):
     PLATE = "plate"  # a surface to put objects on, such as a stove's burners
 
 
-# Kinds of component that a body can be.
+# Kinds of components that can be the body of a link.
 MAIN = (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)
 
 # Words in part names that identify a kind.
@@ -112,7 +112,7 @@ class Component:
 
     @property
     def link(self) -> str:
-        """Name of the link that the parts belong to."""
+        """Name of the link to which the component's parts belong."""
         return self.parts[0][0]
 
     def parts_in(self, spec: AssetSpec) -> list[PartSpec]:
@@ -209,7 +209,7 @@ def _main_kind(parts: Parts) -> Kind:
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """Group parts into components. Parts of handles that touch are grouped; all other parts are separate components."""
+    """Group parts into components. Touching handle parts form one component; any other part is one by itself."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

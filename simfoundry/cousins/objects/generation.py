@@ -1,4 +1,4 @@
-"""Generate variants with models, as in the paper.
+"""Generate object variants with AI models, following the paper's pipeline.
 
 A VLM identifies components and proposes variations, an image model draws them, the VLM judges the images, and a mesh
 model reconstructs the objects. The resulting candidates are checked in the same way as all other candidates.
@@ -64,8 +64,8 @@ class VariationProposal(NamedTuple):
 class Generation:
     """A source of candidates that queries models with images of the object and its scene.
 
-    All proposals for an object are requested with its first candidate. Equal model responses produce equal candidates.
-    If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, the
+    All proposals for an object are requested when its first candidate is generated. Identical model responses produce
+    identical candidates. If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, a
     :class:`SimfoundryError` is raised.
 
     Attributes:
@@ -73,7 +73,7 @@ class Generation:
         images: Image model.
         meshes: Mesh model.
         scene: Image of the scene.
-        picture: Image of the object. If it is None, an image is rendered.
+        picture: Image of the object, or None to render one.
         counts: Numbers of proposals for each component in geometry, topology and appearance.
     """
 
@@ -154,7 +154,7 @@ class Generation:
 def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
     """Convert a generated mesh to a draft.
 
-    The mesh is scaled to the size of the twin's object, aligned with its base, and gets its material.
+    The mesh is scaled to the size of the twin's object and aligned with its base. It gets the material of that object.
 
     Args:
         item: The twin's object.
@@ -185,7 +185,7 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
 def fitted(vertices: Array, low: Array, high: Array) -> Array:
     """Scale points uniformly to the size of given bounds, measured by the geometric mean of the side lengths.
 
-    The result is centered horizontally on the bounds and has the same lowest height.
+    The result is centered horizontally on the bounds, and its lowest point is at the bottom of the bounds.
 
     Args:
         vertices: Points in any unit, shape (n, 3).

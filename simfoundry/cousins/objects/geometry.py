@@ -258,7 +258,7 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
         elif off > ATTACHED * float(old.radius(p[2] - base)):
             way = np.array([p[0], p[1], 0.0]) / off
             own = delta(part)
-            if is_radial(part) and size is not None:  # a post from the wall, which moved by `own`, to the grip
+            if is_radial(part) and size is not None:  # stretch the post from the moved wall to the grip
                 part = with_rod(part, size[0], max(size[1] + together - own, 0.002))
                 out[key] = moved(part, p + way * (own + together) / 2 + rise)
             else:

@@ -27,14 +27,14 @@ LINK = "body"
 
 @dataclass(frozen=True, eq=False)
 class ObjectAsset:
-    """An object as an asset.
+    """An object represented as an asset document.
 
     Attributes:
         name: Name of the object in its scene, or of the asset.
         category: Category of the object.
         spec: Flattened asset document.
         source: Human-readable origin.
-        files: Absolute paths of all files that the document refers to, by the names used in the document.
+        files: Absolute paths of all files that the document refers to, keyed by the names used in the document.
     """
 
     name: str
@@ -45,7 +45,7 @@ class ObjectAsset:
 
 
 def item_of(scene: Loaded, name: str) -> ObjectAsset:
-    """Return the object ``name`` in a validated scene document; raise KeyError if it does not exist."""
+    """Return the object called ``name`` in a validated scene document; raise KeyError if it does not exist."""
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
         raise KeyError(f"no object {name!r}; available objects: {', '.join(scene.spec.objects) or 'none'}")
@@ -132,7 +132,7 @@ def alone(item: ObjectAsset, cache: Cache | None = None) -> SceneObject:
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:
-    """Copy mesh files with their materials and textures to a folder, under the given names."""
+    """Copy mesh files, along with their materials and textures, to a folder under the given names."""
     for name, path in files.items():
         target = folder / name
         if target.exists():

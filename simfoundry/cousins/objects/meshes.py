@@ -67,7 +67,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
 
 def mesh_files(mesh: Mesh) -> tuple[str, dict[str, bytes]]:
-    """Return the name of a mesh's OBJ file and the content of all its files by name, all in :data:`FOLDER`."""
+    """Return the name of a mesh's OBJ file and the contents of all its files by name; all are in :data:`FOLDER`."""
     files = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
     return next(iter(files)), files
 
@@ -116,7 +116,7 @@ LOOK = "handle_look"
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A loop handle that consists of a bar on two posts.
+    """A loop handle, which consists of a bar on two posts.
 
     Attributes:
         feet: Attachment points of the posts [m], shape (2, 3).
@@ -155,7 +155,7 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """Maximum depth by which the ends extend into the body [m]."""
+        """Maximum depth to which the ends of the handle extend into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:

@@ -55,7 +55,7 @@ def axis_of(part: PartSpec) -> Array:
 
 
 def rod(part: PartSpec) -> tuple[float, float] | None:
-    """Return the radius and length [m] of a cylinder or capsule, excluding caps, or None for any other part."""
+    """Return the radius and the length without caps [m] of a cylinder or capsule, or None for any other part."""
     match part.shape:
         case CylinderShape(cylinder=size) | CapsuleShape(capsule=size):
             return size.radius, size.height
@@ -116,7 +116,7 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
 
 
 def bounds(parts: Iterable[PartSpec]) -> tuple[Array, Array]:
-    """Return the minimum and maximum corners [m] of the bounding box of parts in one link, shape (3,) each."""
+    """Return the minimum and maximum corners [m] of the box around parts of a single link, shape (3,) each."""
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)
 

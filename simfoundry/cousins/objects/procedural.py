@@ -50,12 +50,12 @@ TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A candidate without masses and without a final name.
+    """A candidate variant whose masses and final name have not been set yet.
 
     Attributes:
         spec: The asset document.
         changed: Human-readable list of changes.
-        files: Content of new files by the names used in the document.
+        files: Contents of new files, keyed by the names used in the document.
         kept: Paths of the twin's files that the document still uses.
     """
 
@@ -99,14 +99,14 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Return True if an asset contains both meshes and shapes, which are usually visual and collision geometry."""
+    """Return True if an asset contains both meshes (usually visual) and shapes (usually collision geometry)."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 
 def _finished(
     spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
-    """Apply tubular handles and patterns. Rules cannot be applied afterward.
+    """Apply tubular handles and patterns as the last edits. Rules cannot be applied afterward.
 
     Returns:
         The asset, the new files by name, and descriptions of the changes.
@@ -125,10 +125,10 @@ def _finished(
 def _edit(
     spec: AssetSpec, rules: Sequence[tuple[Rule, tuple[Kind, ...]]], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, str, Rule] | None:
-    """Apply a random rule to a random component and to similar components.
+    """Apply a random rule to a random component and to the components that resemble it.
 
     Returns:
-        The asset, a description of the change, and the rule; None if none of the rules that were tried applies.
+        The asset, a description of the change, and the rule; None if none of the rules tried was applicable.
     """
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]
@@ -152,5 +152,5 @@ def _edit(
 
 
 def rng_of(seed: int, name: str, k: int) -> np.random.Generator:
-    """Return the random generator of candidate ``k`` of the object ``name``."""
+    """Return the random generator for candidate ``k`` of the object called ``name``."""
     return np.random.default_rng([seed, k, *name.encode()])

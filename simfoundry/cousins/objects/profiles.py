@@ -121,8 +121,8 @@ def _finer(chain: Array, gap: float) -> Array:
 def swelled(profile: Profile, grow: Array) -> Profile:
     """Scale the outer radius of a body by a curve, and move the inside along with the outside.
 
-    A curve makes an almost horizontal wall, such as a plate's, thinner. The curve is then flattened until at least the
-    fraction :data:`KEPT_WALL` of the thickness remains.
+    Curving an almost horizontal wall, such as that of a plate, makes it thinner. If necessary, the curve is flattened
+    until at least the fraction :data:`KEPT_WALL` of the thickness remains.
 
     Args:
         profile: The profile.
@@ -184,7 +184,7 @@ def thickened(profile: Profile, more: float) -> Profile:
 
 
 def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
-    """Raise the body by ``up`` [m] and add a ring foot whose radius is ``inset`` [m] less than the old foot's."""
+    """Raise the body by ``up`` [m] and add a ring foot whose radius is ``inset`` [m] smaller than the old one."""
     radius = float(profile.outer[1, 0]) - inset
     lift = np.array([0.0, up])
     foot = np.array([[0.0, profile.foot], [radius, profile.foot], [radius, profile.foot + up]])
@@ -192,7 +192,7 @@ def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
 
 
 def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
-    """Shift radii by ``delta`` [m], a function of the heights [m]; points on the axis are unchanged."""
+    """Shift radii by ``delta`` [m], which is a function of the height [m]; points on the axis are unchanged."""
     chains = profile.outer.copy(), profile.inner.copy()
     for chain in chains:
         by, off = delta(chain[:, 1]), chain[:, 0] > 0
@@ -224,7 +224,7 @@ Forms = dict[str, tuple[tuple[float, float], Form]]
 
 
 def forms_of(slender: float) -> Forms:
-    """Return the forms for vessels whose height is ``slender`` times their rim radius."""
+    """Return the possible forms for vessels whose height is ``slender`` times their rim radius."""
     if slender < FLAT:
         return DISHES
     if slender < LOW:
@@ -247,12 +247,12 @@ def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Arr
 
 
 def arc_lengths(chain: Array) -> Array:
-    """Return the distance [m] of each point in a chain, shape (k, d), from the first point along the chain."""
+    """Return the distance [m] of each point on a chain from its first point, measured along the chain."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
 
 
 def resampled(chain: Array, count: int, margin: float = 0.0) -> Array:
-    """Return evenly spaced points on a chain, shape (count, d), without a ``margin`` [m] at both ends."""
+    """Return evenly spaced points on a chain, shape (count, d), leaving out a ``margin`` [m] at each end."""
     along = arc_lengths(chain)
     even = np.linspace(margin, along[-1] - margin, count)
     return np.column_stack([np.interp(even, along, values) for values in chain.T])

@@ -88,12 +88,12 @@ class LikenessDistance:
 
     @property
     def form(self) -> float:
-        """The larger of the size and shape distances in units of the thresholds for distinct objects."""
+        """The size or shape distance, whichever is larger, in units of the thresholds for distinct objects."""
         return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
 
     @property
     def distance(self) -> float:
-        """The largest of the three distances in units of the thresholds. Distinct objects have at least 1."""
+        """The largest of the three distances in units of the thresholds; at least 1 for distinct objects."""
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
@@ -121,7 +121,7 @@ def likeness(item: SceneObject, seed: int = 0) -> Likeness:
 def color_distance(a: Likeness, b: Likeness) -> float:
     """Return the mean color distance in L*a*b* between two surfaces.
 
-    Equal fractions of the surfaces are matched greedily, beginning with the closest colors.
+    Fractions of equal area are matched greedily, starting with the most similar colors.
     """
     cost = np.linalg.norm(a.colors[:, None] - b.colors[None], axis=2)
     left, right = a.areas.copy(), b.areas.copy()
@@ -181,7 +181,7 @@ def _tints(mesh: Mesh) -> Array:
 # Range of the factors by which a library object can be scaled to the size of the twin's object.
 LEAST, MOST = 0.5, 2.0
 
-# Additional distance of objects in different categories, in units of :attr:`LikenessDistance.distance`.
+# Distance added between objects in different categories, in units of :attr:`LikenessDistance.distance`.
 STRANGER = 3.0
 
 # Material of meshes if the twin does not specify a material.
@@ -197,10 +197,10 @@ class VariantEntry:
 
 
 class VariantLibrary:
-    """A source of candidates that returns the objects in a folder, with the object most similar to the twin first.
+    """A source of candidates that returns the objects in a folder, starting with the object most similar to the twin.
 
     The folder may contain asset documents and mesh files. The category of a mesh is the name of its top-level folder.
-    ``left_out`` maps the paths of unusable files to the reasons.
+    ``left_out`` maps the path of each unusable file to the reason why it cannot be used.
 
     Raises:
         SimfoundryError: The folder does not exist.
@@ -265,7 +265,7 @@ class VariantLibrary:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 hash of each file in a library folder, by relative path and in sorted order."""
+    """Return the SHA-256 hash of each file in a library folder, keyed and sorted by relative path."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 

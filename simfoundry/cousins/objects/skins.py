@@ -80,12 +80,12 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     return with_added(with_parts(spec, parts), component.link, looks), files, f"{component.name} with {name}"
 
 
-# Kinds of components that can get a pattern; excludes berries and the layers of a burger.
+# Kinds of components that can get a pattern. Berries and the layers of a burger are excluded.
 SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Return True if the parts are several rods, as in a banana, on which separate patterns would have seams."""
+    """Return True if a component consists of several rods, as in a banana, so that patterns would show seams."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
@@ -106,7 +106,7 @@ def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng)
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """Draw a texture with a pattern in the lower two thirds, and with a plain color for insides and edges above.
+    """Draw a texture with a pattern in the lower two thirds. Above it is a plain color for insides and edges.
 
     Returns:
         The texture as PNG data.
@@ -165,8 +165,8 @@ def _meshed(part: PartSpec, image: bytes, around: bool) -> Mesh | None:
 def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     """Revolve a profile about z and apply an image to it.
 
-    Plates and bowls have the image on the inside, from the center to the rim. All objects except for plates have it on
-    the outside, from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
+    On plates and bowls, the image covers the inside from the center to the rim. On all objects except plates, it covers
+    the outside from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
     unless its pattern wraps ``around`` the axis.
     """
     outer, inner = profile.outer, profile.inner
@@ -192,7 +192,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """Return the arc lengths of the points on a chain, normalized to run from 0 at point ``skip`` to 1, shape (k,)."""
+    """Return the arc length at each point of a chain, scaled to run from 0 at point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
     length = arc_lengths(chain)
@@ -320,7 +320,7 @@ def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
 
 
 def _wave(u: Field, rng: Rng) -> Field:
-    """Return a smooth random function of u that is periodic and has values of about -1 to 1."""
+    """Return a smooth, periodic random function of u with values from about -1 to 1."""
     return np.asarray(sum(np.sin(2 * np.pi * (k * u + rng.random())) / k for k in (1, 2, 3, 5)) / 2.0)
 
 

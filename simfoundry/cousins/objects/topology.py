@@ -1,4 +1,4 @@
-"""Topology edits, which add, remove or replace parts. Only objects that exist in the real world are produced."""
+"""Topology edits, which add, remove or replace parts. They produce only kinds of objects that really exist."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         added[f"handle_{name}"] = PartSpec(shape=capsule(thick, far - start), pose=pose)
     middle = np.array([far, 0.0, (low + high) / 2 + base[2]])
     added["handle_grip"] = PartSpec(shape=capsule(thick, high - low), pose=aimed(middle, UP))
-    return with_added(spec, component.link, added), f"a loop handle that reaches {far - max(walls):.3f} m out"
+    return with_added(spec, component.link, added), f"a loop handle that protrudes {far - max(walls):.3f} m"
 
 
 def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:

@@ -1,8 +1,8 @@
 """Generate variants of an object from numbered candidates, which may come from different sources.
 
 Candidate k depends only on the twin, the axis, the seed and k. The candidates are examined in order. The first
-``count`` candidates that pass all checks and differ from all previous variants become variants, so equal calls produce
-equal variants.
+``count`` candidates that pass all checks and differ from all previous variants become variants, so identical calls
+produce identical variants.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Origins(Protocol):
     """A source of candidates."""
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, or the reason why it could not be generated. Equal arguments give equal results."""
+        """Return candidate ``k``, or the reason why it could not be generated; the result is deterministic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +65,12 @@ class Variant:
         k: Candidate number.
         source: Name of the source.
         spec: Complete asset document.
-        files: Content of the files that the document refers to, by name.
+        files: Contents of the files that the document refers to, keyed by name.
         changed: Human-readable list of changes.
         item: The lowered object.
         likeness: Descriptor of the object.
-        distance: Distance to the most similar other variant or to the twin, in units of the thresholds for distinct
-            objects.
+        distance: Distance to the twin or to another variant, whichever is more similar, in units of the thresholds for
+            distinct objects.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Refused:
 class Variants:
     """Accepted and rejected variants of an object.
 
-    ``lacks`` describes the requirements that the twin itself does not meet. They were not checked.
+    ``lacks`` describes the requirements that the twin itself does not meet and that were therefore not checked.
     """
 
     accepted: tuple[Variant, ...]
@@ -122,7 +122,7 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Number of rejections for each reason, the most frequent first."""
+        """Number of rejections for each reason, starting with the most frequent reason."""
         counts = Counter(one.reason.code for one in self.refused)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
@@ -139,7 +139,7 @@ def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Dr
     except MeshError as error:
         return Reason("mesh", str(error))
     if not made.changed:
-        return Reason("rules", f"no rule for {' and '.join(axis.changes)} applies to its parts")
+        return Reason("rules", f"no rule that changes {' and '.join(axis.changes)} applies to its parts")
     return made
 
 
@@ -154,16 +154,16 @@ def variants(
 ) -> Variants:
     """Return the first ``axis.count`` distinct variants of an object that pass all checks.
 
-    Fewer variants are returned if :data:`MOST_TRIES` candidates for each variant are not sufficient.
+    Fewer variants are returned if the search fails after :data:`MOST_TRIES` candidates per requested variant.
 
     Args:
         item: The twin's object.
         axis: Number, sources and kinds of variants.
-        needs: Requirements on the variants.
+        needs: Requirements that the variants must meet.
         seed: Seed of the random generator.
         sources: Sources by name, in addition to rules, which are always available.
         cache: Cache for lowering.
-        progress: Called after each candidate that was generated.
+        progress: Called each time a candidate has been examined.
 
     Raises:
         SpecError: The twin itself is invalid.
@@ -248,7 +248,7 @@ def _variant(
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Reason:
     """Return the variant with its distance to the most similar other object, or a reason if it is too similar.
 
-    If ``form`` is true, a difference in color is not sufficient.
+    If ``form`` is true, objects that differ only in color are considered too similar.
     """
     away = attrgetter("form" if form else "distance")
     nearest = min((variant.likeness.apart(other) for other in others), key=away)
@@ -277,7 +277,7 @@ def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    """Return the volume that each mesh file of an asset encloses, by name, in the cubed unit of the file."""
+    """Return the volume enclosed by each mesh file of an asset, keyed by name, in the cube of the file's unit."""
     names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
@@ -293,14 +293,14 @@ GIVEN = "the twin's mass, by volume"
 def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], before: Mapping[str, float]) -> AssetSpec:
     """Return the asset with an estimated mass for each link.
 
-    If the twin specifies the mass of a link, the mass is scaled in proportion to the volume. The twin's measured
+    If the twin specifies a link's mass, that mass is scaled in proportion to the link's volume. The twin's measured
     inertias no longer apply and are removed.
 
     Args:
         spec: The variant's asset.
         twin: The twin's asset.
-        volumes: Volumes of the variant's mesh files by name, in the cubed units of the files.
-        before: Volumes of the twin's mesh files by name.
+        volumes: Volumes of the variant's mesh files, keyed by name, in the cube of each file's unit.
+        before: Volumes of the twin's mesh files, keyed by name, in the same units.
     """
     links = {}
     for name, link in spec.links.items():
@@ -322,7 +322,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
     """Return the mass of a link [kg].
 
-    ``side`` selects the lowest (-1), the nominal (0) or the highest (1) densities of its materials.
+    ``side`` selects which densities to use for the link's materials: lowest (-1), nominal (0) or highest (1).
     """
     total = 0.0
     for part in link.parts.values():

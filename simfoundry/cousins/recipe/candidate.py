@@ -31,13 +31,13 @@ class Reason:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A rejected draw and the reasons for its rejection."""
+    """A rejected random draw, with the reasons for its rejection."""
 
     reasons: tuple[Reason, ...]
 
 
 class ImpossibleError(SimfoundryError):
-    """An error raised for a request that cannot be satisfied; all ``reasons`` are known before any sampling."""
+    """An error raised before sampling for a request that cannot be satisfied, with all ``reasons``."""
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -70,11 +70,11 @@ class Candidate:
         return not self.reasons
 
     def files(self) -> dict[str, str]:
-        """Return the file names of the documents by kind, such as ``000017.scene.yaml``."""
+        """Return the file names of the documents, such as ``000017.scene.yaml``, keyed by kind."""
         return {kind: file_of(self.index, kind) for kind in self.documents}
 
     def line(self) -> str:
-        """Serialize the candidate to one line of JSON; equal candidates produce identical bytes."""
+        """Serialize the candidate to a single line of JSON. Identical candidates produce identical bytes."""
         data: dict[str, Any] = {"index": self.index}
         if self.accepted:
             data |= {"documents": dict(self.documents), "asked": list(self.asked)}
@@ -100,7 +100,7 @@ class Candidate:
 
 
 def free_name(name: str, taken: Container[str]) -> str:
-    """Return the name, or its first numbered alternative that is not taken: ``mug``, ``mug_2``, ``mug_3``, …."""
+    """Return the name, or the first numbered variant that is not taken: ``mug``, ``mug_2``, ``mug_3``, …."""
     return next(n for n in chain((name,), (f"{name}_{k}" for k in count(2))) if n not in taken)
 
 

@@ -76,7 +76,7 @@ class Recipe:
 
     @property
     def distractors(self) -> tuple[LibraryItem, ...]:
-        """Objects that can be added as distractors; raises ImpossibleError if no object passes the recipe's filters."""
+        """Objects that can be added as distractors; raises ImpossibleError if none passes the recipe's filters."""
         return self._choice[0]
 
     @property
@@ -98,7 +98,7 @@ class Recipe:
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """Words that denote objects in the twin, sorted: their names, labels, and categories or asset names."""
+        """Sorted words that denote objects in the twin: names, labels, and categories or asset names."""
         found = set()
         for name, item in self.scene_spec.objects.items():
             asset = self.scene.used(item.asset) if item.asset is not None else None
@@ -107,7 +107,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """Return the run's fingerprint; runs with equal fingerprints produce identical bytes."""
+        """Return the run's fingerprint. Runs with the same fingerprint produce identical bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -219,9 +219,9 @@ def scene_overlay(
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
     """Return the text of a task document that extends the twin's task and uses the scene cousin with the same index.
 
-    The twin's start conditions for ``moved`` objects are removed. The twin's start regions are also removed if an
-    object with a region moved, or if the scene is ``crowded`` (contains added objects), because the regions are
-    guaranteed to be free only in the twin's layout. Rollouts then start from the layout of the scene.
+    The twin's start conditions for ``moved`` objects are removed. The twin's start regions are guaranteed to be free
+    only in the twin's layout, so they are also removed if an object with a region moved, or if the scene is
+    ``crowded``, that is, contains added objects. Rollouts then start from the scene's own layout.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
@@ -238,9 +238,9 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
 def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
     """Return the text of a new task document.
 
-    The task uses the scene cousin with the same index if ``own_scene`` is set, otherwise the twin's scene. It inherits
-    the twin's start conditions, except those for ``moved`` objects. With its own scene, the task has no start regions,
-    because these are guaranteed to be free only in the twin's layout.
+    If ``own_scene`` is set, the task uses the scene cousin with the same index, and otherwise the twin's scene. The
+    task inherits the twin's start conditions, except those for ``moved`` objects. A task with its own scene has no
+    start regions, because these are guaranteed to be free only in the twin's layout.
     """
     data = to_data(spec)
     if recipe.task_spec is not None:
@@ -272,7 +272,7 @@ def origin(recipe: Recipe, index: int) -> Data:
 
 
 def relative(file: Path, folder: Path) -> str:
-    """Return the path by which documents in ``folder`` refer to ``file``."""
+    """Return the path to ``file`` as written in documents in ``folder``."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
@@ -282,7 +282,7 @@ def written(poses: Mapping[str, Pose]) -> dict[str, Pose]:
 
 
 def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
-    """Return the objects whose `place` refers, directly or indirectly, to an object in ``moved``."""
+    """Return the objects whose `place` refers directly or indirectly to an object in ``moved``."""
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     found, todo = set[str](), set(moved)
     while todo:
@@ -298,12 +298,12 @@ def named_by(place: Place) -> set[str]:
 
 
 def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Return the positions [m or rad] of single-axis joints that differ from the scene, by object and joint."""
+    """Return the positions [m or rad] of single-axis joints that differ from the scene, keyed by object and joint."""
     found: dict[str, dict[str, float]] = {}
     for name in names:
         for joint in scene.object(name).joints:
             at = state.joints.get(f"{name}.{joint.name}", joint.position)
             if joint.mimic is None and joint.has_axis and abs(at - joint.position) > STILL:
-                low, high = joint.limits or (at, at)  # engines enforce limits softly
+                low, high = joint.limits or (at, at)  # clamp to the limits, because engines may exceed them slightly
                 found.setdefault(name, {})[joint.name] = round(min(max(at, low), high), 4) + 0.0
     return found

@@ -50,7 +50,7 @@ class LibraryItem:
         volume: Total volume of the convex parts [m^3].
         size: Extents of the bounding box [m].
         digest: Hash of the content.
-        stated: True if the asset document specifies the category.
+        stated: True if the category is specified by the asset document rather than derived.
     """
 
     name: str
@@ -68,7 +68,7 @@ class LibraryItem:
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """Return the object's entry for a scene document that refers to its file by the path ``reference``."""
+        """Return the object's entry for a scene document; ``reference`` is the path to its file in that document."""
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -77,7 +77,7 @@ class LibraryItem:
 
 @dataclass(frozen=True)
 class Library:
-    """The objects in a folder, and the relative paths of unusable files with the reasons."""
+    """The objects in a folder, and the reason why each unusable file was skipped, keyed by relative path."""
 
     title: str
     items: tuple[LibraryItem, ...]
@@ -157,7 +157,7 @@ def name_of(file: Path) -> str:
 
 
 def described(file: Path) -> Loaded:
-    """Return a scene document, located in the same folder as ``file``, that contains only the object in that file."""
+    """Return a scene document in the same folder as ``file`` that contains only the object defined in that file."""
     name = name_of(file)
     text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
     if not file.name.endswith(ASSET_SUFFIX):
@@ -242,9 +242,9 @@ KIND_OF_TWIN = "a category that the twin does not have"
 # Phrases that describe two of the filters in messages.
 SHAPE_OF_TWIN = "a category, or a shape that the twin does not have"
 
-# Similarity thresholds for objects that neither a category nor their name identifies: the maximum ratio of side lengths
-# and the maximum shape distance (see :class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape, a pot
-# and a bowl by 0.08.
+# Similarity thresholds for objects that are identified by neither a category nor their name: the maximum ratio of side
+# lengths and the maximum shape distance (see :class:`LikenessDistance`). Among the shipped objects, the shape distance
+# is 0.05 between a cup and a mug, and 0.08 between a pot and a bowl.
 LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 
@@ -253,7 +253,7 @@ LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 @dataclass(frozen=True)
 class FilterStep:
-    """A filter's condition, and the objects it removed from those that passed all previous filters."""
+    """A filter's condition and the objects that it removed, all of which had passed the previous filters."""
 
     asks: str
     taken: tuple[LibraryItem, ...]
@@ -264,9 +264,9 @@ def filtered(
 ) -> tuple[tuple[LibraryItem, ...], list[FilterStep]]:
     """Return the library objects that pass all filters of an axis, and the objects removed by each filter.
 
-    If the axis does not list categories, objects that an instruction could confuse with an object in the twin are
-    removed: if there were a second bowl, "the bowl" would be ambiguous. A library object without a category is judged
-    by its name or, if the name is not a known word, by its size and shape.
+    If the axis does not list categories, objects that could be confused with an object in the twin are removed, because
+    with a second bowl in the scene, "the bowl" in an instruction would be ambiguous. A library object without a
+    category is judged by its name or, if the name is not a known word, by its size and shape.
 
     Args:
         library: The library.
@@ -309,7 +309,7 @@ def _is_within(what: str, bounds: ValueRange, item: LibraryItem) -> bool:
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Return True if a word denotes the object's category or, if none is specified, its derived category or name."""
+    """Return True if a word denotes the object's specified category or, failing that, its derived category or name."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
@@ -320,7 +320,7 @@ def _is_nameless(item: LibraryItem) -> bool:
 
 
 def _resembles(item: LibraryItem, others: Sequence[SceneObject]) -> bool:
-    """Return True if an object is similar in size and shape to one of the other objects that are not fixed."""
+    """Return True if an object is similar in size and shape to any other object that is not fixed."""
     own = likeness(lowered(item.file))
     distances = (own.apart(likeness(other)) for other in others if not other.fixed)
     return any(d.size < math.log(LIKE_SIZE) and d.shape < LIKE_SHAPE for d in distances)
@@ -336,7 +336,7 @@ def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[Fil
     nameless = [item for item in chosen if not item.stated]
     if nameless:
         reason = f"no `category` is set for {_few(nameless)} in {library.title}, so only names and shapes were compared"
-        found.append(f"{reason}; set it in these assets so that no instruction can refer to them by accident")
+        found.append(f"{reason}; set it in these assets so that instructions cannot refer to them by accident")
     return tuple(found)
 
 
@@ -346,7 +346,7 @@ def _few(items: Sequence[LibraryItem], most: int = 5) -> str:
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
-    """Return a reason that includes the number of objects in the library and the number removed by each filter."""
+    """Return a reason that states the number of library objects and the number removed by each filter."""
     total = len(library.items)
     text = f"none of the {total} objects in {library.title} can be used as a distractor"
     numbers = {"library": float(total)}

@@ -1,8 +1,8 @@
 """Collect the alternatives for each axis of a recipe (objects, distractors, tasks) in a variant pool.
 
 The pool is created once and shared by all candidates. Object variants are generated once per recipe and stored in a
-folder, and each cousin chooses among them. Files that cousins need from outside the twin's project are copied to
-``OUT/assets`` under content-based names.
+folder, from which each cousin chooses. If cousins need files from outside the twin's project, these are copied to
+``OUT/assets`` under names that are derived from their content.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ ASSETS = "assets"
 
 @dataclass(frozen=True)
 class Choice:
-    """A replacement for an object: its document, and the path by which cousins refer to it."""
+    """A replacement for an object: its document, and the path to it as written in cousins."""
 
     file: Path
     reference: str
@@ -65,7 +65,7 @@ class VariantPool:
 
     Attributes:
         choices: Replacements for each object that varies.
-        references: Paths by which cousins refer to distractors, by distractor name.
+        references: Path to each distractor as written in cousins, keyed by distractor name.
         tasks: Tasks to choose from; empty if the task does not vary.
         most: Number of distinct candidates, or None if it is unbounded.
     """
@@ -76,7 +76,7 @@ class VariantPool:
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
-        """Return the combination of choices with the 0-based index ``k``; all combinations occur before any repeats."""
+        """Return combination ``k`` of the choices, counted from 0. No combination repeats until all have occurred."""
         found = {}
         for name, of in self.choices.items():
             k, digit = divmod(k, len(of))
@@ -107,7 +107,7 @@ def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...
 
 
 def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
-    """Return the paths by which cousins in ``out`` refer to library objects.
+    """Return the paths to library objects as written in cousins located in ``out``.
 
     Files outside the project folder ``root`` are copied to the output folder first.
     """
@@ -139,7 +139,7 @@ def copied(file: Path, folder: Path) -> Path:
 
 
 def _copy_mesh(mesh: Path, folder: Path) -> None:
-    """Copy a mesh, along with its materials and textures that are located in the same folder or below it."""
+    """Copy a mesh, along with any materials and textures in the same folder or its subfolders."""
     from simfoundry.scene.robot_files import companions
 
     beside = mesh.parent.resolve()
@@ -223,9 +223,9 @@ def prepare(
         library: Folder of the library source, if one is used.
 
     Returns:
-        A record for each object, which is also written to ``NAME.variants.json`` in ``folder``. It lists the
-        ``accepted`` variants, the ``refused`` candidates with reasons, and the requirements that the twin itself
-        ``lacks``.
+        A record for each object, which is also written to ``NAME.variants.json`` in ``folder``. The record lists the
+        ``accepted`` variants, the ``refused`` candidates with reasons, and under ``lacks`` the requirements that the
+        twin itself does not meet.
     """
     assert isinstance(scene.spec, SceneSpec)
     lowered, records = None, {}
@@ -252,7 +252,7 @@ def prepare(
 def made_for(
     axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: SourceSetup
 ) -> dict[str, tuple[Path, ...]]:
-    """Return the paths of each object's variant documents, and generate the variants if they do not exist yet.
+    """Return the paths of each object's variant documents, generating the variants if they do not exist yet.
 
     Raises:
         ImpossibleError: If all candidates for an object were rejected, or if a source is not configured.
@@ -325,7 +325,7 @@ def _key(
 ) -> str:
     """Return the cache key for an object's variants.
 
-    Models contribute only their names in the recipe, because their responses differ from call to call.
+    For models, the key depends only on their names in the recipe, because responses differ from call to call.
     """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])

@@ -47,7 +47,7 @@ KEPT_TWINS = 16
 
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
-    """Samples the candidates of a recipe in one process; all candidates share the twin and the variant pool."""
+    """A sampler for a recipe's candidates in one process; all candidates share the twin and the variant pool."""
 
     recipe: Recipe
     out: Path
@@ -91,7 +91,7 @@ class CandidateSampler:
         return _written(self, draw, found, index)
 
     def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
-        """Return the twin with the objects in ``others`` replaced and those in ``added`` present but not yet placed."""
+        """Return the twin with the objects in ``others`` replaced and those in ``added`` added but not yet placed."""
         if not others and not added:
             return self.twin
         files = {**{n: choice.file for n, choice in others.items()}, **{n: item.file for n, item in added.items()}}
@@ -112,8 +112,8 @@ class _Draw:
     Attributes:
         twin: The twin with replaced and added objects.
         layout: The new poses.
-        others: Replacements of objects in the twin, by object name.
-        added: Distractors, by object name.
+        others: Replacements for objects in the twin, keyed by object name.
+        added: Distractors, keyed by object name.
     """
 
     twin: Twin
@@ -168,7 +168,7 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
-    """Return the candidate for a draw that settled successfully, with its documents or with reasons for rejection."""
+    """Return the candidate for a successfully settled draw, with either its documents or the reasons for rejection."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents, moved, goal = dict[str, str](), set[str](), ""
     if found is not None:

@@ -45,7 +45,7 @@ def logs(out: Path) -> list[Path]:
 
 
 def read_places(file: Path) -> dict[int, LogEntry]:
-    """Return the log entries of the complete lines in a log, by candidate index.
+    """Return the log entries for all complete lines in a log, keyed by candidate index.
 
     Raises:
         OutputError: The file is not a log.
@@ -69,7 +69,7 @@ def read_places(file: Path) -> dict[int, LogEntry]:
 
 
 class Reader(ExitStack):
-    """Reads candidates from logs and keeps the log files open between reads."""
+    """A reader of candidates in logs that keeps the log files open between reads."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int,
         places: Candidate indices and log entries, in the order in which to write them.
 
     Returns:
-        The new log entries by candidate index.
+        The new log entries, keyed by candidate index.
     """
     old, now = logs(out), dict[int, LogEntry]()
     whole, start = out / WORK / WHOLE, 0

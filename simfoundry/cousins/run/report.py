@@ -1,8 +1,8 @@
-"""Write the outputs of a run: the manifest, summaries, images, and a USD stage that contains all cousins as variants.
+"""Write the outputs of a run: the manifest, summaries, images, and a USD stage with all cousins as variants.
 
 ``manifest.json`` contains the request, every cousin, and every rejected candidate with its reasons. The manifest is
-written line by line, so it can be larger than memory. It contains no timestamps, paths or process counts, so equal runs
-produce identical bytes.
+written line by line, so it can be larger than the available memory. It contains no timestamps, paths or process counts,
+so identical runs produce identical bytes.
 
 The stage ``NAME.usda`` references ``NAME/usd``, a build of the twin that also contains the objects from all cousins.
 Each variant in the variant set ``cousin`` poses the moved objects, selects the variants of replaced objects, and
@@ -33,7 +33,7 @@ VERSION = "cousins-run/1"
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
-    """Return statistics about a run and its object variants; ``end`` is `complete`, `hopeless` or `exhausted`."""
+    """Return statistics on a run and its object variants; ``end`` is `complete`, `hopeless` or `exhausted`."""
     return {
         "simfoundry": VERSION,
         **plan.about,
@@ -85,7 +85,7 @@ def told(ledger: Ledger, top: int = 3) -> str:
 
 
 def examples(ledger: Ledger) -> dict[str, str]:
-    """Return the message of the first rejection for each rejection code, with the most frequent code first."""
+    """Return the first rejection message for each rejection code, starting with the most frequent code."""
     found: dict[str, str] = {}
     with Reader() as reader:
         for place in ledger.counted():
@@ -193,7 +193,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """Yield the index of each cousin that has its own scene, with the object entries in its document."""
+    """Yield the index of each cousin that has its own scene, along with the object entries in its document."""
     with Reader() as reader:
         for candidate in (reader.candidate(place) for place in ledger.counted() if place.accepted):
             if "scene" in candidate.documents:
@@ -205,7 +205,7 @@ def _variant(asset: str) -> str:
 
 
 def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
-    """Lower the twin's scene with all objects added by cousins, and with their replacements as variants."""
+    """Lower the twin's scene, including all objects added by cousins and, as variants, all replacements."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load

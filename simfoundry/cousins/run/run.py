@@ -43,7 +43,7 @@ class RunEnd(StrEnum):
 
 @dataclass
 class Ledger:
-    """Counts the candidates ``first``, ``first + step``, … in order, up to the first one that was not examined yet.
+    """A count of the candidates ``first``, ``first + step``, … in order, up to the first unexamined candidate.
 
     Attributes:
         wanted: Number of candidates to accept.
@@ -53,8 +53,8 @@ class Ledger:
         known: Log entries of all examined candidates by index.
         accepted: Indices of the counted candidates that were accepted.
         totals: Number of counted candidates rejected for each reason.
-        unchecked: Checks that could not be performed for at least one accepted candidate, as keys.
-        next_index: Index of the first candidate that is not counted yet.
+        unchecked: Mapping whose keys are the checks that could not be performed for some accepted candidate.
+        next_index: Index of the first candidate that has not been counted yet.
         end: Reason why the run ended, or OPEN.
     """
 
@@ -92,7 +92,7 @@ class Ledger:
 
         Args:
             reader: Reader of the logs.
-            settled: Callback that receives each newly counted candidate that was accepted.
+            settled: Callback that receives each accepted candidate when it is counted.
         """
         while self.end is RunEnd.OPEN and self.next_index in self.known:
             candidate = reader.candidate(self.known[self.next_index])
@@ -115,7 +115,7 @@ class Ledger:
         return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
-        """Yield the indices of unexamined candidates in order; infinite if the number of candidates is unbounded."""
+        """Yield the indices of unexamined candidates in order, without end if the number of candidates is unbounded."""
         index = self.next_index
         while not self._is_beyond(index):
             if index not in self.known:
@@ -148,9 +148,9 @@ class RunPlan:
     Attributes:
         out: Output folder.
         wanted: Number of cousins to generate.
-        about: Fingerprint of the run; runs with equal fingerprints produce identical bytes.
-        shard: (i, n) to examine only every n-th candidate, starting with candidate i (1-based), and to write no
-            cousins; None for a full run.
+        about: Fingerprint of the run. Runs with the same fingerprint produce identical bytes.
+        shard: Pair (i, n) to examine only every n-th candidate, starting with candidate i (counted from 1), without
+            writing any cousins; None for a full run.
         most: Number of candidates, or None if it is unbounded.
         variants: Variant counts of each object that varies.
     """
@@ -171,7 +171,7 @@ class RunPlan:
 
 
 def begin(plan: RunPlan) -> None:
-    """Create the output folder of a run, or check that an existing folder belongs to a run with the same fingerprint.
+    """Create the output folder of a run. If it already exists, check that it belongs to a run with this fingerprint.
 
     Raises:
         OutputError: The folder belongs to a different run, contains unrelated files, or is damaged.
@@ -218,7 +218,7 @@ def run(
             ledger.known.update(read_places(file))
 
         def settled(candidate: Candidate) -> None:
-            if plan.shard is None:  # a shard does not know which of its candidates will count
+            if plan.shard is None:  # a shard cannot tell which of its candidates will count in the full run
                 write_documents(plan.out, candidate)
 
         ledger.advance(reader, settled)

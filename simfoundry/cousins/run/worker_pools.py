@@ -17,7 +17,7 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.extras import install_line
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
-# Timeout for examining a candidate [s]. For the first candidate of a process, this includes starting the process.
+# Timeout for examining a candidate [s]. For the first candidate of each process, this includes the process startup.
 SILENCE_S = 600.0
 
 
@@ -42,7 +42,7 @@ _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
 
 
 def line_of(work: Work, index: int) -> str:
-    """Examine a candidate and return it as one line of text, the format in which processes exchange candidates."""
+    """Examine a candidate and return it as a single line of text, the format used between processes."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()

@@ -45,7 +45,7 @@ def accept(
 ) -> AcceptedTask | tuple[Reason, ...]:
     """Accept or reject a task or a bare goal.
 
-    A task is also rejected if a ``known`` task has the same goal, or ends in a state in which this goal holds too.
+    A task is also rejected if a ``known`` task has the same goal or ends in a state in which the task's goal holds too.
 
     Returns:
         The accepted task with a state in which its goal holds, or the reasons for rejection.
@@ -69,16 +69,16 @@ def accept(
 
 
 def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
-    """Return the names of known tasks that are always completed along with a new, stricter task, with the reasons.
+    """Return the names of known tasks that a new, stricter task always completes too, along with the reasons.
 
-    In the reverse case, :func:`accept` has already rejected the new task.
+    If a known task always completes the new one instead, :func:`accept` has already rejected the new task.
     """
     reason = Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is")
     return [(other.name, reason) for other in known if new.covers(other.goal, setting)]
 
 
 def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return reasons for names that do not exist in the scene, and for predicates that are unknown or not allowed."""
+    """Return reasons for rejecting a goal: names missing from the scene, and predicates not allowed in goals."""
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
         text = f"a goal must have 1 to {MOST_PREDICATES} predicates, but this one has {len(every)}"
@@ -119,7 +119,7 @@ def _unknown(call: Call, setting: TaskContext) -> Iterator[Reason]:
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return a reason if a goal requires no change, because it already holds or all its predicates are negated."""
+    """Return a reason if a goal requires no change because it already holds or because it only negates predicates."""
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)

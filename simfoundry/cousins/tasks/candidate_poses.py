@@ -75,9 +75,9 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """Return the level surfaces of an object that has several of them, highest first.
+    """Return the level surfaces of an object, highest first, if it has at least two.
 
-    The result is empty for links, and if the object has moved from its pose in the twin.
+    The result is empty for other objects, for links, and for objects that have moved from their pose in the twin.
     """
     X_WO = setting.twin.state.poses.get(target)  # None for links
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
@@ -94,7 +94,7 @@ def spots(level: Support) -> Iterator[tuple[float, float]]:
 
 
 def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
-    """Return the center of an object's or link's cavity in the world [m], shape (3,), or None without a cavity."""
+    """Return the world position [m] of the center of a target's cavity, shape (3,), or None if it has none."""
     owner = target.partition(".")[0]
     for link, found in cavities(setting, target):
         item = setting.twin.scene.object(owner)
@@ -104,7 +104,7 @@ def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None
 
 
 def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
-    """Return the cavities of the links that a target refers to, with the name of each link."""
+    """Return the cavities of the links that a target refers to, along with the name of each link."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
     body = bodies[thing.owner]
@@ -120,7 +120,7 @@ def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """Return a phrase that describes the size of an object's cavity, or an empty string without a cavity."""
+    """Return a phrase that describes the size of an object's cavity, or an empty string if it has no cavity."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""

@@ -54,10 +54,10 @@ TURNS, TILTS = 12, (0.0, math.radians(30.0))
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """The approach of a hand to an object.
+    """The directions in which a hand approaches an object and leaves with it.
 
-    The hand comes from ``side`` and leaves along ``way``; both are unit vectors that point away from the object, shape
-    (3,).
+    The hand comes from ``side`` and leaves along ``way``; both are unit vectors of shape (3,) that point away from the
+    object.
     """
 
     side: Array
@@ -65,7 +65,7 @@ class Approach:
 
     @property
     def upright(self) -> Pose:
-        """Rotation that maps this approach to an approach from above."""
+        """Rotation that turns this approach into an approach from above."""
         x, y, _ = self.side.tolist()
         lean = math.atan2(math.hypot(x, y), float(self.side[2]))
         turn = math.atan2(y, x)
@@ -76,7 +76,7 @@ ABOVE = Approach(UP, UP)
 
 
 def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
-    """Return the possible approaches to an object in a state: from above, or else from each open side.
+    """Return the possible approaches to an object in a given state: from above or, if that is blocked, from open sides.
 
     The result is empty if the object is enclosed.
     """
@@ -101,9 +101,9 @@ _CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
 
 
 def _outline(low: Array, high: Array, way: Array) -> list[Array]:
-    """Return the points [m] of a slightly lifted box that are swept along a horizontal direction.
+    """Return points [m] on a slightly lifted box, to be swept along a horizontal direction.
 
-    They form a grid across the box: its center and its extremes sideways and vertically.
+    They form a grid across the box that contains its center and its horizontal and vertical extremes.
     """
     middle, half = (low + high) / 2 + LIFT * UP, (high - low) / 2
     across = np.array([-way[1], way[0], 0.0])
@@ -150,7 +150,7 @@ class TaskContext:
         hands: Hands that can act in the scene.
         path: Path of the scene document, or None.
         kept: Cached results of :meth:`cannot_take` by object name.
-        engines: Engines in which a goal state must last. Trials always use MuJoCo.
+        engines: Physics engines in which a goal state must remain stable. Trials always use MuJoCo.
     """
 
     twin: Twin
@@ -169,7 +169,7 @@ class TaskContext:
             path: Path of the scene document.
             cache: Cache for lowered objects.
             payload: Payload [kg] that overrides the known payload of each robot.
-            engines: Engines in which a goal state must last.
+            engines: Physics engines in which a goal state must remain stable.
 
         Raises:
             SpecError: If the document is invalid.
@@ -182,7 +182,7 @@ class TaskContext:
     # -- object poses and joints ------------------------------------------------------------------------------------
 
     def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
-        """Return the minimum and maximum corners of the bounding box of an object or link in the world [m], (3,) each.
+        """Return the minimum and maximum world coordinates [m] of an object's or link's bounding box, shape (3,) each.
 
         A link is named ``object.link`` or ``object.joint``. The default ``state`` is the state of the twin.
         """
@@ -217,7 +217,7 @@ class TaskContext:
         found = []
         mass = sum(link.mass for link in item.links)
         if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
-            text = f"`{name}` weighs {mass:.2f} kg, but the robot can lift only {most:g} kg"
+            text = f"`{name}` weighs {mass:.2f} kg, but the robot can only lift {most:g} kg"
             found.append(Reason("too_heavy", text, {"mass_kg": mass, "payload_kg": most}))
         drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
         # Objects in a drawer are picked up after it is opened, so obstacles that are above them now do not matter.
@@ -253,7 +253,7 @@ class TaskContext:
         if width <= widest + SLACK:
             return ()
         narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped"
-        text = f"`{name}` {narrow}, but the fingers open only {length(widest)}"
+        text = f"`{name}` {narrow}, but the fingers only open to {length(widest)}"
         return (Reason("too_wide", text, {"width_m": min(width, 1e3), "opening_m": widest}),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:

@@ -34,7 +34,7 @@ MINUTE_PART = 450
 # Maximum length of a name.
 NAME = 64
 
-# Maximum and minimum half extent of an object's start region [m]; if there is less free space, there is no region.
+# Maximum and minimum half extent of an object's start region [m]. An object with less free space gets no region.
 REGION, LEAST = 0.02, 0.005
 
 
@@ -46,7 +46,7 @@ def task(
     Args:
         name: Name of the task.
         setting: Context of the task.
-        scene: Path by which the document refers to its scene.
+        scene: Path to the scene, as written in the document.
         instruction: Instruction for a policy.
         goal: The goal.
         steps: Subtasks by name.
@@ -71,7 +71,7 @@ def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the subtasks for grasping an object (touching it, then picking it up), or nothing without a hand."""
+    """Return the subtasks for grasping an object (touch it, then pick it up); empty if the scene has no hand."""
     hands = [hand.name for hand in setting.hands]
     if not hands:
         return {}
@@ -84,9 +84,9 @@ def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
-    """Return a start region for each of the named objects that stands directly on the ground object.
+    """Return a start region for each named object that stands directly on the ground object.
 
-    The region is a square around the object's position, within which the object stays clear of all other objects.
+    The region is a square around the object's position in which the object stays clear of all other objects.
     """
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
@@ -122,7 +122,7 @@ def _sentence(words: str) -> str:
 
 
 def free_name(wanted: str, taken: set[str]) -> str:
-    """Convert the wanted name to a valid name, and append a number if it is already taken."""
+    """Convert the requested name to a valid name, and append a number if that name is already taken."""
     plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
     plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
     names = chain((plain,), (f"{plain[: NAME - 4]}_{k}" for k in count(2)))
@@ -140,7 +140,7 @@ class Proposal:
     Attributes:
         name: Name of the task.
         goal: The goal as text.
-        task: The task document, or None if the proposal is too invalid to write one.
+        task: The task document, or None if the proposal is so flawed that no document can be written.
         reasons: Reasons for rejection; empty if the task was accepted.
     """
 
@@ -156,9 +156,9 @@ class Proposal:
 
 
 class Proposals:
-    """Collects the proposals for a scene; completing an accepted task never completes another accepted task.
+    """The proposals for a scene. Completing one accepted task never completes another accepted task.
 
-    ``found`` contains all proposals in order.
+    ``found`` lists all proposals in order.
     """
 
     def __init__(self, setting: TaskContext) -> None:
@@ -167,7 +167,7 @@ class Proposals:
         self.accepted: list[AcceptedTask] = []
 
     def add(self, name: str, goal: str, made: TaskSpec) -> None:
-        """Propose a task; if it is accepted, reject earlier tasks that are always completed along with it."""
+        """Propose a task. If it is accepted, reject all earlier tasks that it always completes as well."""
         new = accept(made, self.setting, self.accepted)
         if isinstance(new, tuple):
             self.found.append(Proposal(name, goal, made, new))
@@ -186,7 +186,7 @@ def enumerate_tasks(
     objects: tuple[str, ...] = (),
     progress: Progress = lambda accepted, seen: None,
 ) -> list[Proposal]:
-    """Propose tasks until enough have been accepted or no ideas remain; rejected proposals include reasons.
+    """Propose tasks until enough have been accepted or no ideas remain. Rejected proposals include the reasons.
 
     Args:
         setting: Context of the tasks.
@@ -212,7 +212,7 @@ def enumerate_tasks(
 
 
 def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
-    """Yield ideas, simple ones first; among equally simple ideas, those with the least used objects come first."""
+    """Yield simple ideas first; among equally simple ideas, yield those with the least used objects first."""
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)
     groups = dict.fromkeys(idea.about for idea in every)
@@ -229,17 +229,17 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
 
 
 def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
-    """Return how often the idea's combination of objects was used, and how often its objects were moved or used."""
+    """Return how often an idea's combination of objects was used, and how often its objects were moved or used."""
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """Return the path by which a document in ``out`` refers to a scene."""
+    """Return the path to a scene, as written in a document in ``out``."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """Run ``simfoundry check`` on the accepted proposals as documents in ``out``; reject those with findings."""
+    """Run ``simfoundry check`` on the accepted proposals, as documents in ``out``, and reject any with findings."""
     found = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:

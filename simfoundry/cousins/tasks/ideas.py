@@ -33,7 +33,7 @@ BROAD = 0.1
 class IdeaStep:
     """A step of a task.
 
-    ``words`` is its instruction, and ``thing`` is the object to move; ``thing`` is empty if the step moves a joint.
+    ``words`` is the instruction for the step. ``thing`` is the object to move, or empty if the step moves a joint.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Idea:
         name: Name of the task.
         goal: Conditions that must all hold.
         steps: Steps in order.
-        odd: Rank, 0 for tasks with one step and 1 for tasks with several; lower ranks are proposed first.
+        odd: Rank in the order of proposals: 0 for tasks with one step, which are proposed first, and 1 for all others.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Idea:
 
 @dataclass(frozen=True)
 class Affordances:
-    """Objects by affordance.
+    """The objects in a scene, grouped by affordance.
 
     Attributes:
         things: Names of graspable objects.
@@ -109,7 +109,7 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Return True if an object has a usable cavity, that is, one that is deep, wide, and free at its center."""
+    """Return True if an object has a usable cavity: deep enough, wide enough, and free at its center."""
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -119,7 +119,7 @@ def _hollow(setting: TaskContext, name: str) -> bool:
 
 
 def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
-    """Return True if an object has a level top or floor, and is wide enough to support others."""
+    """Return True if an object has a level top or floor and is wide enough to support other objects."""
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
@@ -134,7 +134,7 @@ def _boards(setting: TaskContext, name: str) -> list[str]:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return True if the highest level surface of an object is in its upper half, so it is a top and not a floor."""
+    """Return True if an object's highest level surface is in its upper half, so that it is a top and not a floor."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
@@ -155,7 +155,7 @@ def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Affordances) -> Idea:
-    """Return the idea to put an object into or onto a target; a closed drawer is opened first and closed afterward."""
+    """Return the idea of putting an object into or onto a target; a drawer is opened first and closed afterward."""
     step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
     if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
@@ -165,7 +165,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Return True if a joint moves the target part, or a part of the target object."""
+    """Return True if a joint moves the target part or any part of the target object."""
     owner, _, part = target.partition(".")
     if not part:
         return joint.partition(".")[0] == owner
@@ -182,7 +182,7 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
             continue
         tops = [t for t in there.things if t not in (below, middle) and _fits(setting, (t,), middle)]
         if tops:
-            # The largest is the one with the largest smallest face of its bounding box.
+            # The largest object is the one whose bounding box has the largest minimum face area.
             sizes = {t: np.sort(np.subtract(*setting.bounds(t)[::-1])) for t in tops}
             top = max(tops, key=lambda t: (float(np.prod(sizes[t][:2])), t))
             steps = (_step(middle, "OnTop", below), _step(top, "Inside", middle))
@@ -190,7 +190,7 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield ideas to gather all objects whose names end with the same word in a container or on a support."""
+    """Yield ideas for gathering, in a container or on a support, all objects whose names end with the same word."""
     for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
@@ -225,7 +225,7 @@ def _step(thing: str, word: str, target: str) -> IdeaStep:
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
-    """Return the step to put an object on top of a target with a cavity below its top, and not into the cavity."""
+    """Return the step of putting an object on top of a target, and not into the cavity below its top."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
     return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)

@@ -63,8 +63,8 @@ def propose_tasks(
         picture: Image of the scene as PNG or JPEG.
         count: Number of tasks to request.
         form: Format of the response.
-        scene: Path by which task documents refer to the scene.
-        include: Objects, at least one of which each task should involve; empty for no such requirement.
+        scene: Path to the scene, as written in task documents.
+        include: Objects of which each task should involve at least one; empty for no such requirement.
         exclude: Objects that tasks must not involve.
 
     Raises:
@@ -133,7 +133,7 @@ def judged(
         told: The tasks in the model's response.
         setting: Context of the tasks.
         source: Origin of the tasks, for the documents.
-        scene: Path by which task documents refer to the scene.
+        scene: Path to the scene, as written in task documents.
         exclude: Objects that tasks must not involve.
 
     Returns:
@@ -152,7 +152,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
     """Add a task from a model's response to the proposals.
 
     Returns:
-        A rejected proposal if the task is too invalid to write a document; otherwise None.
+        A rejected proposal if the task is so flawed that no document can be written; otherwise None.
     """
     setting = proposed.setting
     name = free_name(told.task_name, {accepted.name for accepted in proposed.accepted})
@@ -185,7 +185,7 @@ def _released(goal: Any) -> Any:
     return every[0] if len(every) == 1 else {"all": every}
 
 
-# Maximum number of tasks to read from a response; requests ask for far fewer.
+# Maximum number of tasks to read from a response. Far fewer are requested.
 MOST_TASKS = 200
 # Maximum number of characters of a response to parse; the rest is ignored.
 MOST_TEXT = 100_000
@@ -227,7 +227,7 @@ class ProposalsAnswer(BaseModel):
 
 
 class Unread(BaseModel):
-    """A part of a response that could not be parsed, with the reason."""
+    """A part of a response that could not be parsed, and the reason why."""
 
     name: str
     why: str
@@ -262,7 +262,7 @@ def goal_of(told: Told) -> tuple[Any, str]:
     """Convert a proposed goal to a condition.
 
     Returns:
-        The condition, and an error message if the goal is invalid, or an empty string.
+        The condition and an error message; the message is empty if the goal is valid.
     """
     groups, either = told.semantic_group_mapping, told.goal_predicates_any or []
     names = {group: members[0] for group, members in groups.items() if len(members) == 1}
@@ -288,7 +288,7 @@ class TaskCousin:
         spec: The task document.
         goal: The goal as text.
         hands: Hands that can act in the task.
-        engines: Engines in which the goal state must last.
+        engines: Physics engines in which the goal state must remain stable.
     """
 
     spec: TaskSpec
@@ -299,9 +299,9 @@ class TaskCousin:
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
         """Return the reasons why the task cannot be used in a settled scene; empty if it can be used.
 
-        The task cannot be used if its goal already holds or if an object is out of reach. The feasibility of the goal
-        was verified in the twin and does not depend on the layout, so it is verified again only if an object in the
-        goal was replaced.
+        A task cannot be used if its goal already holds or an object is out of reach. The goal was found to be feasible
+        in the twin, and feasibility does not depend on the layout, so feasibility is verified again only if an object
+        in the goal was replaced.
 
         Args:
             twin: The twin.
@@ -329,7 +329,7 @@ def task_cousins(
         scene: Document of the twin's scene.
         axis: The task axis.
         seed: Seed of the random generator.
-        reference: Path by which task documents refer to the scene.
+        reference: Path to the scene, as written in task documents.
         vlm: Model to query if the axis requests proposals from a model.
         picture: Image of the scene for the model.
 

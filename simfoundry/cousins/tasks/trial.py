@@ -34,7 +34,7 @@ ASTRAY = (0.0023, 0.0017)
 
 
 class Rest(NamedTuple):
-    """The state at rest. ``why`` explains the problem if the state is not acceptable, and is empty otherwise."""
+    """A state at rest. ``why`` explains why the state is unacceptable; it is empty if the state is acceptable."""
 
     state: SceneState
     why: str = ""
@@ -80,7 +80,7 @@ def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, f
         q: Orientation of the object (wxyz).
 
     Raises:
-        PlaceError: If the object would overhang the surface, or collide with the object that the surface belongs to.
+        PlaceError: If the object would overhang the surface or collide with the surface's owner.
     """
     twin = setting.twin
     turned = twin.shape(name, Pose.of(q=q))
@@ -112,7 +112,7 @@ def turned(
         owner: Name of the object that the joint belongs to.
         joint: The joint.
         to: New joint position [rad or m].
-        held: Links that support placed objects, as ``owner.link`` by object name.
+        held: Link that supports each placed object, as ``owner.link``, keyed by object name.
         state: Original state.
     """
     item = setting.twin.scene.object(owner)
@@ -143,7 +143,7 @@ def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
-    """Return an explanation if a condition that holds in MuJoCo does not last in another engine, or an empty string.
+    """Explain why a condition that holds in MuJoCo does not last in another engine; return an empty string if it lasts.
 
     Each test uses a new world, because PyBullet keeps contacts across a reset, so earlier trials could affect the
     result.
@@ -164,7 +164,7 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
 def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
     """Return the joint limit [rad or m] at which a joint is ``Open`` or ``Closed``, or None if there is no such limit.
 
-    ``wanted`` is ``Open`` or ``Closed``, and ``owner`` is the name of the object that the joint belongs to.
+    ``wanted`` is ``Open`` or ``Closed``, and ``owner`` is the name of the object with the joint.
     """
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):

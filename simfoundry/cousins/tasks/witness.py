@@ -63,9 +63,9 @@ class _Attempt:
 
     Attributes:
         state: Current state.
-        held: Links that support placed objects, as ``owner.link`` by object name.
+        held: Link that supports each placed object, as ``owner.link``, keyed by object name.
         opened: Names of opened joints.
-        barred: Conditions that must hold because the goal negates them, each with the object that it concerns.
+        barred: Negated conditions in the goal, each with the object that it concerns.
     """
 
     state: SceneState
@@ -74,12 +74,12 @@ class _Attempt:
     barred: list[tuple[str, Any]] = field(default_factory=list)
 
     def asked(self, name: str, calls: list[Call]) -> Any:
-        """Return the condition that a placed object must satisfy: all ``calls``, and its negated conditions."""
+        """Return the condition that a placed object must satisfy: all ``calls`` and all negated conditions on it."""
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
 def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
-    """Find a witness of a goal with valid names and predicates, or return the reasons why the search failed."""
+    """Find a witness of a goal whose names and predicates are valid, or return the reasons why the search failed."""
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
         try:
@@ -154,7 +154,7 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
     for joint in joints:
         end = open_end(setting, owner, joint, call.predicate)
         if end is None:
-            text = f"`{owner}.{joint.name}` is never {call.predicate.lower()}: its limits are {joint.limits}"
+            text = f"`{owner}.{joint.name}` can never be {call.predicate.lower()}: its limits are {joint.limits}"
             return (Reason("impossible", text),)
         low, high = setting.bounds(f"{owner}.{joint.child}", attempt.state)
         if lacks := setting.cannot_reach(f"{owner}.{joint.child}", low, high):
@@ -251,7 +251,7 @@ class _Tried:
         puts: Number of poses tried.
         settles: Number of simulations.
         best: Best margin of the predicates.
-        why: Explanation of the best or the most recent failure.
+        why: Explanation of the best failure or the most recent one.
         far: Reasons why no hand can reach a pose at which the predicates hold.
         unreached: Positions that no hand can reach, rounded to 1 cm [m].
     """
@@ -267,7 +267,7 @@ class _Tried:
 def _touchdowns(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
-    """Yield states in which the object first touches its support, each with the verdict on its predicates."""
+    """Yield states in which an object first touches its support, each with the verdict on its predicates."""
     asked = attempt.asked(name, calls)
     for pose in _landings(setting, attempt, name, calls):
         if tried.settles >= SETTLES:
@@ -339,7 +339,7 @@ def _cannot(setting: TaskContext, name: str, calls: list[Call], tried: _Tried) -
     low, high = setting.bounds(name)
     size = " x ".join(f"{100 * v:.1f}" for v in (high - low).tolist())
     asked = " and ".join(str(call) for call in calls)
-    text = f"{asked} does not become true in {tried.puts} placements of `{name}` ({size} cm)"
+    text = f"{asked} did not become true in {tried.puts} placements of `{name}` ({size} cm)"
     text += cavity_words(setting, calls[0].args[1]) if calls[0].predicate == "Inside" else ""
     margin = {"margin": float(tried.best)} if np.isfinite(tried.best) else {}
     return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, {"tries": tried.puts, **margin})

@@ -72,17 +72,18 @@ class Grasp:
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
     """Return approach directions, shape (3,), that point straight down or are tilted by the given angles [rad].
 
-    Each tilt angle gives eight directions, one toward each of eight sides.
+    For each nonzero tilt angle, there are eight directions, tilted toward eight evenly spaced sides.
     """
     angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
     return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 
 
 def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
-    """Yield hand rotations whose z axis is ``approach``, with the closing direction y distributed over half a turn.
+    """Yield hand rotations whose z axis is ``approach`` and whose closing directions y are spread over half a turn.
 
-    The closing directions are measured from the longest extent of the shape as seen along the approach direction. One
-    of them is therefore exactly perpendicular to it, so that long objects can be grasped across their width.
+    The closing directions are measured from the shape's longest extent, as seen along the approach direction. One
+    closing direction is therefore exactly perpendicular to that extent, so long objects can be grasped across their
+    width.
     """
     side = np.cross(approach, [1.0, 0.0, 0.0] if abs(approach[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
@@ -143,7 +144,7 @@ def _grid(low: float, high: float, most: int, spacing: float) -> Array:
 
 
 def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
-    """Return the spans, and the sequences of consecutive spans, that the fingers can hold from both ends."""
+    """Return the spans, or sequences of consecutive spans, that the fingers can hold from both ends."""
     pairs = combinations_with_replacement(spans, 2)
     found = (Span(first.start, last.end, min(first.facing, last.facing)) for first, last in pairs)
     return [span for span in found if span.width <= jaws.opening - 2 * CLEARANCE and span.facing >= FACING]
@@ -182,7 +183,7 @@ LEANS = (0.0, 0.3, 0.6)
 
 @dataclass(frozen=True, eq=False)
 class PlaceAt:
-    """A pose in which an object touches its support; better placements have a lower ``cost``."""
+    """A pose in which an object touches its support; the better the placement, the lower the ``cost``."""
 
     X_WO: Pose
     cost: float
@@ -204,7 +205,7 @@ class _Target:
         self._others = [hulls(object_at(o, state)) for o in others]
 
     def spots(self) -> list[tuple[Array, float]]:
-        """Return horizontal positions [m] above the support and their distances from its center [m], closest first."""
+        """Return horizontal positions [m] above the support and their distances [m] from its center, closest first."""
         middle = self._part.middle(self._R_WC)
         middle = hollow(self._part, middle, self._R_WC) if self._inside else middle
         axes = self._R_WC[:, :2]
@@ -234,7 +235,7 @@ class _Target:
         return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
 
     def _walled(self, foot: Array) -> bool:
-        """Return True if a point at an object's base, or slightly above it, has walls on most sides."""
+        """Return True if a point at or slightly above an object's base has walls on most sides."""
         return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
@@ -263,7 +264,7 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 def _tried(
     item: SceneObject, turns: Iterable[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
-    """Combine every rotation with every position; return them with the rotated shape and the cost, cheapest first."""
+    """Return all combinations of rotation and position with the rotated shape and the cost, cheapest first."""
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
@@ -288,13 +289,13 @@ def _odd(count: float) -> int:
 
 
 def _turned(pose: Pose) -> list[Pose]:
-    """Return the rotation of a pose, turned about the vertical axis."""
+    """Return the rotation of a pose after turning it about the vertical axis."""
     now = Pose.of(q=pose.q)
     return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, with their costs."""
+    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, along with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return
@@ -309,7 +310,7 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
 
 
 def _long_axis(item: SceneObject) -> int | None:
-    """Return the index of the axis along which the object is long, or None."""
+    """Return the index of the axis along which the object is long, or None if it is not long."""
     size = hulls(replace(item, X_WO=Pose.of())).size()
     axis = int(size.argmax())
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None

@@ -1,4 +1,4 @@
-"""The skill of opening and closing joints by their handles, with a single hand."""
+"""The skill of opening and closing joints by their handles with a single hand."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class _Handle:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The closed and the fully open position of the joint [rad or m]; the closed one is closer to zero."""
+        """The joint's closed and fully open positions [rad or m]; the closed position is closer to zero."""
         if self.joint.limits is None:
             raise FailedError(f"joint {self.joint.name} has no limits, so it cannot be opened or closed")
         low, high = self.joint.limits
@@ -94,7 +94,7 @@ class _Handle:
         return self.state.joints[f"{self.item.name}.{self.joint.name}"]
 
     def motion(self, then: float) -> Pose:
-        """Return the motion of the joint's child in the world when the joint moves to ``then`` [rad or m]."""
+        """Return the motion of the joint's child link in the world when the joint moves to ``then`` [rad or m]."""
         X_WO, joints = self.state.poses[self.item.name], self.state.of_object(self.item)
         X_OC, X_OD = (link_poses(self.item, {**joints, self.joint.name: q})[self.joint.child] for q in (self.now, then))
         return X_WO @ X_OD @ X_OC.inverse() @ X_WO.inverse()
@@ -113,7 +113,7 @@ class _Handle:
         return _unit((corners.mean(axis=0) - (self.state.poses[self.item.name] @ X_OC).p) * LEVEL)
 
     def grasps(self, jaws: Jaws) -> list[Grasp]:
-        """Return grasps of the geometry that protrudes from the joint's child, best first.
+        """Return grasps of the geometry that protrudes from the joint's child link, best first.
 
         The hand approaches from the front, at a downward slant, or from above.
         """

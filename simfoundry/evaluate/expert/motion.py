@@ -133,7 +133,7 @@ Free = Callable[[Array], bool]
 
 
 def _straight(a: Array, b: Array, free: Free) -> bool:
-    """Return True if all configurations on the straight line to ``b`` are free; ``a`` itself is not checked."""
+    """Return True if all configurations on the straight line from ``a`` to ``b`` are free, without checking ``a``."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))
 
@@ -159,7 +159,7 @@ class _Tree:
         return len(self.postures) - 1
 
     def path(self, k: int) -> Path:
-        """Return the configurations from the k-th one to the root."""
+        """Return the configurations from the k-th configuration to the root of the tree."""
         found = []
         while k >= 0:
             found.append(self.postures[k])
@@ -203,7 +203,7 @@ FAR = 0.03
 
 
 class PlanningScene:
-    """The scene in MuJoCo for collision queries, which change its state; :meth:`sync` restores a given state."""
+    """The scene in MuJoCo, for collision queries. Queries change its state; :meth:`sync` restores a given state."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -306,7 +306,7 @@ class PlanningScene:
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
         """Return the first body that is closer than ``gap`` [m] to one of the ``moving`` robots and objects, or None.
 
-        Contacts among the moving bodies, or with ``ignore``, are not counted.
+        Contacts among the moving bodies and contacts with ``ignore`` are not counted.
         """
         self._collide()
         mine = set(moving)

@@ -168,7 +168,7 @@ class ExpertPolicy(Policy):
                 yield from put(worker, robot, found)
 
     def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
-        """Return the placements at which the step would be completed."""
+        """Return the placements that would complete the step."""
         now, thing = self._worker.now.state, step.args[0]
         states = [SceneState({**now.poses, thing: place.X_WO}, now.joints, now.motions) for place in found]
         if not states:
@@ -177,7 +177,7 @@ class ExpertPolicy(Policy):
         return [place for place, good in zip(found, holds, strict=True) if good]
 
     def _recover(self) -> Script:
-        """Release any object, return the arm to its home configuration, and wait until all objects are at rest."""
+        """Release any held object, return the arm to its home configuration, and wait until all objects are at rest."""
         worker = self._worker
         for robot, planner in worker.planners.items():
             worker.held.pop(robot, None)

@@ -80,7 +80,7 @@ class PutPlan(NamedTuple):
 
 
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
-    """Pick up an object with a grasp that allows it to be placed at one of ``places``, if any are given."""
+    """Pick up an object. If ``places`` are given, use a grasp that allows the object to be placed at one of them."""
     worker.sync()
     plan = _plan_pick(worker, robot, name, places)
     if plan is None:
@@ -115,7 +115,7 @@ def seize(worker: ExpertWorker, robot: str, plan: GraspPlan) -> Script:
 
 
 def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> GraspPlan | None:
-    """Plan a grasp with which the arm can reach the object, lift it and place it, or return None if there is none."""
+    """Plan a grasp with which the arm can reach, lift and place the object; return None if there is none."""
     planner, q = worker.planners[robot], worker.q[robot]
     item, X_WO = worker.scene.object(name), worker.now.state.poses[name]
     shape, center = solid(item, worker.now.state), center_of_mass(item, X_WO)
@@ -144,7 +144,7 @@ def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt
 
 
 def hand_fits(planner: ArmPlanner, grasp: Grasp, share: float, ignore: str = "") -> bool:
-    """Return True if the hand alone, its gripper closed by the fraction ``share``, has enough space at a grasp."""
+    """Return True if the hand, with its gripper closed by the fraction ``share``, has enough space at a grasp."""
     planner.cell.pose(planner.name, planner.arm.home, share)
     return not planner.cell.hand_clash(planner.name, grasp.X_WH, gap=NARROW, ignore=ignore)
 
@@ -163,7 +163,7 @@ def _clashes(planner: ArmPlanner, X_WO: Pose, held: Held, gap: float = 0.0) -> b
 
 
 def path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
-    """Plan the path to a grasp from a waypoint before it that the arm can reach from near ``q``."""
+    """Plan the path to a grasp from a preceding waypoint that the arm can reach from near ``q``."""
     start = planner.arm.solve_any(before(grasp.X_WH), q, planner.rng)
     if start is None or not planner.clear(start, grasp.open):
         return None
@@ -171,7 +171,7 @@ def path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
 
 
 def _paths_up(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> tuple[Path, Path] | None:
-    """Plan the path to a grasp from a waypoint before it, and the path back up with the object."""
+    """Plan the path to a grasp from a preceding waypoint, and the path back up with the object."""
     way = path_to(planner, q, grasp)
     closed = planner.jaws.at_width(grasp.width)[0]
     if way is None or not planner.clear(way[-1], closed, gap=NARROW, ignore=[name]):
@@ -236,7 +236,7 @@ def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: 
 
 
 def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
-    """Plan for the first placement at which the arm can release the object and retreat, or return None."""
+    """Return a plan for the first placement at which the arm can release the object and retreat, or None."""
     planner, q, name = worker.planners[robot], worker.q[robot], worker.held[robot].name
     reading = worker.now.robots[robot]
     held, share = Held(name, reading.X_WH.inverse() @ worker.now.state.poses[name]), reading.gripper

@@ -57,7 +57,7 @@ def paced(
 
 
 def _dense(path: Path) -> Array:
-    """Interpolate a path densely enough to determine the speed of the hand, shape (k, n)."""
+    """Interpolate a path densely enough to determine the hand speed. The result has shape (k, n)."""
     found = [path[0]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / 0.05)))
@@ -160,7 +160,7 @@ class ExpertWorker:
                 return
 
     def wait(self, seconds: float) -> Script:
-        """Hold still for a number of seconds."""
+        """Hold still for the given number of seconds."""
         for _ in range(max(1, round(seconds * self.hz))):
             yield
 

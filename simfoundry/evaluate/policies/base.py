@@ -66,7 +66,7 @@ class Observation:
         time: The time since the start of the rollout [s].
         instruction: The instruction of the task.
         robots: The robots that act, in the order of the task.
-        images: The requested images, by the name of the camera in the scene.
+        images: The requested images, keyed by the name of the camera in the scene.
         state: The true state, for privileged policies such as the scripted expert.
     """
 
@@ -78,12 +78,12 @@ class Observation:
 
 
 class Policy(Protocol):
-    """A policy, which determines the next actions of the robots.
+    """A policy, which determines the robots' next actions.
 
-    An action contains, for each robot in the order of the task, the values of its arm's joints followed by its gripper,
-    from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s], depending on
-    ``action_space``. ``name`` is the name in reports. ``cameras`` lists the cameras in the scene that the policy uses,
-    with the size of each image; no other camera is rendered.
+    An action lists the values for each robot, in the order of the task: the arm's joint values, followed by the gripper
+    position from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s],
+    depending on ``action_space``. ``name`` is used in reports. ``cameras`` maps the cameras that the policy uses to the
+    size of their images; no other cameras are rendered.
     """
 
     name: str
@@ -105,7 +105,7 @@ class Policy(Protocol):
 class PolicyError(SimfoundryError):
     """An error raised if a policy cannot be queried or does not respond, so that its performance remains unknown.
 
-    The message says how to fix the problem.
+    The message explains how to fix the problem.
     """
 
 

@@ -26,7 +26,7 @@ MAX_DIMENSIONS = 8  # images and action chunks have at most four; this bounds ho
 
 
 class CodecError(ValueError):
-    """An error raised for messages that violate the protocol; its text describes the violation."""
+    """An error raised for a message that violates the protocol; its text describes the violation."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Codec:
 
 
 def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C") -> np.ndarray[Any, Any]:
-    """Interpret bytes as an array of exactly that size; raises :class:`CodecError` if the type or shape is invalid."""
+    """Interpret bytes as an array; raises :class:`CodecError` if the type, the shape or the size is invalid."""
     if dtype.kind not in PLAIN:
         raise CodecError(f"it contains an array of `{dtype}`, but only plain numbers are allowed")
     if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):

@@ -34,7 +34,7 @@ DROID_HAND = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True)
 class Modality:
-    """The ``keys`` of one modality and its time ``steps``; 0 is the current step, negative steps are in the past."""
+    """The ``keys`` of one modality and its time ``steps``, where 0 is the current step and past steps are negative."""
 
     keys: tuple[str, ...]
     steps: tuple[int, ...]
@@ -54,7 +54,7 @@ def modality(found: Any, name: str) -> Modality:
 
 
 def eef_9d(X_BH: Pose) -> Array:
-    """Encode a hand pose in the base frame as in GR00T's training data from DROID.
+    """Encode a hand pose in the base frame in the same way as GR00T's training data from DROID.
 
     The result contains the position [m], followed by the first two rows of a rotation matrix, shape (9,). This matrix
     is the rotation of the hand multiplied by :data:`DROID_HAND`.
@@ -124,7 +124,7 @@ class Requests(ServerConnection):
 
     def _sound(self, data: bytes) -> Any:
         if data == b"ERROR":
-            raise self.fail(f"the server at {self.uri} failed without giving a reason", InvalidAnswerError)
+            raise self.fail(f"the server at {self.uri} failed without stating a reason", InvalidAnswerError)
         answer = self.unpacked(data)
         if isinstance(answer, dict) and "error" in answer:
             reason = last_line(str(answer["error"]))
@@ -205,7 +205,8 @@ class GrootPolicy(RemotePolicy):
     """A client of GR00T's ``PolicyServer`` for a single arm.
 
     The server describes its inputs (``get_modality_config``). If the server needs images from earlier steps, as N1.7
-    does, the images of earlier requests are sent again, so the number of steps must be divisible by ``horizon``.
+    does, the images of earlier requests are sent again, so the number of steps to look back must be divisible by
+    ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -227,7 +228,7 @@ class GrootPolicy(RemotePolicy):
         self._requests.ask("reset", {"options": None})
 
     def ask(self, observation: Observation) -> object:
-        """Return the joints and gripper of the response side by side, shape (steps, 8) for a Franka."""
+        """Return the joint and gripper values in the response side by side, shape (steps, 8) for a Franka."""
         if len(observation.robots) != 1:
             message = f"a groot policy controls one arm, but the task has {len(observation.robots)} robots"
             raise self._requests.fail(message)
@@ -249,7 +250,7 @@ class GrootPolicy(RemotePolicy):
         self._requests.close()
 
     def _depth(self) -> int:
-        """Return the number of requests to remember, including the current one."""
+        """Return the number of requests to remember, including the current request."""
         steps = (*self._takes["video"].steps, *self._takes["state"].steps)
         return 1 + max(-step // self.spec.horizon for step in steps)
 
@@ -289,7 +290,7 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
         if step > 0 or -step % spec.horizon:
             fits = ", ".join(str(n) for n in range(1, -step + 1) if -step % n == 0)
             reason = f"with `horizon: {spec.horizon}` there is no request at that step"
-            raise PolicyError(f"the server looks {-step} steps back, but {reason}; set `horizon` to {fits}")
+            raise PolicyError(f"the server needs data from {-step} steps back, but {reason}; set `horizon` to {fits}")
 
 
 def _joined(answer: Any) -> Array:

@@ -1,7 +1,7 @@
 """Serve LeRobot checkpoints over openpi's protocol: ``python -m simfoundry.evaluate.policies.lerobot CHECKPOINT``.
 
 Run this server in an environment with LeRobot and PyTorch, which SimFoundry itself does not require. Evaluations in any
-other environment can then connect to it with a policy document that has ``protocol: openpi``. The message keys are the
+other environment can then connect to it with a policy document that sets ``protocol: openpi``. The message keys are the
 names of the checkpoint's features (``observation.state``, ``observation.images.front``), and the instruction is sent as
 ``prompt``. LeRobot's own remote protocol is not used because it unpickles received data.
 """

@@ -38,7 +38,7 @@ class RandomPolicy(Policy):
         self._rng = np.random.default_rng(0)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout; equal seeds produce equal walks."""
+        """Start a rollout; the same seed always produces the same walk."""
         self._rng = np.random.default_rng(seed)
 
     def infer(self, observation: Observation) -> Array:
@@ -56,7 +56,7 @@ LARGEST = 256 * 2**20
 
 
 class ReplayPolicy(Policy):
-    """A policy that replays recorded actions in order and then holds the last one.
+    """A policy that replays recorded actions in order and then keeps repeating the last action.
 
     Every rollout starts with the first action.
     """

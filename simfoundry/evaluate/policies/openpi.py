@@ -2,7 +2,7 @@
 
 RoboArena and DreamZero extend openpi's messages with an ``endpoint`` and keep rollout state on the server. Their server
 first sends its configuration (``PolicyServerConfig`` in ``roboarena/policy_server.py``), which is checked against the
-policy document. Note that they number cameras from 0, whereas openpi numbers them from 1.
+policy document. RoboArena and DreamZero number cameras from 0, whereas openpi numbers cameras from 1.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
     Requests are independent of each other, so if the connection is lost, the client reconnects and repeats the request.
-    ``state_keys`` maps the keys of the robot state to readings, and is used unless the policy document specifies them.
+    ``state_keys`` maps robot state keys to readings and is used unless the policy document specifies its own mapping.
     """
 
     state_keys: Mapping[str, str] = DROID_STATE
@@ -39,7 +39,7 @@ class OpenpiPolicy(RemotePolicy):
         self._connection.begin()
 
     def ask(self, observation: Observation) -> object:
-        """Return the ``actions`` in the response."""
+        """Return the ``actions`` entry of the server's response."""
         answer = self._connection.ask(self._message(observation))
         if not isinstance(answer, dict) or "actions" not in answer:
             keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
@@ -85,7 +85,7 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._new_session, self._session = new_session, ""
 
     def begin(self) -> None:
-        """Connect, check the server's configuration against the document, and reset the rollout state of the server."""
+        """Connect, check the server's configuration against the document, and reset the server's rollout state."""
         self._connection.begin()
         wrong = next(disagreements(self.spec, self._connection.greeting), None)
         if wrong is not None:
@@ -96,7 +96,7 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
 
     def ask(self, observation: Observation) -> object:
-        """Return the response, or its ``actions`` entry if it has one; servers use both forms."""
+        """Return the response itself or, if it has an ``actions`` entry, that entry; servers use both forms."""
         message = self._message(observation) | {"session_id": self._session, "endpoint": "infer"}
         answer = self._connection.ask(message, again=False)
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
@@ -106,7 +106,7 @@ def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
     """Yield a sentence for each mismatch between the server's configuration and the document."""
     space = wishes.get("action_space")
     if isinstance(space, str) and space != spec.action_space:
-        yield f"its action space is `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
+        yield f"its action space is `{space[:40]}`, but the document specifies `action_space: {spec.action_space}`"
     for key in _wanted_cameras(wishes):
         if key not in spec.cameras:
             yield f"it needs the image `{key}`, which is missing from `cameras`"

@@ -1,4 +1,4 @@
-"""User-defined policies that run in this process: Python classes that are selected by their module or file."""
+"""User-defined policies that run in this process, as Python classes selected by module or file."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _module(module: str) -> ModuleType:
 
 
 def _source(module: str) -> Path | None:
-    """Return the file of a module, or None if it is not found; its folder is added to the import path.
+    """Return a module's file and add its folder to the import path; return None if the module is not found.
 
     Installed packages take precedence, so a local file never shadows a package.
     """

@@ -75,7 +75,7 @@ class PolicyRecord:
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
     """Return the cameras in the scene that a policy uses, with the size at which each is rendered.
 
-    If two keys refer to the same camera with different sizes, the larger size is rendered.
+    If two keys request different sizes from the same camera, it is rendered at the larger size.
     """
     sizes = [(view.camera, ImageSize(*(view.render or view.size))) for view in spec.cameras.values()]
     cameras = dict.fromkeys(camera for camera, _ in sizes)
@@ -83,7 +83,7 @@ def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
 
 
 def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
-    """Return each image under the policy's key; raises :class:`PolicyError` if the image of a camera is missing."""
+    """Return the images under the policy's keys; raises :class:`PolicyError` if a camera image is missing."""
     found: dict[str, Image] = {}
     for key, view in spec.cameras.items():
         image = observation.images.get(view.camera)
@@ -96,7 +96,7 @@ def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
 
 
 def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
-    """Return one sensor quantity for all robots in order as an array; see ``state`` in policy documents."""
+    """Return one sensor quantity of all robots, in order, as an array; see ``state`` in policy documents."""
     rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
@@ -107,7 +107,7 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
-    """Return the robots' state under the policy's keys, as float32 like in DROID's recordings."""
+    """Return the robots' state under the policy's keys, in float32 like DROID's recordings."""
     wanted = default if spec.state is None else spec.state
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
 
@@ -132,9 +132,9 @@ def droid_cameras(
 def resize_with_pad(image: Image, size: ImageSize) -> Image:
     """Resize an image to fit into ``size`` and center it on black.
 
-    The filter is Pillow's bilinear filter, which averages pixels when it shrinks an image; side lengths are rounded
-    down. The result matches ``openpi_client.image_tools.resize_with_pad``, which was used to train the policies, pixel
-    for pixel.
+    Pillow's bilinear filter is used, which averages pixels when it shrinks an image, and side lengths are rounded down.
+    The result is identical, pixel for pixel, to that of ``openpi_client.image_tools.resize_with_pad``, which was used
+    to train the policies.
 
     Args:
         image: The image, shape (h, w, 3).
@@ -158,12 +158,12 @@ def resize_with_pad(image: Image, size: ImageSize) -> Image:
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
-    """Validate a response, which is untrusted, and return its first ``horizon`` actions, shape (horizon, action size).
+    """Validate an untrusted response and return its first ``horizon`` actions, shape (horizon, action size).
 
     Joint values are in rad, m, rad/s or m/s, and gripper values range from 0 (open) to 1 (closed).
 
     Raises:
-        InvalidAnswerError: If the response is not an array of at least that many actions.
+        InvalidAnswerError: If the response is not an array of at least ``horizon`` actions.
     """
     if not isinstance(answer, np.ndarray):
         raise InvalidAnswerError(f"{spec.name} returned a `{type(answer).__name__}` instead of an array of actions")
@@ -191,7 +191,7 @@ def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
 
 
 class ServerConnection(ABC):
-    """A connection to a policy server; this base class contains the parts that all protocols share."""
+    """A connection to a policy server. This base class contains everything that the protocols have in common."""
 
     codec: ClassVar[Codec]
 
@@ -214,7 +214,7 @@ class ServerConnection(ABC):
         return self.spec.timeout if self.answered else self.spec.warm_up
 
     def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """Add an error to the record and return it, so that the caller can raise it."""
+        """Add an error to the record and return the error, so that the caller can raise it."""
         self.record.failed(message)
         return kind(message)
 
@@ -237,7 +237,7 @@ class ServerConnection(ABC):
             raise self.fail(f"could not send a request to {self.spec.name}: {error}") from None
 
     def unpacked(self, data: bytes) -> Any:
-        """Parse a response, which is untrusted."""
+        """Parse an untrusted response."""
         try:
             return self.codec.unpack(data)
         except CodecError as error:
@@ -245,7 +245,7 @@ class ServerConnection(ABC):
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Count a request and measure the time until its response."""
+        """Count a request and measure the time until the response arrives."""
         start = time.monotonic()
         self.record.questions += 1
         try:
@@ -276,7 +276,7 @@ def last_line(text: str, most: int = 300) -> str:
 
 
 class RemotePolicy(Policy, ABC):
-    """A policy behind a server, configured by its document; ``record`` contains statistics about its requests.
+    """A policy behind a server, configured by a policy document; ``record`` contains statistics about its requests.
 
     Subclasses implement the protocol: ``begin`` is called before each rollout, ``ask`` sends a request, and ``close``
     closes the connection.
@@ -299,7 +299,7 @@ class RemotePolicy(Policy, ABC):
             raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:
-        """Return as many actions as the document's ``horizon`` specifies, shape (horizon, action size)."""
+        """Return as many actions as ``horizon`` in the policy document specifies, shape (horizon, action size)."""
         answer = self.ask(observation)
         try:
             return actions_of(self.spec, answer, observation.robots)

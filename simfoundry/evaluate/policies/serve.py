@@ -23,7 +23,7 @@ Infer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """Create a server that runs once its ``serve_forever`` is called.
+    """Create a policy server, which runs once its ``serve_forever`` method is called.
 
     The server sends ``metadata`` when a client connects. If ``infer`` raises an exception, the client receives the
     traceback as text and the connection is closed, as with openpi's server; later connections are not affected.
@@ -33,7 +33,7 @@ def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", po
         infer: The function that computes the response to a request.
         metadata: The first message sent to each client.
         host: The network address to listen on.
-        port: The port to listen on; 0 selects a free port, which ``server.socket`` provides.
+        port: The port to listen on. 0 selects a free port, which can be read from ``server.socket``.
     """
     server = needed("websockets.sync.server", "serving a policy")
     needed("msgpack", "serving a policy")

@@ -57,8 +57,8 @@ class Connection(ServerConnection):
 
         Args:
             message: The request.
-            again: Whether to repeat the request if the connection is lost. Otherwise the rollout is missing, because
-                the server has lost its rollout state.
+            again: Whether to repeat the request if the connection is lost. If not, the rollout counts as missing,
+                because the server has lost its rollout state.
             expect_text: The only text message that is not treated as an error.
 
         Raises:
@@ -146,7 +146,7 @@ class Connection(ServerConnection):
 
     @contextmanager
     def _connected(self) -> Iterator[ClientConnection]:
-        """Provide the socket, and convert the exceptions that it raises if the connection is lost."""
+        """Provide the socket, and convert the exceptions that it raises when the connection is lost."""
         from websockets.exceptions import ConnectionClosed
 
         assert self._socket is not None

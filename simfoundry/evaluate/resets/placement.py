@@ -35,14 +35,14 @@ def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
 
 
 def draws(name: str, seed: int, start: int) -> np.random.Generator:
-    """Return the random generator that all attempts at one initial state use for the positions of an object."""
+    """Return the random generator for an object's positions in all attempts at one initial state."""
     return _generator(seed, name, start, 1)
 
 
 def sample(
     region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Sample a position x, y [m] within a cell and a rotation [deg] within its range, all uniformly."""
+    """Uniformly sample a position x, y [m] within a cell, and a rotation [deg] within the allowed range."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
     share = rng.random(3)
     low_yaw, high_yaw = region.yaw_deg
@@ -85,8 +85,8 @@ class Refusal:
         object: The object that caused the failure.
         kind: The kind of failure, for statistics.
         why: A description of the failure that includes numbers.
-        other: The object that it collided with if that object is also placed at random, otherwise an empty string.
-            Only in the first case can an exchange of cells help, because every cell must be used by an initial state.
+        other: The object with which it collided, if that object is also placed at random; otherwise an empty string.
+            An exchange of cells can help only if this is set, because every cell must be used by an initial state.
     """
 
     object: str
@@ -102,7 +102,7 @@ Spots = Mapping[str, tuple[float, float, float]]
 def placed(task: Task, spots: Spots) -> SceneState:
     """Return the state with the objects at their sampled positions, at the heights given by the scene.
 
-    Objects that rest on or in one of them move along with it. Joints have their positions from the scene.
+    Objects that rest on or in a placed object move along with it. Joints keep their positions from the scene.
     """
     scene = task.scene
     poses = {item.name: item.X_WO for item in scene.objects}
@@ -118,7 +118,7 @@ def placed(task: Task, spots: Spots) -> SceneState:
 
 
 def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
-    """Return the closest object in the chain of supports that is placed at random, or None."""
+    """Return the closest randomly placed object in the chain of supports, or None if there is none."""
     seen = {name}
     while (name := task.carriers.get(name, "")) and name not in seen:
         if name in spots:

@@ -1,9 +1,9 @@
 """Initial states of rollouts, which are settled, verified, and the same for all policies.
 
-The protocol is that of the paper ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid for each object, one
-cell per rollout drawn without replacement, and a random rotation. An initial state depends only on the task, the seed
-and its index. If the cell of an object conflicts with those of the other objects, it is exchanged with the cell from a
-later initial state. Initial states are cached on disk under a key derived from the content they depend on.
+The protocol follows the paper ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid for each object, one cell
+per rollout drawn without replacement, and a random rotation. An initial state depends only on the task, the seed and
+its own index. If an object's cell conflicts with the cells of other objects, it is exchanged for the cell of a later
+initial state. Initial states are cached on disk under a key derived from the content they depend on.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ Known = tuple[dict[str, list[GridCell]], list[SceneState]]
 def key_of_starts(task: Task, seed: int) -> str:
     """Return the cache key for the initial states of a task.
 
-    It covers the world in which they are settled, the reset, the goal and the seed, but not the version of the engine,
-    so that initial states do not change after an update.
+    The key covers the world in which the states are settled, the reset, the goal and the seed. It does not include the
+    engine version, so initial states do not change when the engine is updated.
     """
     files = compile_mjcf(task.scene).files
     goal: bytes = TypeAdapter(Condition).dump_json(task.goal)
@@ -145,7 +145,7 @@ class RolloutStart:
 
 
 class StartError(SimfoundryError):
-    """An error raised if no initial state is found; the message contains the object, its cell and the reason."""
+    """An error raised if no initial state is found; the message states the object, its cell and the reason."""
 
 
 def starts(
@@ -153,7 +153,7 @@ def starts(
 ) -> tuple[RolloutStart, ...]:
     """Return the first ``n`` initial states of a task.
 
-    After one initial state per cell of the grid, all cells are dealt again.
+    Once there is an initial state for every grid cell, the cells are shuffled again.
 
     Args:
         task: The task.
@@ -161,7 +161,7 @@ def starts(
         seed: The seed for all random choices.
         cache: A cache that stores initial states by the content of the scene and the task, so that they are settled
             only once.
-        progress: A callback that reports how many have been found.
+        progress: A callback that receives the number of initial states found so far and the total number.
 
     Raises:
         StartError: If an initial state cannot be found.
@@ -250,7 +250,7 @@ class _Search:
     def _attempts(
         self, cells: Mapping[str, GridCell], rngs: Mapping[str, np.random.Generator], tries: int
     ) -> SceneState | list[Refusal]:
-        """Return a state with the objects in their cells, or the reasons why all attempts failed."""
+        """Return a state with all objects in their cells, or the reasons why every attempt failed."""
         regions, grid = self.task.reset.objects, self.task.reset.grid
         refusals: list[Refusal] = []
         while len(refusals) < tries and sum(not r.other for r in refusals) < HOPELESS:

@@ -1,4 +1,4 @@
-"""Bounds on the distances between bodies, which show without a measurement that most goals do not hold yet."""
+"""Distance bounds between bodies, which show that most goals cannot hold yet without measuring exact distances."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ NEAR, WAIT = 0.1, 10
 
 
 class Clearances:
-    """Decides conditions that are false because the bodies they refer to are too far apart to touch.
+    """A test for conditions that are false because the bodies they refer to are too far apart to touch.
 
-    Objects are far apart if their bounding spheres are. A measured distance between a robot and an object remains valid
-    until the joints and the object have moved so far that the bodies may touch.
+    Objects are compared by their bounding spheres. The distance between a robot and an object is measured, and the
+    measurement remains valid until the joints and the object have moved so far that the two may touch.
     """
 
     def __init__(self, scene: Scene, judge: Judge) -> None:

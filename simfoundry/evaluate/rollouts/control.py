@@ -1,6 +1,6 @@
 """The interface between a policy and the robots and cameras in a world.
 
-It provides observations and applies actions as joint targets.
+The interface provides observations and applies actions as joint targets.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> No
 
     Args:
         scene: The scene.
-        wanted: The requested image sizes, by camera.
+        wanted: The requested image sizes, keyed by camera.
         who: A description of the requester for error messages.
 
     Raises:
@@ -63,11 +63,11 @@ FARTHEST = 0.2
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:
-    """Return the number of physics steps in a control step; at least 1.
+    """Return the number of physics steps in a control step, which is at least 1.
 
     The end of each control step, rather than its length, is rounded to a physics step, so that rounding errors do not
-    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps have 33, 34, 33, ... physics steps, and
-    10 s have 150 control steps.
+    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps consist of 33, 34, 33, ... physics steps,
+    and there are exactly 150 control steps in 10 s.
 
     Args:
         step: The index of the control step, counted from 0.
@@ -79,7 +79,7 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
 
 
 class Controller:
-    """Applies actions as targets for the arm joints and grippers.
+    """A controller that applies actions as targets for the arm joints and grippers.
 
     Position targets are clamped to the joint limits. Velocities [rad/s or m/s] are integrated from the previous
     targets. If they were integrated from the measured positions, the arm would sink, because servos sag slightly below

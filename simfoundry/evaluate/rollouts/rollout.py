@@ -64,7 +64,7 @@ class Progress:
         """Evaluate consecutive states and return the index of the state that completes the task, or None.
 
         ``step`` is the control step after which the first state was reached, counted from 1. All states are evaluated
-        in one batch, which takes hardly longer than a single state. States after completion are ignored.
+        in one batch, which takes hardly longer than evaluating a single state. States after completion are ignored.
         """
         goals = {name: self._task.subtasks[name].goal for name, done in self.subtasks.items() if done is None}
         goals[""] = self._task.goal
@@ -117,7 +117,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """The images to record during a rollout: one from each of ``cameras`` after every ``every`` control steps."""
+    """The images to record during a rollout: one from each camera in ``cameras`` every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -138,7 +138,7 @@ class Rollout:
         chunks: The number of requests to the policy.
         timings: The time spent on each part of the rollout.
         final: The last state.
-        frames: The recorded images by camera.
+        frames: The recorded images, keyed by camera.
     """
 
     task: str
@@ -238,7 +238,7 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Run until the rollout ends; return the reason, and the details of a failure."""
+        """Run until the rollout ends; return the reason and, for a failure, its details."""
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
@@ -259,7 +259,7 @@ class _Run:
         one batch. Actions that were executed after the goal had held are removed from the record.
 
         Returns:
-            The reason why the rollout ended with details, or None if it continues.
+            The reason why the rollout ended, along with details, or None if the rollout continues.
         """
         first, states, ended = len(self.actions), list[SceneState](), None
         marks = []

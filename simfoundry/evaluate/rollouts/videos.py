@@ -59,7 +59,7 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the encoder's messages on standard error, for which OpenCV does not have a setting."""
+    """Suppress the encoder's messages on standard error, which OpenCV has no setting for."""
     kept = os.dup(2)
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:

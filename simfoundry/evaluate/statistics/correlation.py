@@ -27,7 +27,7 @@ MOST_BYTES = 32 * 2**20
 
 
 class ScoresError(SimfoundryError):
-    """An error in a table of scores; the message contains the file, the line and the expected content."""
+    """An error in a table of scores; the message includes the file, the line and the expected content."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ BLOCK = 1000
 
 @dataclass(frozen=True)
 class RateAgreement:
-    """The agreement between simulation and reality on one task, over the policies that were evaluated in both.
+    """The agreement between simulation and reality on a task, for the policies that were evaluated in both.
 
     Attributes:
         policies: The names of the policies.
@@ -164,8 +164,8 @@ class RateAgreement:
         sim: The simulated success rate of each policy, from 0 to 1.
         pearson: Pearson's r, or None if either set of rates is constant.
         mmrv: The mean maximum rank violation.
-        pearson_interval: The central interval of r over resampled rates and policies, or None for a single policy.
-        mmrv_interval: The central interval of MMRV over resampled rates and policies, or None for a single policy.
+        pearson_interval: The central interval for r over resampled rates and policies, or None for a single policy.
+        mmrv_interval: The central interval for MMRV over resampled rates and policies, or None for a single policy.
     """
 
     task: str
@@ -182,7 +182,7 @@ class RateAgreement:
 class Draws:
     """Options for computing the intervals.
 
-    ``count`` is the number of draws, and ``rollouts`` is the number of rollouts for rates that do not specify one.
+    ``count`` is the number of draws, and ``rollouts`` is the number of rollouts to assume for rates without one.
     """
 
     count: int = 2000
@@ -196,13 +196,13 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
 
     Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that rates of 0 and 25 out
     of 25 are not treated as certain. It also samples the policies with a Bayesian bootstrap (Rubin, 1981), with weights
-    from a flat Dirichlet distribution. Resampling three to five policies with replacement would mostly leave only two
+    from a flat Dirichlet distribution. Resampling three or four policies with replacement would often leave only two
     distinct policies, for which r is always 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99% of the 95%
-    intervals contain the r of the population of policies (``tests/corpora/intervals.py``). With a bootstrap over the
-    rollouts alone, 57 to 94% of them do.
+    intervals contain the r of the underlying policy population (``tests/corpora/intervals.py``). For a bootstrap over
+    the rollouts alone, 57 to 94% do.
 
     Raises:
-        ScoresError: If no pair of task and policy is in both tables.
+        ScoresError: If the two tables have no combination of task and policy in common.
     """
     there = {(s.task, s.policy): s for s in sim}
     tasks: dict[str, list[tuple[Score, Score]]] = {}
@@ -211,7 +211,7 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
             tasks.setdefault(score.task, []).append((score, there[score.task, score.policy]))
     if not tasks:
         raise ScoresError(
-            "the two tables have no pair of task and policy in common: "
+            "the two tables have no task and policy in common: "
             f"the real one contains {_some(real)}; the simulated one contains {_some(sim)}"
         )
     rng = np.random.default_rng(draws.seed)
@@ -219,17 +219,17 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
 
 
 def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
-    """List the pairs ``task × policy`` that appear in only one of the two tables, sorted."""
+    """Return a sorted list of the ``task × policy`` pairs that appear in only one of the two tables."""
     a, b = ({(s.task, s.policy) for s in scores} for scores in (real, sim))
     return [f"{task} × {policy}" for task, policy in sorted(a ^ b)]
 
 
 def reservations(scores: Sequence[Score]) -> list[str]:
-    """Return a warning sentence for each rate with missing rollouts or invalid responses."""
+    """Return a warning for each rate that has missing rollouts or invalid responses."""
     said = []
     for s in scores:
         name, of = f"{s.policy} on {s.task}", "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
-        said += [f"{name}: {s.missing}{of} rollouts are missing; the rate does not include them"] * bool(s.missing)
+        said += [f"{name}: {s.missing}{of} rollouts are missing and not included in the rate"] * bool(s.missing)
         said += [f"{name}: {s.invalid} rollouts failed because of an invalid response"] * bool(s.invalid)
     return said
 

@@ -20,7 +20,7 @@ Z_95 = 1.959963984540054
 def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float | None:
     """Return Pearson's correlation coefficient between two arrays of scores, shape (n,), or None if either is constant.
 
-    For a constant array the coefficient would be 0/0, so neither 0 nor 1 would be correct.
+    For a constant array, the coefficient is 0/0 and therefore undefined.
     """
     x, y = _pair(real, sim)
     if len(x) < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
@@ -63,7 +63,7 @@ def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
 
 
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
-    """Return Wilson's score interval of a success rate at ``z`` standard deviations, or (0, 1) without rollouts.
+    """Return Wilson's score interval for a success rate at ``z`` standard deviations, or (0, 1) without rollouts.
 
     The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927).
     """
@@ -75,7 +75,7 @@ def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float
 
 
 def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
-    """Return Wilson's score interval for a rate and a number of rollouts, which does not have to be an integer."""
+    """Return Wilson's score interval for a rate, given a number of rollouts that need not be an integer."""
     share = z * z / rollouts
     middle = (rate + share / 2) / (1 + share)
     half = z * math.sqrt(rate * (1 - rate) / rollouts + share / (4 * rollouts)) / (1 + share)
@@ -105,7 +105,7 @@ class Rate:
 
 
 def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[float, float, float]:
-    """Return the mean rate of equally weighted strata, followed by the lower and upper ends of its interval.
+    """Return the mean rate of equally weighted strata, followed by the lower and upper bounds of its interval.
 
     The variance of the mean is the sum of p(1-p)/n over the strata, divided by the squared number of strata. With a
     single rollout in a stratum, p(1-p) cannot be estimated, so the value for the mean rate is used for all strata.
@@ -144,7 +144,7 @@ DRAWN_FLIPS = 20_000
 
 
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
-    """Return the two-sided p-value of a paired permutation test that the mean of ``differences``, shape (n,), is zero.
+    """Return the two-sided p-value of a paired permutation test for zero mean of ``differences``, shape (n,).
 
     Under the null hypothesis, the two members of each pair are exchangeable, and swapping them flips the sign of their
     difference (Fisher, 1935). For up to :data:`EXACT_FLIPS` differences, all sign changes are enumerated. Beyond that,

@@ -60,10 +60,7 @@ class RecordSlot:
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
-        """Write a rollout with its context ``about``.
-
-        The file that marks the rollout as finished is written last.
-        """
+        """Write a rollout and its context ``about``; the file that marks the rollout as finished is written last."""
         record = record_of(result, about)
         if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
@@ -76,7 +73,7 @@ class RecordSlot:
         return record
 
     def write_missing(self, reason: str, about: Mapping[str, Any]) -> dict[str, Any]:
-        """Record that the policy could not be opened for this rollout, with its context ``about``."""
+        """Record, along with the context ``about``, that the policy could not be opened for this rollout."""
         found = {"index": self.index, "success": False, "end": str(RolloutEnd.NO_ANSWER), "reason": reason, "steps": 0}
         record = {"simfoundry": VERSION, **about, **found, "subtasks": {}}
         write_atomically(self.missing, _text(record))
@@ -84,7 +81,7 @@ class RecordSlot:
 
 
 def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a rollout as plain data."""
+    """Return a rollout as plain data for its record file."""
     return {
         "simfoundry": VERSION,
         **about,
@@ -97,7 +94,7 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """Return True if a record contains a result; it does not if the policy did not respond."""
+    """Return True if a record contains a result, which requires that the policy responded."""
     return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 
@@ -127,7 +124,7 @@ def check_layout(folder: Path) -> None:
 
 
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield every rollout of an evaluation with its file, ordered by file name.
+    """Yield every rollout of an evaluation, along with its file, ordered by file name.
 
     Missing rollouts are included; their ``end`` identifies them.
 

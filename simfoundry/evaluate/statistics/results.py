@@ -1,4 +1,4 @@
-"""Success rates of tasks and their steps with intervals, computed from rollout records, for ``results.json``.
+"""Compute the success rates in ``results.json`` for tasks and their steps, with intervals, from rollout records.
 
 Rates are also pooled over multiple tasks, such as a folder of cousins. A rollout with an invalid response counts as a
 failure. A rollout without a response has no result: it is counted as missing and excluded from all rates.
@@ -72,7 +72,7 @@ class RatePool:
 
     @property
     def is_balanced(self) -> bool:
-        """True if all tasks have the same number of rollouts; the stratified and pooled rates are then equal."""
+        """True if all tasks have the same number of rollouts, so that the stratified and pooled rates are equal."""
         return len({of for _, of in self.counts}) == 1
 
     @property
@@ -134,7 +134,7 @@ def pools(records: Iterable[Record]) -> list[RatePool]:
 
 
 def _rate_of(done: Sequence[int | None]) -> Rate:
-    """Return the rate of a step, given the control step at which each rollout completed it, or None if it did not."""
+    """Return a step's rate, given the control step at which each rollout completed it, or None if it did not."""
     return Rate(sum(step is not None for step in done), len(done))
 
 
@@ -189,20 +189,20 @@ class ScoreRow:
 
     @property
     def exceptions(self) -> str:
-        """The numbers of invalid responses and missing rollouts as text, which is empty if both are zero."""
+        """The numbers of invalid responses and missing rollouts as text; empty if both numbers are zero."""
         counts = {"with an invalid response": self.invalid, "missing": self.missing}
         return ", ".join(f"{count} {words}" for words, count in counts.items() if count)
 
     @property
     def summary(self) -> str:
-        """The success rate as text, followed by any invalid responses and missing rollouts."""
+        """The success rate as text, followed by the numbers of invalid responses and missing rollouts, if any."""
         rate = str(self.success) if self.success.of else "no result"
         return f"{rate}, {self.exceptions}" if self.exceptions else rate
 
     def to_json(self) -> dict[str, Any]:
         """Return the row as an entry of ``scores``, which `simfoundry correlate` reads.
 
-        A single step is listed as a separate task.
+        Results of a single step are listed as a separate task.
         """
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
@@ -260,7 +260,7 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of an evaluation as plain data; equal rollouts give identical bytes.
+    """Return the results of an evaluation as plain data. Identical rollouts produce identical bytes.
 
     ``rollouts`` contains the rollouts with a result, and ``unanswered`` those that were tried but have no result.
     """

@@ -1,4 +1,4 @@
-"""The importer for LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
+"""The importer for LIBERO and BEHAVIOR tasks written in the Behavior Domain Definition Language (BDDL)."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

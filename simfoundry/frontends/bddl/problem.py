@@ -1,8 +1,8 @@
 """Read BDDL files: parse the PDDL expressions, extract the problem, and convert its conditions to predicates.
 
 Quantifiers are expanded over the scene's objects to `all`, `any` and `not`, with the same semantics as in the `bddl`
-package. `forn` requires exactly n objects and `fornpairs` exactly n pairs; `forpairs` requires a partner for as many
-objects as the smaller of the two groups contains.
+package. `forn` requires exactly n objects, and `fornpairs` exactly n pairs. In each of two groups, `forpairs` requires
+partners for at least as many objects as the smaller group contains.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class BddlRegion:
     """A region in a BDDL problem: either a part of an object or a rectangle on it.
 
     ``ranges`` is the rectangle (min x, min y, max x, max y) [m] in the frame of ``target``, and ``yaw`` is the minimum
-    and maximum rotation about z [rad]. Each is None if the file does not specify it.
+    and maximum rotation about z [rad]. Either is None if the file does not specify it.
     """
 
     name: str
@@ -38,8 +38,8 @@ class BddlRegion:
 class BddlProblem:
     """A BDDL problem.
 
-    ``kinds`` maps objects and fixtures to their types, and ``regions`` maps qualified names to regions. ``domain`` is
-    ``robosuite`` for LIBERO and ``omnigibson`` (or ``igibson`` in older files) for BEHAVIOR.
+    ``kinds`` maps the names of objects and fixtures to their types, and ``regions`` maps qualified names to regions.
+    ``domain`` is ``robosuite`` for LIBERO, and ``omnigibson`` (or ``igibson`` in older files) for BEHAVIOR.
     """
 
     name: str
@@ -102,7 +102,7 @@ def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
 
 
 def _regions(path: Path, group: BddlGroup) -> dict[str, BddlRegion]:
-    """Return the regions by the names ``TARGET_NAME`` that conditions use."""
+    """Return the regions, keyed by the names that conditions use (``TARGET_NAME``)."""
     found: dict[str, BddlRegion] = {}
     for region in group.groups:
         parts = {part.head: part for part in region.groups}
@@ -232,7 +232,7 @@ class Missing(list[str]):
     """The problems that prevent a conversion, without duplicates."""
 
     def add(self, group: BddlGroup, what: str) -> None:
-        """Record a problem at the line of ``group`` unless it has already been recorded."""
+        """Record a problem at the line of ``group``, unless the same problem has already been recorded."""
         text = f"line {group.line}: {what}"
         if text not in self:
             self.append(text)
@@ -240,7 +240,7 @@ class Missing(list[str]):
 
 @dataclass
 class ConditionReader:
-    """Converts BDDL conditions to conditions as in documents.
+    """Converts BDDL conditions to document conditions.
 
     ``atom`` creates a predicate from its name and arguments, and ``objects`` lists the objects of each type.
     """
@@ -251,7 +251,7 @@ class ConditionReader:
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
-        """Convert a condition; return None and extend ``missing`` if some part of it cannot be resolved."""
+        """Convert a condition; if part of it cannot be resolved, extend ``missing`` and return None."""
         match group.head:
             case "and" | "or":
                 key = "all" if group.head == "and" else "any"
@@ -332,7 +332,7 @@ class ConditionReader:
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
     def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
-        """Return the variable in ``(?x - type)`` and the objects that it ranges over."""
+        """Return the variable in ``(?x - type)`` and the objects over which it ranges."""
         words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
@@ -340,7 +340,7 @@ class ConditionReader:
 
 
 def negated(condition: Condition | None) -> Condition | None:
-    """Return the negation of a condition, in which `not` applies only to predicates and `Open` negates `Closed`."""
+    """Return the negation of a condition, applying `not` only to predicates and using `Open` to negate `Closed`."""
     if condition is None:
         return None
     if isinstance(condition, dict):

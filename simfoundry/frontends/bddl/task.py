@@ -1,4 +1,4 @@
-"""Convert a BDDL problem to a task by binding names to scene objects and converting regions to conditions."""
+"""Convert a BDDL problem to a task: names are bound to scene objects, and regions become conditions."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def read_bddl_task(
         path: BDDL file.
         scene: Lowered scene of the task.
         out: File to which the task will be written.
-        options: Options, of which ``scene`` is the scene document and ``bound`` assigns objects to unresolved names.
+        options: Import options; ``scene`` is the scene document, and ``bound`` assigns objects to unresolved names.
 
     Raises:
-        ImportRefusedError: If the file is invalid or some elements cannot be resolved. The message lists all of these
+        ImportRefusedError: If the file is invalid or some elements cannot be resolved; the message lists all of these
             elements with their lines.
     """
     problem = read_problem(path)
@@ -84,14 +84,14 @@ class _TaskReader:
         self.missing = self.conditions.missing
 
     def goal(self) -> Any:
-        """Return the condition for the goal, or None if it could not be resolved for the reasons in ``missing``."""
+        """Return the goal condition, or None if it could not be resolved; ``missing`` contains the reasons."""
         found = self.conditions.condition(self.problem.goal, {})
         if found is None and not self.missing:
             self.missing.add(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
         return found
 
     def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Any:
-        """Convert a predicate in the goal; return None if one of its parts cannot be resolved."""
+        """Convert a goal predicate, or return None if one of its parts cannot be resolved."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
         if name in (*OPEN, *CLOSE) and len(words) == 1:
@@ -126,7 +126,7 @@ class _TaskReader:
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
     def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Any:
-        """Convert a goal region on a table to an `At` condition for its center."""
+        """Convert a goal region on a table to an `At` condition for the region's center."""
         if (box := self._rectangle(group, region)) is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
@@ -145,7 +145,7 @@ class _TaskReader:
         return found
 
     def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
-        """Return the scene object or link that corresponds to the name of an object or region."""
+        """Return the scene object or link that corresponds to an object or region name."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if region is None or owner is None:
@@ -161,7 +161,7 @@ class _TaskReader:
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:
-        """Return the joints, as ``object.joint``, that correspond to the name of an object or region."""
+        """Return the joints (as ``object.joint``) that correspond to an object or region name."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if owner is None:
@@ -251,14 +251,14 @@ def _type(kind: str) -> str:
 def _opened(item: SceneObject, name: str) -> float:
     """Return the position [rad or m] of an open joint.
 
-    This is the limit farther from zero, or a quarter turn if the joint has no limits.
+    The open position is the limit that is farther from zero, or a quarter turn if the joint has no limits.
     """
     joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """Return the part with the name of a region or, if there is none, all parts whose names share a word with it."""
+    """Return the part that has the same name as a region, or else all parts whose names share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]
@@ -267,5 +267,5 @@ def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
 
 
 def _words(name: str) -> set[str]:
-    """Return the words in a name that help distinguish parts from each other."""
+    """Return the words in a name that help distinguish between parts."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}

@@ -35,7 +35,7 @@ class CustomFields:
 
 
 def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
-    """Return the custom texts and numbers in a model, or None if it was not compiled by SimFoundry."""
+    """Return the custom texts and numbers in a model, or None if the model was not compiled by SimFoundry."""
     texts = {}
     for k in range(model.ntext):
         start, size = int(model.text_adr[k]), int(model.text_size[k])
@@ -46,7 +46,7 @@ def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
 
 
 def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: CustomFields) -> Any:
-    """Add the robots in a model and their cameras to ``draft``, and return the model without them."""
+    """Add a model's robots and their cameras to ``draft``, and return the model without these elements."""
     names = [name.removesuffix(ROBOT) for name in own.texts if name.endswith(ROBOT)]
     roots = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name): name for name in names}
     roots.pop(-1, None)
@@ -162,7 +162,7 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
 
 
 def _free_joint(body: BodyDraft, owner: str, own: CustomFields, poses: Mapping[str, Pose], name: str) -> JointDraft:
-    """Return the free joint that connects a separate body to its parent link in the same object."""
+    """Return the free joint that connects a separate body to its parent link within the same object."""
     parent, zero = own.texts[f"{body.name}:parent"], own.numbers[f"{body.name}:zero"]
     X_PC = Pose.of(zero[:3], zero[3:])
     below = owner if parent == own.texts[f"{owner}:root"] else f"{owner}.{parent}"

@@ -25,7 +25,7 @@ MAX_PAIRS = 2_000_000
 
 
 def add_elements(source: MjcfSource, roots: list[Element]) -> None:
-    """Add all elements other than bodies to the draft, and record those that are unsupported."""
+    """Add all elements other than bodies to the draft, and record the unsupported ones."""
     _add_mimics(source)
     _add_drives(source)
     _add_exclusions(source)
@@ -87,7 +87,7 @@ def _add_drives(source: MjcfSource) -> None:
 
 
 def _add_exclusions(source: MjcfSource) -> None:
-    """Add the pairs of bodies that `<exclude>` elements (except those of compiled proxy geoms) and masks exclude."""
+    """Add the pairs of bodies excluded by masks or by `<exclude>` elements, except those of compiled proxy geoms."""
     for k, signature in enumerate(source.model.exclude_signature.tolist()):
         one, two = signature >> 16, signature & 0xFFFF
         if not source.is_own or (one in source.owners and two in source.owners):
@@ -97,7 +97,7 @@ def _add_exclusions(source: MjcfSource) -> None:
 
 
 def _add_masks(source: MjcfSource) -> None:
-    """Add the pairs of bodies that contact masks exclude, and record masks that differ within a body as dropped."""
+    """Add the pairs of bodies excluded by contact masks, and record masks that differ within a body as dropped."""
     model, draft, owners = source.model, source.draft, source.owners
     if model.npair:
         draft.inexpressible("contact pairs with explicit parameters", f"{model.npair}")
@@ -155,7 +155,7 @@ def _add_cameras(source: MjcfSource) -> None:
 
 
 def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
-    """Return camera ``k`` in the frame of its body, or record it and return None if it is not a pinhole camera."""
+    """Return camera ``k`` in its body frame, or record the camera and return None if it is not a pinhole camera."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
@@ -199,7 +199,7 @@ def _add_lights(source: MjcfSource) -> None:
 
 
 def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:
-    """Split an RGB value into the intensity of a light and a color whose largest channel is 1."""
+    """Split an RGB value into a light intensity and a color whose largest channel is 1."""
     rgb = [max(0.0, v) for v in values]
     strength = max(*rgb, 1e-9)  # a black light has no color
     return max(rgb), (rgb[0] / strength, rgb[1] / strength, rgb[2] / strength)

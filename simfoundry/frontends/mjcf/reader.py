@@ -1,4 +1,4 @@
-"""Read MJCF files, using MuJoCo to compile them so that defaults, includes and frames keep their meaning."""
+"""Read MJCF files, which MuJoCo compiles so that defaults, includes and frames are interpreted correctly."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ NOISE = 1e-12
 def read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
     """Read the scene in an MJCF file.
 
-    Raises :class:`ImportRefusedError`, with MuJoCo's error message if MuJoCo rejects the file.
+    Raises :class:`ImportRefusedError` if the file cannot be imported. If MuJoCo rejects the file, the error includes
+    MuJoCo's message.
     """
     import mujoco
 
@@ -66,7 +67,7 @@ def read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
 
 
 def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
-    """Return the XML roots of a file and its includes, which may refer only to files in the folders of the model."""
+    """Return the XML roots of a file and its includes; all files they reference must be in the model's folders."""
     search = FileSearch(path, packages)
     roots: list[Element] = []
     waiting = [path]
@@ -105,7 +106,7 @@ def _check_file(search: FileSearch, path: Path, element: Element, folders: list[
 
 
 def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
-    """Raise an error if the model has non-finite numbers, or rotations or axes of zero length."""
+    """Raise an error if the model contains non-finite numbers, or rotations or axes of zero length."""
     for field in _NUMBERS:
         rows = np.asarray(getattr(model, field), dtype=np.float64)
         rows = rows.reshape(len(rows), math.prod(rows.shape[1:]))
@@ -180,7 +181,7 @@ class _MjcfReader:
         return self.draft
 
     def world(self) -> None:
-        """Convert each geom in the world body to a fixed object, and the background of a compiled scene to a mesh."""
+        """Convert each geom in the world body to a fixed object, and a compiled scene's background to a mesh."""
         model = self.model
         background = []
         for geom in np.flatnonzero(model.geom_bodyid == 0).tolist():
@@ -219,7 +220,7 @@ class _MjcfReader:
         self.chain(draft, body, base, Pose.of(), joints)
 
     def note_free_dynamics(self, joint: int) -> None:
-        """Record the damping, friction and armature of a free joint as dropped, because free bodies have no joint."""
+        """Record a free joint's damping, friction and armature as dropped, because free bodies have no joint."""
         what = f"free joint `{self.names['joint'][joint]}`"
         for field, word in (("armature", "armature"), ("damping", "damping"), ("frictionloss", "friction")):
             value = float(getattr(self.model.jnt(joint), field).flat[0])
@@ -227,7 +228,7 @@ class _MjcfReader:
                 self.draft.dropped(f"{word} of {what}", "free bodies have no joint", f"{value:.4g}")
 
     def base_name(self, body: int) -> str:
-        """Return a name for the base link below the world body that differs from the names of all its descendants."""
+        """Return a name for the base link below the world body that differs from the names of all descendants."""
         below = {name for b, name in enumerate(self.names["body"]) if b and self.model.body_rootid[b] == body}
         return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
@@ -254,7 +255,7 @@ class _MjcfReader:
         self.add_link(draft, body, Pose.of(model.jnt_pos[joints[-1]]))
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
-        """Convert a joint and preserve its coordinate: positions mean the same as in MuJoCo, regardless of `ref`."""
+        """Convert a joint without changing its coordinate: positions are the same as in MuJoCo, even with `ref`."""
         model, kinds = self.model, self.mujoco.mjtJoint
         kind, name, source = model.jnt_type[joint], self.names["joint"][joint], model.jnt(joint)
         axis = np.array(source.axis, dtype=np.float64)
@@ -288,7 +289,7 @@ class _MjcfReader:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
     def add_link(self, draft: BodyDraft, body: int, X_BL: Pose = IDENTITY) -> None:
-        """Add the link for a body to ``draft``; ``X_BL`` is the pose of the link frame in the body frame."""
+        """Add a body's link to ``draft``; ``X_BL`` is the pose of the link frame in the body frame."""
         model, X_LB, name = self.model, X_BL.inverse(), self.names["body"][body]
         link = draft.links[name] = LinkDraft(name, mass=float(model.body_mass[body]))
         self.source.owners[body] = (draft, name, X_BL)

@@ -1,4 +1,4 @@
-"""The importer for OmniGibson scenes and tasks from the authors' release."""
+"""The importer for OmniGibson scenes and tasks as published in the authors' release."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

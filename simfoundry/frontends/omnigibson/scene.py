@@ -1,7 +1,7 @@
-"""Read scenes from the authors' release: an OmniGibson scene JSON with its object list and URDF folders.
+"""Read scenes from the authors' release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
 
-In this format, quaternions have w last, masses are only in the URDF, friction coefficients are in the object list,
-joint positions are unnamed, and the table is an infinite plane.
+In this format, quaternions have w last, masses are specified only in the URDF, friction coefficients are in the object
+list, joint positions have no names, and the table is an infinite plane.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class _SceneReader:
         self.listed = self.object_list()
 
     def at(self, data: Any, *keys: str) -> dict[str, Any]:
-        """Return the mapping at ``keys`` in ``data``, or raise an error if there is none."""
+        """Return the mapping at ``keys`` in ``data``, or raise an error if there is no such mapping."""
         for key in keys:
             data = data.get(key) if isinstance(data, dict) else None
         if not isinstance(data, dict):
@@ -102,7 +102,7 @@ class _SceneReader:
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """Add an object from its URDF, with friction and pose from the other files."""
+        """Add an object from its URDF; its friction and pose come from the other files."""
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
@@ -144,7 +144,7 @@ class _SceneReader:
         raise ImportRefusedError(self.path, f"could not find the URDF of `{name}`: {inside.as_posix()}", hint=hint)
 
     def scale(self, name: str, body: BodyDraft, scale: Any) -> None:
-        """Scale a body uniformly; a mass specified in the file does not change, as in OmniGibson."""
+        """Scale a body uniformly; as in OmniGibson, a mass specified in the file does not change."""
         factors = [float(v) for v in scale] if isinstance(scale, list) else [float(scale or 1.0)] * 3
         if all(abs(f - 1) < 1e-9 for f in factors):
             return
@@ -172,7 +172,7 @@ class _SceneReader:
                     link.contact["friction"] = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
-        """Set the joint positions, which the file lists without names in PhysX's breadth-first order."""
+        """Set the joint positions, which the file lists in PhysX's breadth-first order without names."""
         listed = [float(v) for v in state.get("joint_pos") or ()]
         order, todo = [], [body.root]
         while todo:

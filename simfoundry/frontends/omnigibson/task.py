@@ -1,4 +1,4 @@
-"""Read the authors' task YAML (goals, milestones, initial states, and ranges) as a task for an imported scene."""
+"""Read the authors' task YAML (goals, milestones, initial states, and reset ranges) as a task for an imported scene."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class _TaskReader:
         return list(out)
 
     def objects_called(self, word: str) -> list[str]:
-        """Return the objects with the given name, category, or name in the release."""
+        """Return the objects with the given category or name; the name in the release also works."""
 
         def matches(name: str, item: Any) -> bool:
             note = item.origin.note if item.origin is not None else None
@@ -194,7 +194,7 @@ class _TaskReader:
         return {key: value for key, value in (("place", place), ("joints", joints)) if value}
 
     def reset(self) -> dict[str, Any]:
-        """Return the reset ranges around the poses in the scene."""
+        """Return the reset ranges, centered at the poses in the scene."""
         widths, turns = (self.config.get(f"group_{k}_randomization") or {} for k in ("xyz", "z_rot"))
         out: dict[str, Any] = {}
         for group in dict.fromkeys([*widths, *turns]):

@@ -1,4 +1,4 @@
-"""Read a folder of URDFs compiled by SimFoundry, in which ``poses.json`` contains the pose of each object."""
+"""Read a folder of URDFs compiled by SimFoundry, where ``poses.json`` contains the pose of each object."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
 
 
 def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], options: ImportOptions) -> BodyDraft:
-    """Read the URDF of an object and apply the pose and other fields in its entry of ``poses.json``."""
+    """Read an object's URDF and apply the pose and other fields in its ``poses.json`` entry."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
         raise ImportRefusedError(path, f"`{name}` refers to the file `{entry['urdf']}`, which is not in this folder")
@@ -77,7 +77,7 @@ def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], op
 
 
 def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, Any], path: Path) -> None:
-    """Attach a body with a free joint to the object that it belongs to."""
+    """Attach a body with a free joint to the object to which it belongs."""
     owner = next((b for b in draft.bodies if b.name == entry["object"]), None)
     if owner is None or entry["parent"] not in owner.links:
         raise ImportRefusedError(path, f"`{body.name}` is part of `{entry['object']}`, which does not exist")
@@ -88,7 +88,7 @@ def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, An
 
 
 def _with_capsules(parts: list[PartDraft]) -> list[PartDraft]:
-    """Return the parts of a link, replacing each cylinder and two spheres that represent a capsule with a capsule."""
+    """Return the parts of a link, turning any cylinder and two spheres that represent a capsule into a capsule."""
     by_name = {(part.name, part.use): part for part in parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():

@@ -148,7 +148,7 @@ class _UrdfReader:
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def parts(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
-        """Yield the parts of a `<visual>` or `<collision>` element: one, or one per group for an OBJ mesh."""
+        """Yield the parts of a `<visual>` or `<collision>` element: a single part, or one per group in an OBJ mesh."""
         geometry = element.first("geometry")
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
@@ -168,7 +168,7 @@ class _UrdfReader:
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
     def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft | None, Pose]:
-        """Return a shape and its pose relative to its element, or record it and return None if it is unsupported."""
+        """Return a shape and its pose in the element, or record the shape and return None if it is unsupported."""
         if shape.tag == "mesh":
             return self.mesh(shape), IDENTITY
         if shape.tag == "plane":
@@ -237,7 +237,7 @@ class _UrdfReader:
         return joint
 
     def set_type_and_limits(self, joint: JointDraft, element: Element) -> None:
-        """Set the type and the limits of a joint as in documents."""
+        """Set the type and the limits of a joint as documents define them."""
         what, limit = f"joint `{joint.name}`", element.first("limit")
         bounds, is_stated = None, False
         if limit is not None:
@@ -307,7 +307,7 @@ def _origin(element: Element) -> Pose:
 
 
 def _upright(normal: Array) -> Pose:
-    """Return a pose that rotates the z axis to the direction ``normal``."""
+    """Return a pose that rotates the z axis to the ``normal`` direction."""
     length = float(np.linalg.norm(normal))
     z = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     across = np.array([-z[1], z[0], 0.0])

@@ -33,7 +33,7 @@ AXES = {
 
 
 class UsdGprims:
-    """Converts the gprims in a stage to parts; the units of the stage are ``to_kg`` [kg] and ``to_m`` [m]."""
+    """Converts the gprims in a stage to parts; the stage units are ``to_kg`` [kg] and ``to_m`` [m]."""
 
     def __init__(self, pxr: Any, draft: ModelDraft, to_kg: float, to_m: float) -> None:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
@@ -52,7 +52,7 @@ class UsdGprims:
         return part
 
     def use(self, prim: Any) -> str:
-        """Return how a gprim is used: `both`, `visual`, `collision`, or `none`.
+        """Return the use of a gprim: `both`, `visual`, `collision`, or `none`.
 
         Guides and invisible prims are not visual.
         """
@@ -83,7 +83,7 @@ class UsdGprims:
         return None if mesh is None else self.baked(prim, mesh, X_LG, R_LG if is_orthogonal else None)
 
     def primitive(self, prim: Any, kind: str, scales: Array) -> tuple[PrimitiveShape, Pose] | None:
-        """Return a scaled gprim as a primitive, and its pose in the gprim's frame, or None if this is impossible."""
+        """Return a scaled gprim as a primitive with its pose in the gprim's frame, or None if this is impossible."""
         match kind:
             case "Cube":
                 return primitive("box", *(prim.GetAttribute("size").Get() * scales).tolist()), IDENTITY
@@ -104,7 +104,7 @@ class UsdGprims:
         return None
 
     def baked(self, prim: Any, mesh: MeshPart, X_LG: Array, R_LG: Array | None) -> tuple[MeshDraft, Pose]:
-        """Return a mesh with the scale baked into its vertices, and the remaining pose."""
+        """Return a mesh with the scale baked into its vertices, along with the remaining pose."""
         pose = Pose.of() if R_LG is None else _pose(R_LG, X_LG[:3, 3])
         bake = np.linalg.inv(pose.matrix) @ X_LG
         vertices = np.round(mesh.vertices @ bake[:3, :3].T + bake[:3, 3], 9)
@@ -167,7 +167,7 @@ class UsdGprims:
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
     def surface(self, prim: Any) -> tuple[Contact, float | None]:
-        """Return the contact parameters and the density [kg/m^3] of the physics material bound to a gprim."""
+        """Return the contact parameters and density [kg/m^3] from the physics material bound to a gprim."""
         physics, shade = self.pxr.UsdPhysics, self.pxr.UsdShade
         material, _ = shade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         target = material.GetPrim() if material else None

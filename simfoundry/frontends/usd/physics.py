@@ -60,7 +60,7 @@ def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims
     Args:
         prim: Prim of the joint.
         end: Function that resolves the targets of one end of the joint.
-        geoms: The draft and the units of the stage.
+        geoms: The draft and the stage units.
     """
     joint = geoms.pxr.UsdPhysics.Joint(prim)
     ends = (end(list(relation.GetTargets())) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()))
@@ -74,7 +74,7 @@ def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims
 
 
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
-    """Return the pose specified by the position and rotation attributes of a prim.
+    """Return the pose specified by a prim's position and rotation attributes.
 
     Missing values and zero quaternions mean identity. Raises :class:`ImportRefusedError` for non-finite numbers.
     """
@@ -188,7 +188,7 @@ class _JointReader:
 
 
 def _first(prim: Any, names: tuple[str, ...]) -> float:
-    """Return the first positive value among the attributes ``names``, or 0 if there is none."""
+    """Return the first positive value among the attributes in ``names``, or 0 if there is none."""
     values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
     return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)
 
@@ -201,8 +201,8 @@ NOISE = 1e-9
 class UsdBody:
     """A rigid body in the stage.
 
-    ``X_WB`` is the pose of its frame in the world, and ``scale`` [m per unit] is the scale of its units. ``X_BL`` is
-    the pose of the link frame in the body frame; a joint may change it.
+    ``X_WB`` is the pose of the body frame in the world, and ``scale`` [m per unit] is the scale of its units. ``X_BL``
+    is the pose of the link frame in the body frame, which joints may change.
     """
 
     prim: Any
@@ -216,7 +216,7 @@ def add_mass(body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
     """Set the mass properties of a body.
 
     As in UsdPhysics, the body's mass takes precedence, followed by its density, the masses of its colliders, and the
-    densities of its materials. ``geoms`` provides the draft and the units of the stage.
+    densities of its materials. ``geoms`` provides the draft and the stage units.
     """
     physics, link, draft, to_m, to_kg = geoms.pxr.UsdPhysics, body.link, geoms.draft, geoms.to_m, geoms.to_kg
     api = physics.MassAPI(body.prim)

@@ -129,13 +129,13 @@ class _UsdReader:
         self.draft.gravity = tuple((np.round(down * float(size) * self.to_m, 6) + 0.0).tolist())
 
     def known(self, prim: Any) -> bool:
-        """Return True if a prim has no content of its own or is read together with another prim."""
+        """Return True for a prim that has no content of its own or is read together with another prim."""
         usd, lux = self.pxr.UsdGeom, self.pxr.UsdLux
         kinds = (usd.Camera, self.pxr.UsdPhysics.Joint, lux.BoundableLightBase, lux.NonboundableLightBase)
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform from a prim's frame and units to the world in meters with z up, shape (4, 4)."""
+        """Return the transform, shape (4, 4), from a prim's frame and units to the world frame in meters with z up."""
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has non-finite numbers")
@@ -175,7 +175,7 @@ class _UsdReader:
     def group(self, prim: Any) -> str:
         """Return the path of the prim that represents the object of a static gprim.
 
-        This is the nearest parent Xform, or the gprim itself if it is directly below the default prim.
+        This prim is the nearest parent Xform, or the gprim itself if it is directly below the default prim.
         """
         parent = prim.GetParent()
         is_top = parent.IsPseudoRoot() or parent == self.stage.GetDefaultPrim() or parent.GetTypeName() == "Scope"
@@ -199,7 +199,7 @@ class _UsdReader:
                 yield read_joint(prim, self.end, self.geoms)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """Return the body (or the world) at one end of a joint, the target's pose in that body, and its scale."""
+        """Return the body (or the world) at one end of a joint, and the pose and scale of the target in that body."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -229,7 +229,7 @@ class _UsdReader:
                 self.draft.dropped(f"joint `{joint.path}`", "it closes a kinematic loop, and only trees are supported")
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
-        """Add an object that consists of a root body and all of its descendants."""
+        """Add an object consisting of a root body and all of its descendants."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {root: body.link}, X_WO=body.X_WB)
         self.draft.bodies.append(draft)
@@ -275,7 +275,7 @@ class _UsdReader:
         draft.joints.append(drafted)
 
     def position(self, draft: BodyDraft, joint: JointDraft) -> float:
-        """Return the current position of a joint, which is the motion of its child along the axis relative to zero."""
+        """Return the current position of a joint: its child's motion along the axis, relative to the zero position."""
         parent, child = self.bodies.get(joint.parent), self.bodies[joint.child]
         X_WP = draft.X_WO if parent is None else parent.X_WB @ parent.X_BL
         moved = joint.X_PC.inverse() @ X_WP.inverse() @ child.X_WB @ child.X_BL
@@ -289,7 +289,7 @@ class _UsdReader:
     def rename(self, draft: BodyDraft) -> None:
         """Rename an object, its links and its joints after their prims.
 
-        Until this step, they are identified by path because prim names are not unique.
+        Before this step, these elements are identified by path because prim names are not unique.
         """
         bodies = [path for path in draft.links if path in self.bodies]
         names = {"base": "base"}
@@ -308,7 +308,11 @@ class _UsdReader:
             taken.add(joint.name)
 
     def object_name(self, paths: list[str]) -> str:
-        """Return a name for an object: the name of its bodies' common parent prim unless that is the stage root."""
+        """Return a name for an object.
+
+        An object with several bodies is named after their common parent prim, unless that is the stage root. Any other
+        object is named after its first body.
+        """
         first, *others = paths
         shared = posixpath.commonpath([posixpath.dirname(first), *others]).rpartition("/")[2]
         return shared if shared and others else str(self.bodies[first].prim.GetName())

@@ -31,7 +31,7 @@ Mounts = dict[str, tuple[BodyDraft, str, Pose]]
 
 
 def _pose(X_WP: Array) -> Pose:
-    """Return the pose of a transform without scale or mirroring."""
+    """Return the pose of a transform, ignoring scale and mirroring."""
     u, _, v = np.linalg.svd(X_WP[:3, :3])
     return Pose.of(X_WP[:3, 3], quat_from_matrix(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v))
 

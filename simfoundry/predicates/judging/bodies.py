@@ -27,7 +27,7 @@ class NoCavityError(PredicateError):
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """An object or a robot as an ``item``, with the ``forms`` of its links; the form is None without a shape."""
+    """An object or robot (``item``) with the ``forms`` of its links; the form of a link without a shape is None."""
 
     item: SceneObject
     forms: tuple[Form | None, ...]
@@ -40,13 +40,13 @@ class CollisionBody:
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, Joint]]:
-        """The parent link of each link except the first, and the joint that connects them, by index."""
+        """The parent link of each link except the first, and the joint that connects the two, keyed by link index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
         return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
 
     @cached_property
     def turns(self) -> dict[int, Turn]:
-        """The rotation about the joint axis for each link except the first, by index."""
+        """The rotation about the joint axis for each link except the first, keyed by link index."""
         return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
@@ -55,7 +55,7 @@ class CollisionBody:
 
 
 class Entity(NamedTuple):
-    """The links of a body, by index, that an argument refers to; bounding boxes use the frame of the first link."""
+    """The links of a body that an argument refers to, as indices. Bounding boxes use the frame of the first link."""
 
     name: str
     owner: str
@@ -71,7 +71,7 @@ class Joints(NamedTuple):
 
 
 class Bodies:
-    """The bodies in a scene, which are its objects and robots, by name; each body is prepared once."""
+    """The bodies in a scene (its objects and robots), keyed by name. Each body is prepared only once."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -88,7 +88,7 @@ class Bodies:
         return self._bodies[name]
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """Return the collision shapes of each link of all bodies, by the name of the body and the index of the link."""
+        """Return the collision shapes of each link of all bodies, keyed by body name and link index."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in (self[name].item for name in (*self.objects, *self.robots))
@@ -133,7 +133,7 @@ class Bodies:
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
-        """Return the joints that an argument refers to: a single joint, or all joints of an object that have limits."""
+        """Return the joints that an argument refers to: a single joint, or all of an object's limited joints."""
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
@@ -171,6 +171,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """Return the form of a link, which is cached, so scenes that share an object compute the form only once."""
+    """Return the form of a link. Forms are cached, so scenes that share an object compute its forms only once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

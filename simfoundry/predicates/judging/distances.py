@@ -69,8 +69,7 @@ class Distances:
         return np.asarray(out)
 
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
-        """Return the distance [m] from ``b`` to ``a``, and the cosine between the vertical and the push of ``b``, (n,)
-        each.
+        """Return the distance [m] from ``b`` to ``a`` and the cosine of the push of ``b`` to the vertical, (n,) each.
 
         The cosine is the largest one for any direction from a part of ``b`` to a part of ``a`` that is within ``limit``
         [m] of it, or -1 if no parts are that close. If several parts push together, like the walls of a funnel, it is

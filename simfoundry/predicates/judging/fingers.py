@@ -35,7 +35,7 @@ class Fingers:
 
 
 def fingers(bodies: Bodies, name: str) -> Fingers | None:
-    """Find a robot's fingers from the motion of its links when the gripper closes; return None without a gripper."""
+    """Find a robot's fingers from how its links move when the gripper closes; return None if it has no gripper."""
     from simfoundry.scene.robot import mujoco_model
 
     body = bodies[name]
@@ -94,10 +94,10 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """Return how much closer to the object a side of the gripper gets by closing by :data:`PRESS` [m], shape (n,).
+    """Return how much closer [m] each gripper side gets to an object when it closes by :data:`PRESS`, shape (n,).
 
-    Deeper penetration counts as getting closer. The result is the smaller value of the two sides. This value is
-    small for a side that touches the object without holding it, because that side slides along the object.
+    Deeper penetration counts as getting closer, and the smaller of the values for the two sides is returned. This value
+    is small for a side that touches the object without holding it, because that side slides along the object.
     """
     X_WB = view.link(hand.sides[0].owner, hand.base)
     way = X_WB.R @ hand.axis

@@ -26,7 +26,7 @@ Explain = Callable[[float, bool], str]
 
 
 class Context:
-    """Measurements that are prepared once for each scene."""
+    """Measurements that are prepared once for each scene and reused for all conditions."""
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self.bodies = bodies
@@ -34,7 +34,7 @@ class Context:
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:
-        """The fingers of all robots that have a gripper, by robot."""
+        """The fingers of all robots that have a gripper, keyed by robot."""
         found = {name: fingers(self.bodies, name) for name in self.bodies.robots}
         return {name: hand for name, hand in found.items() if hand is not None}
 
@@ -81,7 +81,7 @@ class Terms:
     def require_if_open(
         self, measure: Callable[[View], Array], margin: Callable[[Array], Array], explain: Explain
     ) -> None:
-        """Add a term that is slow to measure; it is evaluated only in states in which all previous terms hold.
+        """Add a term that is slow to measure. It is evaluated only in states in which all previous terms hold.
 
         ``measure`` returns the values in these states, and ``margin`` converts values to margins.
         """
@@ -133,7 +133,7 @@ class Verdict(NamedTuple):
 
 
 class Judge:
-    """Evaluates conditions on states of one scene; preprocessed scene data is reused.
+    """An evaluator of conditions on states of one scene, which reuses preprocessed scene data.
 
     A condition is text such as ``"OnTop(cup, desk)"``, or a combination of conditions with ``all``, ``any`` and
     ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.predicate`.
@@ -164,7 +164,7 @@ class Judge:
         return values, margins
 
     def _views(self, batch: StateBatch) -> Iterator[tuple[Index, View]]:
-        """Yield views of :data:`CHUNK` states each, with the indices of the states."""
+        """Yield views of :data:`CHUNK` states each, along with the indices of these states."""
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
             yield index, View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))

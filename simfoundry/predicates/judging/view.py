@@ -19,15 +19,15 @@ from simfoundry.scene.state import SceneState
 class StateBatch:
     """A batch of ``n`` states of one scene.
 
-    Values that are not given are those of the scene at rest.
+    Missing values default to those of the scene at rest.
 
     Attributes:
         n: The number of states.
-        poses: The poses X_WO by object.
-        joints: The joint positions [rad or m] by ``object.joint``, shape (n,).
+        poses: The poses X_WO, keyed by object.
+        joints: The joint positions [rad or m], shape (n,) each, keyed by ``object.joint``.
         motions: The motions of ball and free joints, as in :class:`SceneState`.
-        robots: The positions of robot joints [rad or m] by ``robot.joint``, shape (n,).
-        speeds: The speeds [m/s] by object, shape (n,).
+        robots: The positions of robot joints [rad or m], shape (n,) each, keyed by ``robot.joint``.
+        speeds: The speeds [m/s], shape (n,) each, keyed by object.
     """
 
     n: int
@@ -63,7 +63,7 @@ class StateBatch:
 
 
 def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
-    """Convert the poses of all objects in n states in one batch, which takes little more time than a single pose."""
+    """Convert the poses of all objects in n states at once, which is hardly slower than converting a single pose."""
     every = [pose for each in poses.values() for pose in each]
     whole = Poses.of(np.array([x.p for x in every]).reshape(-1, 3), np.array([x.q for x in every]).reshape(-1, 4))
     n = len(every) // max(len(poses), 1)
@@ -223,7 +223,7 @@ class View:
         return self._heights[thing]
 
     def aabb_middle(self, thing: Entity) -> Array:
-        """Return the middle of the bounding box of an entity along the axes of the world [m], shape (n, 3)."""
+        """Return the middle [m] of an entity's bounding box along the world axes, shape (n, 3)."""
         spans = [self.span(thing, axis) for axis in np.eye(2, 3)] + [self.heights(thing)]
         return np.stack([(low + high) / 2 for low, high in spans], axis=1)
 

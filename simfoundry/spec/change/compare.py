@@ -48,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """A comparison of two states of the document ``name``; a side is None if the document did not exist."""
+    """A comparison of two states of a document; ``old`` or ``new`` is None if the document did not exist."""
 
     name: str
     old: Side | None
@@ -136,7 +136,7 @@ def compare(
 
 
 def _sound(loaded: Loaded) -> DocumentSpec | None:
-    """Return the valid part of a document with errors, or None if a document that it extends is missing."""
+    """Return the valid part of a document that has errors, or None if a document it extends is missing."""
     document = loaded.document
     if document is None or not isinstance(document.data, dict):
         return None
@@ -147,7 +147,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a finding with the file name replaced by its display name."""
+    """Return a finding that refers to its file by the display name."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -165,7 +165,7 @@ def _content(side: Side | None) -> str:
             names = list(members)
             few = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
             parts.append(f"{len(names)} {section.removesuffix('s') if len(names) == 1 else section} ({few})")
-    return ", ".join(parts) or "nothing with a name"
+    return ", ".join(parts) or "no named members"
 
 
 def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:

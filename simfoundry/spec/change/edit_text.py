@@ -3,7 +3,7 @@
 The changes from the current data to the target data are applied one at a time. Values are replaced in place, members
 are removed together with the comments above them, and new members are inserted after their neighbor in canonical form.
 If a change cannot be applied in place, for example because it affects an anchor that has aliases, the entire text is
-rewritten in canonical form, with its comments.
+rewritten in canonical form, and its comments are kept.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
     return _Span(start, end)
 
 
-# The start and end (exclusive) of a part of a text, and the new text for this part.
+# A range of characters in a text (start, exclusive end), and the text that replaces it.
 Splice = tuple[int, int, str]
 
 
@@ -177,7 +177,7 @@ class _Round:
             lists = [path for path in orders if not isinstance(self._wanted(path), dict)]
             found = [self._value(self._place(path)) for path in lists]
         splices = [splice for splice in found if splice is not None]
-        # A splice inside another one is already part of it.
+        # A splice inside another splice is already covered by the outer one.
         return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
 
     # -- positions --------------------------------------------------------------------------------------------------
@@ -273,7 +273,10 @@ class _Round:
         return self._entry(path)
 
     def _entry(self, path: Path_) -> Splice | None:
-        """Rewrite the nearest block mapping entry at or above a path in canonical form, with its comments."""
+        """Return the edit that rewrites the nearest block mapping entry at or above a path in canonical form.
+
+        The comments of the entry are kept.
+        """
         while path:
             steps = self._steps(path)
             span, parent = steps[-1], steps[-2]

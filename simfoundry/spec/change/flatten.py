@@ -23,7 +23,7 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
     Args:
         spec: The document, merged with the documents that it extends.
         folder: The folder that file references in the document are relative to.
-        into: The folder that file references in the result are relative to, which is ``folder`` by default.
+        into: The folder that file references in the result are relative to; defaults to ``folder``.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -42,7 +42,7 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 of a flattened text as hex digits; it is independent of the document's formatting."""
+    """Return the SHA-256 hex digest of a flattened text, which does not depend on the document's formatting."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -68,7 +68,9 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
     for link in spec.links if c.whole else ():
         place = ("joints", carriers.get(link, ""), "parent")
         if link != root and link not in parents:
-            c.add("SF206", ("links", link), f"`{link}` is not the child of any joint", "add a joint with it as `child`")
+            c.add(
+                "SF206", ("links", link), f"`{link}` is not the child of any joint", f"add a joint with `child: {link}`"
+            )
         elif link in set(_ancestors(link, parents)):
             c.add("SF206", place, f"`{link}` is its own ancestor through a cycle of joints")
         elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:

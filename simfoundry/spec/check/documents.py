@@ -1,4 +1,4 @@
-"""Run the checks for each document kind that go beyond types, and apply ``allow``."""
+"""Run the checks that go beyond types, which differ between document kinds, and apply ``allow``."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def check_policy(c: Checker, spec: PolicySpec) -> None:
         if view.render is not None and (view.render[0] < view.size[0] and view.render[1] < view.size[1]):
             path = ("cameras", key, "render")
             message = f"`{key}` is rendered smaller than the policy expects, so it would be upscaled"
-            c.add("SF104", path, message, f"render at least one side as `size`: {list(view.size)}")
+            c.add("SF104", path, message, f"make at least one side of `render` as long as in `size`: {list(view.size)}")
 
 
 Allow = Mapping[str, str | dict[str, str]]

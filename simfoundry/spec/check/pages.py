@@ -16,7 +16,7 @@ GROUPS = {
     "SF1": "Keys and values",
     "SF2": "Names, files and parts that belong together",
     "SF3": "Meshes",
-    "SF4": "Lints: warnings that can be silenced by giving a reason",
+    "SF4": "Lints: warnings, most of which can be silenced with a reason",
     "SF5": "Captures",
 }
 
@@ -26,7 +26,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """File that a page shows under one of its headings (`Wrong`, `Right`, `Supporting files`)."""
+    """A file shown under one of the headings of a page (`Wrong`, `Right`, `Supporting files`)."""
 
     lead: str
     name: str
@@ -35,7 +35,7 @@ class Snippet:
 
 @dataclass(frozen=True)
 class Page:
-    """Explanation of one code; ``body`` is Markdown without the title."""
+    """The explanation of one diagnostic code; ``body`` is Markdown without the title."""
 
     code: str
     title: str
@@ -91,8 +91,8 @@ _INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
 
-Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, and can be
-silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
+Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, most of
+which can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
 [checking.md](checking.md) explains how to run the checks before each commit and in CI.
 """
 
@@ -108,5 +108,5 @@ def findings_page() -> str:
 
 
 def _slug(heading: str) -> str:
-    """Return the anchor that GitHub gives to a heading."""
+    """Return the anchor that GitHub generates for a heading."""
     return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")

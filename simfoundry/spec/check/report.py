@@ -22,7 +22,7 @@ FORMATS = ("text", "json", "sarif", "github")
 
 @dataclass(frozen=True)
 class Checked:
-    """Result of checking one document: its findings, including those of the documents that it uses."""
+    """The result of checking one document, including the findings for documents that it uses."""
 
     findings: tuple[Diagnostic, ...]
     uses: tuple[str, ...] = ()
@@ -30,7 +30,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """A report with the requested documents, the number of documents read, and all findings, sorted and unique."""
+    """A report with the requested documents, the number of documents read, and all findings without duplicates."""
 
     files: tuple[str, ...]
     documents: int
@@ -48,7 +48,7 @@ class CheckReport:
 
 
 def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
-    """Combine the results of individual documents; shared documents and findings count once."""
+    """Combine the results of individual documents; shared documents and findings are counted only once."""
     files, checked = tuple(files), tuple(checked)
     seen: dict[Path, str] = {}
     for name in (*files, *(use for each in checked for use in each.uses)):
@@ -62,7 +62,7 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
 
 
 def absolute(file: str) -> Path:
-    """Return the normalized absolute path; symbolic links are not resolved because their own folder matters."""
+    """Return the normalized absolute path; symbolic links are not resolved because the folder of the link matters."""
     return Path(os.path.normpath(Path(file).absolute()))
 
 
@@ -108,10 +108,10 @@ def _count(number: int, what: str) -> str:
 def render_json(report: CheckReport) -> str:
     """Return the report as one JSON object for scripts. The format is stable: keys are added but never removed.
 
-    ``files``: the requested documents. ``documents``: the number of documents read, including those that they use.
-    ``errors`` and ``warnings``: their counts. ``findings``: each with ``code``, ``severity`` (``error`` or
-    ``warning``), ``message``, ``file``, ``line`` and ``column`` (from 1, in Unicode characters; 0 for the whole file),
-    ``path`` (keys joined by dots) and ``hint`` (may be empty).
+    ``files`` lists the requested documents. ``documents`` is the number of documents read, including the ones that
+    these documents use. ``errors`` and ``warnings`` are counts. Each entry in ``findings`` contains ``code``,
+    ``severity`` (``error`` or ``warning``), ``message``, ``file``, ``line`` and ``column`` (counted from 1 in Unicode
+    characters, or 0 for the whole file), ``path`` (keys joined by dots) and ``hint`` (which may be empty).
     """
     data = {
         "files": list(report.files),
@@ -154,7 +154,10 @@ _ROOT = "%SRCROOT%"
 
 
 def render_sarif(report: CheckReport) -> str:
-    """Return a SARIF run with one result per finding; files are relative to the checkout, columns count characters."""
+    """Return a SARIF run with one result per finding.
+
+    File paths are relative to the checkout, and columns count characters.
+    """
     from simfoundry.spec.check.pages import pages
 
     rules = [page.code for page in pages()]

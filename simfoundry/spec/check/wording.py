@@ -26,10 +26,10 @@ _CODES = {
 
 _TABLES = read(Path(__file__).with_name("wording.yaml")).data
 
-# Keys of a condition mapping; each condition has exactly one of them.
+# Keys allowed in a condition mapping, which contains exactly one of them.
 _JOINED = {"all", "any", "not"}
 
-# Keys of which a mapping has exactly one.
+# Alternative keys, exactly one of which must be present in a mapping.
 _ALTERNATIVES = _JOINED.union(SHAPE_KEYS)
 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
@@ -73,7 +73,9 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
         elif member not in named:
             named.add(member)
             kind = member[-2].removesuffix("s")
-            message = f"the extended document has no {kind} `{member[-1]}`, and the new one is incomplete: {d.message}"
+            message = (
+                f"the extended document has no {kind} `{member[-1]}`, and the new {kind} is incomplete: {d.message}"
+            )
             hint = nearest(str(member[-1]), document.added[member])
             out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True))
     return out
@@ -140,7 +142,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
 
 
 def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
-    """Return the message and hint for a key that the model does not have."""
+    """Return the message and hint for a key that is not in the model."""
     owners, last = models_at(model, loc[:-1]), loc[-1]
     names = {name for owner in owners for name in owner.model_fields}
     if loc[-2:-1] and loc[-2] in SHAPE_KEYS and any(owner.model_fields.keys() <= set(SHAPE_KEYS) for owner in owners):
@@ -151,12 +153,12 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
         return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
     former = {old: new for owner in owners for old, new in former_keys(owner).items()}
     if last in former:
-        return f"the key `{last}` was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
+        return f"the `{last}` key was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
     return f"unknown key `{last}`", nearest(str(last), names)
 
 
 def _expected(error: Any) -> str:
-    """Describe the value that pydantic expected, in the terms of the document."""
+    """Describe the value that pydantic expected, in terms that document authors know."""
     words: str = error["msg"].removeprefix("Input should be ")
     if error["type"].startswith(("greater", "less")):
         return f"a number {words}"
@@ -179,7 +181,7 @@ def _shown(value: Any) -> str:
 
 
 def _only_key(model: type[Model], loc: tuple[Any, ...]) -> str:
-    """Return the only required key of a mapping, or an empty string if it has several or alternative keys."""
+    """Return the only required key of a mapping, or an empty string if there are several or if alternatives exist."""
     found = models_at(model, loc)
     needed = [n for m in found for n, info in m.model_fields.items() if info.is_required()]
     return needed[0] if len(found) == len(needed) == 1 and needed[0] not in _ALTERNATIVES else ""

@@ -26,7 +26,7 @@ from simfoundry.spec.yaml.write import number
 # Names of the kinds on the command line, such as ``scene``.
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
-# Half the width [m] of the initial region of an object, which is centered at its position in the scene.
+# Half the width [m] of an object's initial region, which is centered on the position of the object in the scene.
 REGION = 0.05
 
 
@@ -78,7 +78,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
     elif kind in ("task", "cousins"):
         template, more = kind, (_task if kind == "task" else _cousins)(path, source, project.root)
     elif source is not None:
-        raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
+        raise NewError(f"`--from` is for tasks and recipes; use `--extends` to base a {kind} on another {kind}")
     else:
         template, more = kind, {}
     text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
@@ -98,7 +98,7 @@ def _name(path: Path, name: str | None) -> str:
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
             rule = "a name must start with a letter and contain only lower-case letters, digits and `_`"
-            raise NewError(f"`{name}` cannot be a name: {rule}")
+            raise NewError(f"`{name}` is not a valid name: {rule}")
         return name
     stem = path.resolve().parent.name if path.name == "capture.yaml" else path.name.partition(".")[0]
     plain = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:64]
@@ -149,7 +149,7 @@ def _scene(loaded: Loaded) -> SceneSpec:
         used = loaded.used(spec.scene)
         spec = used.spec if used is not None else None
     if not isinstance(spec, SceneSpec):
-        message = "expected a scene, or a task in one"
+        message = "expected a scene, or a task that refers to a scene"
         raise SpecError([Diagnostic("SF006", Severity.ERROR, message, str(loaded.path), 1, 1, "simfoundry")])
     return spec
 
@@ -163,7 +163,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Return the template variables for a task, which is to put one object onto another, or to lift the only object."""
+    """Return the template variables for a task: putting one object onto another, or lifting the only object."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
@@ -177,7 +177,7 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     words["instruction"] = words["instruction"].replace("_", " ")
     regions = [(name, _where(item)) for name, item in free.items() if name in (thing, target)]
     lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
-    ranges = "ranges of x and y in the world [m], and of the turn about z"
+    ranges = "ranges of x and y in the world [m], and of the rotation about z [deg]"
     reset = ["  objects:", f"    # {ranges}", *lines]
     if not lines:
         reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]

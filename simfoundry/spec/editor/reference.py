@@ -51,7 +51,7 @@ def _sections(parts: dict[str, Schema]) -> Iterator[str]:
         by_title.setdefault(_title(name), []).append(part)
     for heading, alike in sorted(by_title.items()):
         yield f"### {heading}\n"
-        yield f"{alike[0]['description'] if len(alike) == 1 else 'One of these keys.'}\n"
+        yield f"{alike[0]['description'] if len(alike) == 1 else 'A mapping with exactly one of these keys.'}\n"
         merged = {n: {"description": p["description"], **f} for p in alike for n, f in p["properties"].items()}
         yield from _table(alike[0] if len(alike) == 1 else {"properties": merged})
 
@@ -104,7 +104,7 @@ def _type(field: Schema) -> str:
             return f"{kind}{_range(field)}"
         case {"title": _}:
             return "anything"
-    raise ValueError(f"no words for {field}")
+    raise ValueError(f"cannot describe the type of {field}")
 
 
 def _length(field: Schema) -> str:

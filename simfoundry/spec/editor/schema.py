@@ -24,7 +24,7 @@ from simfoundry.spec.yaml.write import number
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-# Names of the schema parts that combine alternatives, with the models that are alternatives in each part.
+# Names of the schema parts that combine alternatives, each with the models that it combines.
 UNIONS = {
     "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
@@ -33,8 +33,8 @@ UNIONS = {
     "RobotModel": {"RobotFiles"},
 }
 
-# Pattern for the end of a predicate, which YAML parses as a key: in braces, it splits ``goal: OnTop(cup, desk)`` at the
-# comma.
+# Pattern for the end of a predicate. Inside braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma and parses the
+# end as a key.
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 
 
@@ -51,12 +51,12 @@ LISTED = "Listed"
 # Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them.
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
 
-# Keywords whose value is a mapping from names, which may be equal to keywords.
+# Keywords whose value is a mapping with arbitrary keys, which may coincide with keywords.
 _BY_NAME = ("$defs", "patternProperties", "properties")
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """Return the name and content of every file in ``schemas/``; ``standard`` omits the keywords for editors."""
+    """Return the name and content of every file in ``schemas/``; ``standard`` omits editor-specific keywords."""
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
@@ -244,7 +244,7 @@ def _options(body: Schema) -> list[Schema]:
 def _special(union: str) -> Schema:
     """Return schema keywords for a union that cannot be derived from the models."""
     if union == "Condition":
-        message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
+        message = f"expected a predicate such as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
     if union == "Shape":  # separate from the keys, because editors stop offering keys if the maximum is one
         return {"allOf": [{"maxProperties": 1}]}

@@ -47,7 +47,7 @@ class PartSpec(Model):
     def _one_geometry(self) -> None:
         exclusive(self, "shape", "mesh", needed=True)
         if self.mesh is None and self.scale != 1.0:
-            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
+            raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
 
 class Inertial(Model):
@@ -112,7 +112,7 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """Coupling of a joint to a leader joint: its position is ``multiplier`` times the leader's, plus ``offset``."""
+    """Coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
 
     joint: Name = Field(description="The leader joint.")
     multiplier: Number = Field(1.0, description="Ratio of this joint's motion to the leader's motion.")

@@ -121,7 +121,7 @@ class Model(BaseModel):
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error that is reported as finding ``code`` at the key ``at`` of the model."""
+    """Return a validation error that is reported as finding ``code`` at the model's key ``at``."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 
@@ -144,7 +144,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
         return
     listed = ", ".join(f"`{n}`" for n in names)
     if given:
-        raise fault("sf107", f"give one of {listed}, not {len(given)}", given[1])
+        raise fault("sf107", f"specify only one of {listed}, not {len(given)}", given[1])
     raise fault("sf107", f"one of {listed} is needed")
 
 
@@ -193,12 +193,12 @@ class Estimate(Model):
 
     value: Positive = Field(description="The value to use [kg, or kg/m^3].")
     range: tuple[Positive, Positive] | None = Field(None, description="Plausible minimum and maximum [kg, or kg/m^3].")
-    source: Agent = Field("unknown", description="Person or method that estimated it, such as `category_table`.")
+    source: Agent = Field("unknown", description="Person or method that made the estimate, such as `category_table`.")
 
     @consistent
     def _inside(self) -> None:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
-            raise fault("sf104", "`value` lies outside `range`", "value")
+            raise fault("sf104", "`value` is outside `range`", "value")
 
 
 Quantity = Annotated[
@@ -236,7 +236,8 @@ class Lathe(Model):
     profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
         max_length=256,
-        description="Corners as (radius, height) [m] in order, from the axis around the solid back to the axis.",
+        description="Corners as (radius, height) pairs [m], in order; they start on the axis, trace the cross-section "
+        "and end on the axis.",
     )
 
 
@@ -296,24 +297,24 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Origin of a cousin; the same recipe, seed and index reproduce it."""
+    """Origin of a cousin, which can be reproduced from the recipe, the seed and the index."""
 
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
     index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, starting at 1.")
-    generator: Agent = Field("simfoundry", description="The program that generated it.")
+    generator: Agent = Field("simfoundry", description="The program that generated the cousin.")
 
 
 class Origin(Model):
     """The source of a description and how well it fits the observations."""
 
-    capture: str | None = Field(None, description="The capture it was estimated from.")
+    capture: str | None = Field(None, description="The capture from which the values were estimated.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
-        None, description="Median distance of the observed points from the fitted surface [m]."
+        None, description="Median distance between the observed points and the fitted surface [m]."
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
-    cousin: CousinOf | None = Field(None, description="Recipe, seed and index, if it is a cousin.")
+    cousin: CousinOf | None = Field(None, description="Recipe, seed and index of a cousin.")
 
 
 class Material(Model):
@@ -336,7 +337,7 @@ class Material(Model):
     restitution: Fraction = Field(
         0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
     )
-    color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color: red, green, blue and optionally opacity, each 0 to 1.")
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]
@@ -384,10 +385,10 @@ class DocumentSpec(Model):
 
     extends: FileName | None = Field(
         None,
-        description="Path of a base document of the same kind, relative to this document, which overrides parts of it. "
-        "Mappings are merged key by key, all other values are replaced, and `null` removes a key.",
+        description="Path of a base document of the same kind, relative to this document. This document overrides "
+        "parts of the base: mappings are merged key by key, all other values are replaced, and `null` removes a key.",
     )
-    name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
+    name: Name = Field(description="Name of the document: lowercase letters, digits and `_`.")
     description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
         {}, description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."

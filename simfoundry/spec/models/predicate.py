@@ -1,7 +1,7 @@
 """Predicate declarations (name, arguments, and meaning) that do not require numpy.
 
 Each predicate is a :class:`Predicate` instance in a module of :mod:`simfoundry.predicates`, or is provided by another
-package through an entry point in the group ``simfoundry.predicates``.
+package through an entry point in the ``simfoundry.predicates`` group.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ else:
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """Split a condition, typed or plain data, into its kind (``text``, ``all``, ``any`` or ``not``) and operands."""
+    """Split a condition (a model or plain data) into its kind, ``text``, ``all``, ``any`` or ``not``, and operands."""
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)

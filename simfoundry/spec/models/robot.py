@@ -33,9 +33,9 @@ class KnownRobot:
 
 
 class RobotFiles(Model):
-    """A custom robot: its model in one or more formats, from which each target uses its native format.
+    """A custom robot, with its model in one or more formats; each target prefers its native format.
 
-    Rollouts need to know the robot's hand and gripper (if it has one), which only a robot ``file`` defines.
+    Rollouts require the definitions of the hand and the gripper (if any), which only a robot ``file`` can contain.
     """
 
     file: FileName | None = Field(

@@ -156,14 +156,14 @@ BUILT_IN = Path(__file__).parents[2] / "robots"
 def own_folder(must_exist: bool = False) -> Path | None:
     """Return the user's robot folder, or None if it is not set or does not exist.
 
-    If ``must_exist`` is set, a folder that is set but does not exist raises :class:`SimfoundryError`.
+    Raises :class:`SimfoundryError` if ``must_exist`` is True and the configured folder does not exist.
     """
     named = os.environ.get(OWN_ROBOTS)
     folder = Path(named).expanduser().resolve() if named else None
     if folder is None or folder.is_dir():
         return folder
     if must_exist:
-        raise SimfoundryError(f"{OWN_ROBOTS} names the folder {folder}, which does not exist")
+        raise SimfoundryError(f"{OWN_ROBOTS} is set to {folder}, but this folder does not exist")
     return None
 
 

@@ -45,7 +45,7 @@ PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
 
 
 class Place(Model):
-    """A placement on or inside a support, from which the pose is computed by lowering the object onto the shapes below.
+    """A placement on or inside a support; the pose is computed by lowering the object onto the shapes below it.
 
     Left, right, front and behind are relative to the scene's viewpoint. If no horizontal position is specified, the
     object is placed at the center of its support. If only one of `left_of`, `right_of`, `in_front_of` and `behind` is
@@ -56,9 +56,9 @@ class Place(Model):
     inside: PartName | None = Field(
         None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
-    xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
+    xy: Point2 | None = Field(None, description="Position of the object's frame in the world [m].")
     local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
-        None, description="Position of its frame in the frame of its support [m]."
+        None, description="Position of the object's frame in the support's frame [m]."
     )
     left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
     right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
@@ -79,7 +79,7 @@ class Place(Model):
         beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
         exclusive(self, "xy", "local_xy", *([beside] if beside else []))
         if beside is None and self.gap != Place.model_fields["gap"].default:
-            raise fault("sf107", "`gap` is for left_of, right_of, in_front_of and behind", "gap")
+            raise fault("sf107", "`gap` requires `left_of`, `right_of`, `in_front_of` or `behind`", "gap")
 
 
 class Degrees(Model):
@@ -172,7 +172,7 @@ class ObjectSpec(GeometrySpec):
             message = "no variant may be named `default`, which is reserved for the object without overrides"
             raise fault("sf107", message, "variants")
         if self.asset is None and self.visual is None and self.scale != 1.0:
-            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
+            raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
 
 class CameraSpec(Model):
@@ -185,7 +185,8 @@ class CameraSpec(Model):
     cy: Number | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
-        None, description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or its link."
+        None,
+        description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or an object's link.",
     )
 
 

@@ -19,7 +19,7 @@ _KEYS: dict[str, Any] = read(Path(__file__).with_name("keys.yaml")).data
 # Groups of mutually exclusive keys; a key set by an overlay replaces the base's other keys in the same group.
 EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
 
-# Sections in which names are looked up, by the key whose value is a name or a list of names.
+# Sections in which names are looked up, keyed by the field whose value is a name or a list of names.
 REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
 
 # For each key, the keys that it cannot be combined with.
@@ -43,7 +43,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """Yield the possible types of the member ``part`` (a key or an index) in a type."""
+    """Yield the types that a member of a type can have; ``part`` is the key or index of the member."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             yield field_type(kind, part)

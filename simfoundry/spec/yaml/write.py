@@ -1,4 +1,4 @@
-"""Write YAML in a canonical form that is compact, gives stable diffs, and preserves comments."""
+"""Write YAML in a canonical form that is compact, produces stable diffs, and preserves comments."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Line = tuple[str, str]
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:
-    """Return the canonical text of a document: ordered fields, without defaults, and with six decimals."""
+    """Return the canonical text of a document, with ordered fields, no default values, and six decimals."""
     above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
     return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
 
@@ -58,8 +58,8 @@ def _rounded(data: Any) -> Any:
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     """Return the canonical text of a document with its comments.
 
-    Keys of ``model`` are written in its order, followed by other keys; names keep their order. Numbers are exact: the
-    text reads back as the data of the tree, except for the spelling of predicates.
+    Keys of ``model`` are written in its order, followed by other keys; names keep their order. Numbers are exact:
+    reading the text returns the tree's data, except for the spelling of predicates.
     """
     tree = _spelled(tree, False)
     writer = _Writer(tree)
@@ -280,7 +280,7 @@ def to_data(spec: Model) -> dict[str, Any]:
     given = spec.model_fields_set
     fields = [field for field in _fields(type(spec)) if field[1] or field[0] in given]
     values = [(name, needed, _data(getattr(spec, name)), default) for name, needed, default in fields]
-    # A value with the same text as the default would be read as the default and then not be written again.
+    # A value written with the same text as the default would be read as the default and omitted the next time.
     return {name: data for name, needed, data, default in values if needed or not _written_alike(data, default)}
 
 

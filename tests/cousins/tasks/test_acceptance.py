@@ -28,12 +28,12 @@ def why(setting: TaskContext, goal: object) -> tuple[str, str]:
         ("OnTop(bowl, desk)", "already_true", "touches `desk`"),
         ("Closed(cabinet.drawer)", "already_true", "0.0%"),
         ("Inside(block, ball)", "impossible", "no cavity"),
-        ("Inside(cabinet, bowl)", "too_heavy", "can lift only 2 kg"),
+        ("Inside(cabinet, bowl)", "too_heavy", "can only lift 2 kg"),
         ("OnTop(ball, block)", "impossible", "placements of `ball` (6.7 x 6.7 x 6.7 cm)"),
         ("Open(bowl)", "impossible", "bowl"),
         ("At(block, 1.3, 0)", "out_of_reach", "reaches 0.855 m"),
-        ("Lifted(wide)", "too_wide", "fingers open"),
-        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not become true"),
+        ("Lifted(wide)", "too_wide", "fingers only open to"),
+        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "did not become true"),
     ],
 )
 def test_refused(setting: TaskContext, goal: object, code: str, said: str) -> None:

@@ -26,7 +26,7 @@ def test_what_can_be_taken_is_measured(setting: TaskContext) -> None:
     ("name", "code", "said"),
     [
         ("wide", "too_wide", "12"),
-        ("heavy", "too_heavy", "3.77 kg, but the robot can lift only 2 kg"),
+        ("heavy", "too_heavy", "3.77 kg, but the robot can only lift 2 kg"),
         ("far", "out_of_reach", "1.20 m from `arm`, which reaches 0.855 m"),
         ("desk", "fixed", "fixed"),
     ],

@@ -90,9 +90,9 @@ SLIPS: dict[str, dict[str, list[tuple[str, str, str]]]] = {
             ("{on: cup.rim, left", "SF201", "`cup` does not have any parts"),
         ],
         "left_of: cup}": [
-            ("gap: 0.1}", "SF107", "`gap` is for"),
-            ("left_of: cup, right_of: cup}", "SF107", "give one of `left_of`, `right_of`"),
-            ("xy: [0, 0], left_of: cup}", "SF107", "give one of `xy`, `local_xy`, `left_of`"),
+            ("gap: 0.1}", "SF107", "`gap` requires `left_of`"),
+            ("left_of: cup, right_of: cup}", "SF107", "specify only one of `left_of`, `right_of`"),
+            ("xy: [0, 0], left_of: cup}", "SF107", "specify only one of `xy`, `local_xy`, `left_of`"),
         ],
         "franka_robotiq": [("franka_robotic", "SF201", "no robot is called `franka_robotic`")],
         "joint1": [("joint9", "SF201", "no joint of `franka_robotiq` is called `joint9`")],

@@ -1,1 +1,1 @@
-"""Converts compiled stages, including later edits, back to their documents."""
+"""Conversion of compiled stages, including later edits, back to their documents."""

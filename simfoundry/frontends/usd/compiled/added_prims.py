@@ -34,7 +34,7 @@ OWN_SCOPES = ("Looks", "Contacts", "Physics")
 
 @dataclass
 class AddedPrims:
-    """New members and their prims, by section and name, and notes on prims that could not be converted."""
+    """New members and their prims by section and name, with notes on prims that could not be converted."""
 
     members: dict[str, dict[str, Any]] = field(default_factory=dict)
     prims: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -48,9 +48,9 @@ def added_prims(
 
     Args:
         stage: Edited stage.
-        carrier: Prim that contains the document.
-        known: Paths of the prims of existing members.
-        data: Document data, to which the new members will be added.
+        carrier: Prim in which the document is stored.
+        known: Paths of prims that represent existing members.
+        data: Document data to which the new members will be added.
         frame: World frame of the stage.
     """
     out = AddedPrims()
@@ -95,7 +95,7 @@ def _member(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | S
 def _object(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | StageNote:
     """Convert a primitive to an object.
 
-    The object can move if the prim is a rigid body, and it collides if the prim or its gprim is a collider.
+    The object can move if the prim is a rigid body, and collides if the prim or its gprim is a collider.
     """
     from pxr import Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 

@@ -1,4 +1,4 @@
-"""Convert the edits of a stage member to document data; unedited values stay as they were written."""
+"""Convert edits to a stage member to document data; unedited values stay as they were written."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _OFF_M, _OFF_RAD = 1e-3, 1e-2
 
 
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Write changed joint positions into ``data`` and yield notes on unsupported edits.
+    """Write changed joint positions to ``data`` and yield notes on unsupported edits.
 
     Changed joint attributes take precedence over changed link poses. Processed attributes are added to ``handled``.
     """
@@ -78,7 +78,7 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
-    """Return a joint's child link, its motion along the joint [m or rad], and True if it deviates from the joint."""
+    """Return a joint's child link, the link's motion along the joint [m or rad], and True for any other motion."""
     prim = part.prim.GetPrimAtPath(relative)
     targets = (prim.GetRelationship(name).GetTargets() for name in ("physics:body0", "physics:body1"))
     parent, child = (str(t[0].MakeRelativePath(part.prim.GetPath())) if t else "" for t in targets)
@@ -113,7 +113,7 @@ _REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfo
 def edited_object(part: StageMember) -> Edited:
     """Return the data of an edited object, including its variants.
 
-    Supported edits are changes of pose, size, mass, surface properties, joint positions, and being fixed.
+    Supported edits are changes to the pose, size, mass, surface properties, joint positions, and ``fixed`` flag.
     """
     return edited_variants(part, _edited_one) if part.variant else _edited_one(part)
 
@@ -148,7 +148,7 @@ def edited_robot(part: StageMember) -> Edited:
 
 
 def has_moved(part: StageMember) -> bool:
-    """Return True if the pose of a member differs from the pose that was written."""
+    """Return True if a member's pose differs from the pose that was written."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
 
@@ -166,7 +166,7 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
 
     Args:
         pose: New pose.
-        before: Pose data in the document before the edit; values that are still valid are kept.
+        before: Pose data in the document before the edit; values that still apply are kept.
         built: Pose that the stage had when it was compiled.
     """
     new = to_data(pose_spec(pose))
@@ -250,7 +250,7 @@ def _pose(part: StageMember, data: dict[str, Any]) -> None:
 
 
 def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply the scaling of an object, or the resizing of a primitive if its collider or visual was resized.
+    """Apply the scale of an object, or the new size of a primitive if its collider or visual was resized.
 
     Colliders take precedence over visuals.
     """
@@ -300,7 +300,7 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply changes of color, friction and restitution; if several parts changed, the first one is used."""
+    """Apply changes in color, friction and restitution; if several parts changed, the first one is used."""
     for relative, values in part.built.items():
         if (now := part.now.get(relative)) is None:
             continue
@@ -325,8 +325,8 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
     """Return a changed contact coefficient, or None if it is unchanged.
 
-    Each argument contains our own copy of the coefficient and the square root that simulators read; either may have
-    been edited.
+    Each argument contains SimFoundry's own copy of the coefficient and the square root that simulators read, either of
+    which may have been edited.
     """
     if differs(built[1], now[1]):
         return float(short(now[1]))
@@ -353,10 +353,10 @@ _EVEN = 1e-6
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """Scale an object by ``factors`` along its axes, shape (3,).
+    """Scale an object along its axes by ``factors``, shape (3,).
 
     Returns:
-        The changed keys, and the reason if the result cannot be expressed, or otherwise an empty string.
+        The changed keys, and the reason why the result cannot be expressed, or an empty string if it can.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:

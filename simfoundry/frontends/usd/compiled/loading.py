@@ -55,11 +55,11 @@ def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
 def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str, ...]]:
     """Apply the edits in a stage to the document at ``path``, without modifying the file.
 
-    If the document is an overlay, it remains one: only the differences are written, with ``null`` for removed values of
-    its base.
+    An overlay remains an overlay: only the differences are written, with ``null`` for values of its base that were
+    removed.
 
     Returns:
-        The name of the document, its new text, and the paths of values that the document had changed as well.
+        The name of the document, its new text, and the paths of values that had also been changed in the document.
 
     Raises:
         SpecError: If the document cannot be read.
@@ -90,7 +90,7 @@ def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str
 
 
 def _base(path: Path, bases: list[Path]) -> Data:
-    """Return the flattened base of the document at ``path``, or empty data if it does not extend another document."""
+    """Return the flattened base of the document at ``path``, or empty data if the document has no base."""
     if not bases:
         return {}
     from simfoundry.spec.load import load
@@ -117,7 +117,7 @@ def _at(data: Any, path: Path_) -> Any:
 
 
 def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Data:
-    """Return ``data``, which is located at ``above`` in a document, with ``value`` at the relative ``path``.
+    """Return ``data``, which is located at ``above`` in a document, with ``value`` set at the relative ``path``.
 
     ``base`` is the data that an overlay extends at the same location.
     """
@@ -145,7 +145,7 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 
 def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
-    """Return the tree with renamed members, which keep their comments."""
+    """Return the tree with its members renamed and their comments preserved."""
     sections = dict(tree.value)
     for section, child in ((section, child) for section, child in sections.items() if isinstance(child.value, dict)):
         value = {names.get((section, name), name): member for name, member in child.value.items()}
@@ -155,7 +155,7 @@ def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTre
 
 
 def read_stage(path: Path) -> StageReading:
-    """Read a stage as a document; raise :class:`StageError` if it does not exist or was not compiled from one."""
+    """Read a stage as a document; raise :class:`StageError` if it is missing or was not compiled from a document."""
     stage = open_stage(path)
     try:
         reading = read_spec(stage)
@@ -204,7 +204,10 @@ def home(stage: Path, file: str) -> Path:
 
 
 def stage_document(path: Path, reading: StageReading) -> Document:
-    """Return the document of a stage; the location of a member is its prim, and of any other value the entire file."""
+    """Return a stage's document.
+
+    Members are located at their prims; all other values are located in the file as a whole.
+    """
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     return Document(str(path), "", reading.data, _node(reading.data, (), str(path), files), ())
 
@@ -221,7 +224,7 @@ def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, .
 
 @dataclass(frozen=True)
 class Imported:
-    """The text of an imported document, with ``notes`` on stage content that it does not include.
+    """The text of an imported document, with ``notes`` on stage content that the document does not include.
 
     ``disputed`` contains the paths of values that differed from both the compiled and the edited stage; the stage's
     values were used.
@@ -233,13 +236,13 @@ class Imported:
 
 
 def import_usd(path: Path, original: Path | None = None, into: Path | None = None) -> Imported:
-    """Return the document of a compiled stage; if the stage has no edits, it equals the compiled document.
+    """Return the document of a compiled stage; for a stage without edits, it equals the compiled document.
 
     Args:
         path: Compiled stage.
-        original: Document to which only the edits are applied, so that comments are kept and an overlay remains an
+        original: Document to which the edits are applied, so that comments are preserved and an overlay remains an
             overlay. By default, the result is a standalone document in canonical form.
-        into: Folder for a standalone document, to which its references are made relative.
+        into: Folder for a standalone document; references are made relative to this folder.
 
     Raises:
         StageError: If the file is not a compiled stage or does not match ``original``.

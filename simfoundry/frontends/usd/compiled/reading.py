@@ -30,14 +30,14 @@ ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
 
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
-    """Return the document with renamed members; ``names`` maps section and old name to the new name."""
+    """Return the document with renamed members; ``names`` maps sections and old names to new names."""
     return dict(with_new_names(data, [Rename((section,), old, new) for (section, old), new in names.items()]))
 
 
 def without(data: Data, gone: Set[str]) -> Data:
     """Return the document without references to deleted members in relations, the viewpoint, and allowed findings.
 
-    Placements and camera mounts that refer to deleted members remain, and the caller must replace them.
+    Placements and camera mounts that refer to deleted members remain unchanged; the caller must replace them.
     """
 
     def remains(name: str) -> bool:
@@ -159,7 +159,7 @@ def _identified(found: list[StageMember], written: Data) -> Identified:
 
 
 def _identity_rank(part: StageMember) -> tuple[bool, bool]:
-    """Return a sort key that places members with their original name and scope before their copies."""
+    """Return a sort key that orders members with their original name and scope before their copies."""
     return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
@@ -185,7 +185,7 @@ def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
 
 
 def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dict[str, StageMember]) -> Data:
-    """Return the document with edited members in their original order, followed by copies; deleted ones are removed."""
+    """Return the document with edited members in their original order and then copies, without deleted members."""
     out = _filled(written, {key: each.data for key, each in edited.items()})
     for section, members in out.items():
         if isinstance(members, dict):
@@ -226,7 +226,7 @@ def _placed(data: Data, found: Identified, gone: set[str]) -> Data:
 
 
 def _resized(part: StageMember, data: Data) -> bool:
-    """Return True if the shape or the joints of an object changed, other than by selecting another variant."""
+    """Return True if an object's shape or joints changed, other than by selecting another variant."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 

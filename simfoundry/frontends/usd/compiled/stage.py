@@ -38,7 +38,7 @@ _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
 class StageError(SimfoundryError):
-    """Raised for a file that is not a stage or cannot be read as a document; ``reason`` does not include the file."""
+    """Raised for files that are not stages or cannot be read as documents; ``reason`` omits the file name."""
 
     def __init__(self, reason: str, file: Path | None = None) -> None:
         super().__init__(reason if file is None else f"{file}: {reason}")
@@ -47,7 +47,7 @@ class StageError(SimfoundryError):
 
 @dataclass(frozen=True)
 class StageNote:
-    """A note on stage content that the document cannot express, with the prim path, a message, and a hint."""
+    """A note about stage content that the document cannot express, with the prim path, a message, and a hint."""
 
     prim: str
     message: str
@@ -55,7 +55,7 @@ class StageNote:
 
 
 class Edited(NamedTuple):
-    """The data of a member as edited in the stage, with notes on unsupported edits."""
+    """The data of a stage member after edits, with notes on unsupported edits."""
 
     data: dict[str, Any]
     notes: tuple[StageNote, ...]
@@ -67,9 +67,9 @@ class StageMember:
 
     ``spec`` is the member's data, ``built`` contains the values of its prims as compiled, and ``now`` contains their
     current values. ``X_WP`` is the pose of the prim in the world, and ``scale`` is its scale along each axis, shape
-    (3,). If an object has variants, these fields describe the selected ``variant``, which is `?` if it was not
-    compiled. ``others`` describe the remaining variants, for which only the variant's own opinions count as edits.
-    ``stage`` contains ``prim`` and keeps it alive, because a prim has only a weak reference to its stage.
+    (3,). If an object has variants, these fields describe the selected ``variant``, whose name is `?` if it was not
+    compiled. ``others`` describes the remaining variants, for which only their own opinions count as edits. ``stage``
+    keeps ``prim`` alive, because a prim has only a weak reference to its stage.
     """
 
     section: str
@@ -122,7 +122,7 @@ def carrier(stage: Usd.Stage) -> Usd.Prim | None:
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """Return the path of a document within its project, and its data without the data of its members."""
+    """Return a document's path within its project, and its data without the members' data."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
@@ -164,7 +164,7 @@ def _other_variants(
 
 
 def _own_opinions(part: StageMember) -> Values:
-    """Return the values of a variant's prims, or the compiled value if the strongest opinion is outside the variant."""
+    """Return the values of a variant's prims, using compiled values if the strongest opinion is not in the variant."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
@@ -180,7 +180,7 @@ def _own_opinions(part: StageMember) -> Values:
 
 
 def _is_own(prim: Usd.Prim, name: str) -> bool:
-    """Return True if the strongest opinion on a value in :func:`_now` comes from a variant or does not exist."""
+    """Return True if the strongest opinion for a value in :func:`_now` comes from a variant or does not exist."""
     from pxr import Usd, UsdGeom
 
     if name == "at":
@@ -223,7 +223,7 @@ def factored(matrix: Any) -> tuple[Pose, Array]:
 
 
 def links_of(built: Values) -> list[str]:
-    """Return the relative paths of an object's links as compiled, with the root first."""
+    """Return the relative paths of an object's compiled links, with the root first."""
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
@@ -299,7 +299,7 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
 
 
 def _attributes(prim: Usd.Prim) -> dict[str, Any]:
-    """Return the authored attribute values of a prim by name; for animated attributes, the first value."""
+    """Return the authored attribute values of a prim by name, using the first value of animated attributes."""
     from pxr import Usd
 
     return {a.GetName(): a.Get(Usd.TimeCode.EarliestTime()) for a in prim.GetAuthoredAttributes() if a.HasValue()}
@@ -311,7 +311,7 @@ def fallback(prim: Usd.Prim, name: str) -> Any:
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the current visual and contact materials of a shape, but only those that it was ``built`` with."""
+    """Return a shape's current visual and contact materials, but only the kinds with which it was ``built``."""
     from pxr import UsdShade
 
     now_values: dict[str, Any] = {}
@@ -328,7 +328,7 @@ def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_own(material: dict[str, Any]) -> dict[str, Any]:
-    """Add the surface's own coefficients to a contact material; materials that we did not compile lack them."""
+    """Add the surface's own coefficients to a contact material, because only compiled materials include them."""
     out = {"physics:restitution": 0.0, **material}
     for name, source in (("friction", "physics:dynamicFriction"), ("restitution", "physics:restitution")):
         value = plain(out[source])

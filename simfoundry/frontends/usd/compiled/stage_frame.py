@@ -1,4 +1,4 @@
-"""The world frame of a stage in meters with z up, for any stage units and any way of including a compiled stage."""
+"""The world frame of a stage (in meters, with z up), for any stage units and any way of including a compiled stage."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 class StageFrame:
     """Computes transforms from prims to the world frame in meters with z up, at the earliest time.
 
-    There are two ways to use a compiled stage in another stage with different units. A stronger layer leaves the
-    numbers unchanged, so they are still in meters even if the layer declares other units. A stage that references the
-    compiled stage has to correct for different units or a different up axis with a parent transform. The transform of
-    the document's prim distinguishes these two cases.
+    There are two ways to use a compiled stage in another stage with different units. A stronger layer does not change
+    the numbers, so they are still in meters even if the layer declares other units. In contrast, a stage that
+    references the compiled stage needs a parent transform to correct for different units or a different up axis. These
+    two cases are distinguished by the transform of the document's prim.
 
     ``X_WS``, shape (4, 4), is the transform from the frame and units of the stage to the world.
     """
@@ -46,7 +46,7 @@ class StageFrame:
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
 
     def anew(self) -> StageFrame:
-        """Return a copy without cached transforms, for a stage that differs only in its session layer."""
+        """Return a copy without any cached transforms, for a stage that differs only in its session layer."""
         from pxr import Usd, UsdGeom
 
         other = copy(self)
@@ -54,7 +54,7 @@ class StageFrame:
         return other
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
-        """Interpret numbers either as meters or as stage units, whichever preserves the size of the document's prim."""
+        """Interpret numbers as meters or as stage units so that the size of the document's prim is preserved."""
         from pxr import UsdGeom
 
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))
@@ -78,7 +78,7 @@ class StageFrame:
 
 
 def _scale(X_WC: Array) -> float | None:
-    """Return the uniform scale of a transform if it is close to 1, or None for any other transform."""
+    """Return the uniform scale of a transform, or None if the scale is non-uniform or not close to 1."""
     scale = factored(X_WC.T)[1]
     return float(scale.mean()) if bool(np.abs(scale - 1.0).max() <= SAME_SIZE) else None
 

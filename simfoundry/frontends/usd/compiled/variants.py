@@ -1,4 +1,4 @@
-"""Objects with variants: find the selected variant and the edits of each variant."""
+"""Objects with variants: find the selected variant and the edits to each variant."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def variant_data(data: Data, variant: str) -> Data:
 def edited_variants(part: StageMember, edit: Edit) -> Edited:
     """Return the edited data of an object with variants, and notes on unsupported edits.
 
-    ``edit`` converts a single variant. Opinions on the object itself, which override all variants, count as edits of
+    ``edit`` converts a single variant. Opinions on the object itself, which override all variants, count as edits to
     the selected variant.
     """
     spec = part.spec
@@ -74,7 +74,7 @@ def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, li
 def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
     """Return ``data`` with the variant ``name`` changed from ``before`` to ``after``.
 
-    The data of the default variant is the data of the object itself.
+    The default variant's data is the data of the object itself.
     """
     changed = [key for key in dict.fromkeys((*before, *after)) if before.get(key) != after.get(key)]
     own = [key for key in changed if name != DEFAULT_VARIANT and key not in OF_OBJECT]

@@ -54,7 +54,7 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, using `look_at` if the image is upright.
 
-    The target point is at the same distance as in ``before``, or at a distance of one meter.
+    The target point is at the same distance as in ``before``, or one meter away if there was no target.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -85,7 +85,7 @@ def edited_light(part: StageMember) -> Edited:
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
-    """Return the position of a point light or the direction of a distant light as data; empty for a dome light."""
+    """Return a point light's position or a distant light's direction as data, or empty data for a dome light."""
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}

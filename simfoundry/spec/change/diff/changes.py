@@ -19,10 +19,10 @@ from simfoundry.spec.models.types import REFERENCES
 
 Path_ = tuple[str, ...]
 
-# Keys of lists of expressions, which are unordered.
+# Keys whose values are unordered lists of expressions.
 EXPRESSION_LISTS = ("relations", "all", "any")
 
-# Keys of lists of pairs; both the lists and the pairs are unordered.
+# Keys whose values are lists of pairs. Neither the lists nor the pairs are ordered.
 PAIR_LISTS = ("no_contact",)
 
 
@@ -87,7 +87,7 @@ def to_json(change: Change) -> dict[str, Any]:
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping by name, or the items of a list of expressions by text, or otherwise None."""
+    """Return the members of a mapping keyed by name, or a list of expressions keyed by text; None for other values."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -134,10 +134,10 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
         yield Reorder(path, tuple(after))
 
 
-# Sections of a document whose members have names, in the order in which changes are shown.
+# Document sections with named members, in the order in which changes are shown.
 NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
 
-# Keys of mappings whose members have names.
+# Keys whose value is a mapping with named members.
 SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
 
 # Minimum fraction of equal values for which two members are treated as a rename.
@@ -149,20 +149,20 @@ IDENTITY = ("shape", "asset", "mesh", "model")
 # Maximum number of pairs whose similarity is computed; if there are more pairs, only equal members match.
 MAX_PAIRS = 40_000
 
-# Keys whose value is the name of a member, with the key of the mapping beside them that contains the member.
+# Keys whose value names a member, each with the sibling key whose mapping contains that member.
 BESIDE = {"variant": "variants"}
 
-# Keys of expressions, whose arguments are names of objects or robots.
+# Keys whose values are expressions, the arguments of which name objects or robots.
 _EXPRESSIONS = (*EXPRESSION_LISTS, "goal", "not")
 
 _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
 
 def find_renames(a: Any, b: Any) -> list[Rename]:
-    """Return the members of ``a`` that have a different name in ``b``; in each section, the best match comes first."""
+    """Return the members of ``a`` that were renamed in ``b``. Within each section, the best match comes first."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
-        # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
+        # Each rename may make references match and thus reveal further renames, so repeat until no more are found.
         known = len(found)
         spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
         # Sections that define names come first, before those that only refer to them.
@@ -199,7 +199,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def copied(value: Any, scalar: Callable[[Any], Any] = lambda item: item) -> Any:
-    """Copy a value, including nested mappings and lists, and apply ``scalar`` to every other value inside."""
+    """Copy a value with its nested mappings and lists, applying ``scalar`` to all other values."""
     match value:
         case dict():
             return {key: copied(item, scalar) for key, item in value.items()}
@@ -245,7 +245,7 @@ def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rena
 
 
 class _Member:
-    """A named member with its values by path."""
+    """A named member and its values, keyed by path."""
 
     def __init__(self, name: str, value: dict[str, Any]) -> None:
         self.name, self.value = name, value
@@ -264,7 +264,7 @@ def _likeness(old: _Member, new: _Member) -> float:
 
 
 def leaves(value: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
-    """Yield every value that is not a nonempty mapping, with its path."""
+    """Yield the path and value of everything in ``value`` except nonempty mappings."""
     if isinstance(value, dict) and value:
         for key, item in value.items():
             yield from leaves(item, (*path, key))
@@ -280,7 +280,7 @@ def _space(section: Path_) -> str:
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
-    """Rename the references in the value at ``path``, which already uses the new names."""
+    """Rename the references in the value at ``path``; the names in ``path`` itself are already the new ones."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
         if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
@@ -312,7 +312,7 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """Return the new names for keys in a mapping, except for renames that would make two keys equal."""
+    """Return the new names of keys in a mapping, leaving out renames that would make two keys equal."""
     kept = {key: names[key] for key in mapping if key in names}
     while True:
         count = Counter(kept.get(key, key) for key in mapping) if kept else {}

@@ -27,7 +27,7 @@ class Verbs(list[str]):
     moved = False
 
     def add_motion(self, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-        """Add the motion from the pose ``old`` to the pose ``new``."""
+        """Add phrases that describe the motion between two poses."""
         found = values.motion(old, new)
         self.extend(values.motion_words(found))
         self.moved = found.moved or found.turned
@@ -35,7 +35,7 @@ class Verbs(list[str]):
 
 @dataclass
 class Describing:
-    """Describes the changes from the document ``a`` to the document ``b``; both documents use the new names.
+    """Describes the changes from document ``a`` to document ``b``, both of which use the new names.
 
     Methods that take an old and a new value accept :data:`ABSENT` for a value that one document does not contain.
     """
@@ -145,7 +145,7 @@ class Describing:
                 yield from self.field(here, before, after)
 
     def _has_default(self, path: Path_) -> bool:
-        """Return True for a joint position of an object, which defaults to 0."""
+        """Return True if ``path`` is the position of an object's joint, which defaults to 0."""
         return path[0] == "objects" and path[-2] == "joints"
 
     def _leaf(self, path: Path_, old: Any, new: Any) -> str:
@@ -161,7 +161,7 @@ class Describing:
         return f"{label} {left} removed" if new is ABSENT and not right else f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, document: Mapping[str, Any], unit: str) -> str:
-        """Return a value with its unit; a value that the document does not set is followed by its source."""
+        """Format a value with its unit, followed by the source of the value if the document does not set it."""
         key = path[-1]
         if item is not ABSENT:
             return values.with_unit(values.value(key, item), unit)
@@ -199,7 +199,7 @@ def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, 
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Describe a change of the limit at which a joint is closed."""
+    """Describe a change to which limit counts as the closed end of a joint."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
@@ -278,7 +278,7 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with each name replaced by ``*``, because fields of all members have the same properties."""
+    """Return the path with each name replaced by ``*``, because a field has the same properties in every member."""
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 

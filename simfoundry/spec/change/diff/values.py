@@ -19,7 +19,7 @@ from simfoundry.spec.yaml.write import number
 # Maximum length of a displayed text [characters], so that two texts fit on one line.
 LONGEST = 48
 
-# Maximum length of a list that is shown in full, which is the length of a quaternion.
+# Maximum number of items in a list that is shown in full; a quaternion has four.
 FEW = 4
 
 # Fields that contain prose.
@@ -42,7 +42,7 @@ def _definitions(model: type[Model] | None, path: tuple[str, ...]) -> Iterator[F
 
 @lru_cache(maxsize=4096)
 def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
-    """Return the unit in the brackets of a field's description, or an empty string if the field has no unit."""
+    """Return the unit given in brackets in a field's description, or an empty string if there is none."""
     found = (_UNIT.search(info.description or "") for info in _definitions(model, path))
     return next((match[1].partition(",")[0] for match in found if match), "")
 
@@ -55,7 +55,7 @@ def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
 
 
 def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
-    """Describe a change, such as ``0.20 → 0.31 kg``; both values have the same format, and the unit occurs once."""
+    """Describe a change, such as ``0.20 → 0.31 kg``. Both values use the same format, and the unit appears once."""
     if _is_number(old) and _is_number(new):
         left, right = _same_digits(old, new)
     else:
@@ -66,7 +66,7 @@ def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
 
 
 def value(key: str, item: Any) -> str:
-    """Describe the value ``item`` of ``key``."""
+    """Describe ``item``, which is the value of a field called ``key``."""
     match item:
         case None:
             return "none"
@@ -164,11 +164,11 @@ STILL_M = 5e-7
 # Smallest reported rotation [deg]; smaller values are rounding errors of quaternions with six decimals.
 STILL_DEG = 5e-4
 
-# Maximum angle [deg] between a rotation axis and x, y or z at which the rotation is reported as about that axis.
+# Maximum angle [deg] between a rotation axis and a coordinate axis for the rotation to be reported as about x, y or z.
 AXIS_DEG = 1.0
 
-# Units for lengths: the smallest length [m] that is reported in the unit, the number of units in a meter, the symbol,
-# and the number of decimals. The limits account for rounding, so that 0.9996 m is reported as 1.000 m.
+# Length units, each with the smallest length [m] reported in it, the number of units per meter, the symbol, and the
+# number of decimals. The limits account for rounding, so that 0.9996 m is reported as 1.000 m.
 _SCALES = ((0.9995, 1.0, "m", 3), (0.00995, 100.0, "cm", 1), (5e-5, 1000.0, "mm", 1), (0.0, 1e6, "µm", 1))
 
 
@@ -198,7 +198,7 @@ class PoseChange:
 
 
 def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
-    """Return the motion from the pose ``old`` to the pose ``new``, both in the form used in documents."""
+    """Return the motion between two poses, which are given as document data."""
     return PoseChange(_minus(_xyz(new), _xyz(old)), *_turn(_rotation(old), _rotation(new)))
 
 
@@ -237,7 +237,8 @@ def _rotation(pose: Mapping[str, Any]) -> Quaternion:
 def _view_angles(direction: Vector) -> Vector:
     """Return the roll, pitch and yaw [deg] of an upright camera that looks along ``direction``.
 
-    The camera's axes are x right, y down, z forward. If it looks straight up or down, its x axis is along -x or x.
+    The camera axes are x right, y down, z forward. If the camera looks straight up, its x axis points along -x; if it
+    looks straight down, its x axis points along +x.
     """
     x, y, z = direction
     level = math.hypot(x, y)
@@ -256,7 +257,7 @@ def _turn(a: Quaternion, b: Quaternion) -> tuple[float, Vector]:
     sine = math.hypot(x, y, z)
     if sine < 1e-6:
         return math.degrees(2 * math.atan2(sine, abs(w))), (0.0, 0.0, 1.0)
-    # Both directions of the axis are equivalent for a rotation by 180 deg, so its largest component becomes positive.
+    # For a rotation by 180 deg, both axis directions are equivalent; choose the one with a positive largest component.
     scale = math.copysign(1 / sine, w if abs(w) > 5e-7 else max(x, y, z, key=abs))
     return math.degrees(2 * math.atan2(sine, abs(w))), (scale * x, scale * y, scale * z)
 

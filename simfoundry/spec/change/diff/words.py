@@ -11,7 +11,7 @@ from simfoundry.spec.change.diff.fields import Describing
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 
-# Maximum width of a line of changes [columns]; if the changes of a member are longer, each one gets its own line.
+# Maximum width [columns] of a line that lists all changes to a member; if they do not fit, each gets its own line.
 WIDTH = 100
 
 # Sections in the order in which their changes are reported; "" represents all other sections.
@@ -48,7 +48,7 @@ class MemberChange:
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
-        """Return a single line if all changes fit, or otherwise one indented line for each change."""
+        """Return a single line if all changes fit on it; otherwise, return one indented line per change."""
         facts = [_single(fact) for fact in self.facts]
         if not self.name:
             return ("; ".join(facts),)
@@ -95,7 +95,7 @@ def describe(
 
 
 def text(entries: Iterable[MemberChange]) -> list[str]:
-    """Return the lines of all entries."""
+    """Return the lines that describe all entries."""
     return [line for entry in entries for line in entry.lines()]
 
 

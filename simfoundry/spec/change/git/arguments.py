@@ -57,7 +57,10 @@ class _Span:
 
 
 def pairs(arguments: Sequence[str]) -> list[Pair]:
-    """Return the pairs of states to compare; raises :class:`ArgumentError` or :class:`GitError` for bad arguments."""
+    """Return the pairs of states to compare.
+
+    Raises :class:`ArgumentError` or :class:`GitError` for invalid arguments.
+    """
     if len(arguments) == 2 and all(_is_state(a) for a in arguments):
         old, new = (_state(a) for a in arguments)
         return [Pair(new.label, old, new)]
@@ -139,7 +142,7 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
 
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
-    """Yield the states of a document, or of every document in a folder that differs."""
+    """Yield the two states of a document, or of each document in a folder that differs between them."""
     root, inside = _inside(path)
     span = _span(root, revisions)
     if path.is_dir():
@@ -161,7 +164,7 @@ def _inside(path: Path) -> tuple[Path, str]:
 
 
 def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
-    """Yield the states of every document below a folder that differs."""
+    """Yield the two states of each document below a folder that differs between them."""
     below = "" if folder == root else folder.relative_to(root).as_posix()
     for found in differing(root, span.commits[0], span.commits[1] or None, below):
         yield _pair(span, root, found.old, found.new, found.new or found.old or "")
@@ -202,7 +205,7 @@ class HistoryEntry:
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
+    """Yield the commits that changed a document, latest first; ``path`` is relative to the repository ``root``.
 
     Each commit is compared with its first parent, and both versions are merged with the documents that they extended
     at that time. Merge commits are included only if they differ from all of their parents. The history follows renames
@@ -228,7 +231,7 @@ def _side(root: Path, revision: str, names: Sequence[str], folder: Path, label: 
 
 
 def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
-    """Return all names of a document, and every commit that changed it or a file that it refers to."""
+    """Return all names that a document has had, and every commit that changed it or a file that it refers to."""
     names, paths, read_already = [path], {path}, set[str]()
     while True:
         commits = list(_listed(root, revisions, sorted(paths)))

@@ -25,8 +25,9 @@ NOTHING = "/dev/null"
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
     """Return the output for the arguments that git passes to a diff driver.
 
-    If a document extends another document, the merged documents are compared if the base is known on both sides.
-    Otherwise, only the document's own fields are compared. Documents that cannot be compared are shown as a plain diff.
+    A document that extends another document is first merged with its base, provided that the base is known on both
+    sides. Otherwise, only the document's own fields are compared. Documents that cannot be compared are shown as a
+    plain diff.
 
     Args:
         arguments: ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``
@@ -35,7 +36,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
     if len(arguments) not in (7, 9):
-        return [f"a diff driver is called with 7 or 9 arguments, not {len(arguments)}"]
+        return [f"git calls a diff driver with 7 or 9 arguments, not {len(arguments)}"]
     path, old_file, old_id, _, new_file, new_id, _ = arguments[:7]
     new_path = arguments[7] if len(arguments) == 9 else path
     old, new = _blob(path, old_file, old_id, top), _blob(new_path, new_file, new_id, top)
@@ -63,7 +64,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides, or return None if either is invalid or any error occurs, so that `git diff` can continue."""
+    """Compare both sides; return None if a side is invalid or an error occurs, so that `git diff` can continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -106,7 +107,7 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
     if not changed:
         yield "equivalent, written differently"
     names = " or ".join(dict.fromkeys(map(str, bases)))
-    yield f"(only the keys of this file: git does not pass the revision of {names} it extends here;"
+    yield f"(only this file's own keys are compared, because git does not report the revision of {names};"
     yield f" `simfoundry log {present[-1].path}` shows each commit in full)"
 
 
@@ -184,7 +185,7 @@ class _Lookup:
         blob: The document.
         deadline: The end of the search, as a time of the monotonic clock [s].
         chain: The paths of the document and of the documents that it extends.
-        others: The paths of all other documents that they refer to.
+        others: The paths of all other documents that these documents refer to.
     """
 
     top: Path
@@ -217,7 +218,7 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """Return the hash of each path if it is the same in all states of the repository that contain our blob.
+        """Return the hash of each path that has the same hash in all repository states that contain the blob.
 
         Raises :class:`_UnknownError` if a document in the chain is ambiguous.
         """

@@ -37,7 +37,7 @@ class GitError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Renamed:
-    """A file that differs: its paths in the old and the new revision, each None if the file does not exist there."""
+    """A file that differs between two revisions, with its path in each, or None where the file does not exist."""
 
     old: str | None
     new: str | None
@@ -120,10 +120,10 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
 
 
 def export(read: Read, path: str, folder: Path) -> Path | None:
-    """Write a document and all files that it refers to below ``folder``, under their paths in the repository.
+    """Write a document and all files that it refers to into ``folder``, keeping their repository paths.
 
-    Returns the path of the document, or None if it does not exist. Raises :class:`GitError` if the document refers to
-    too many files.
+    Returns the path of the written document, or None if the document does not exist. Raises :class:`GitError` if the
+    document refers to too many files.
     """
     files = ((name, data) for name, data in referenced_files(read, path) if data is not None)
     for count, (name, data) in enumerate(files):
@@ -150,7 +150,7 @@ def referenced_files(read: Read, path: str, suffix: str = "") -> Iterator[tuple[
 
 
 def document_references(name: str, data: bytes) -> list[str]:
-    """Return the paths in the repository of the documents that ``name`` may refer to."""
+    """Return the repository paths of the documents that ``name`` may refer to."""
     return [path for path in references(name, data) if path.endswith(".yaml")]
 
 
@@ -165,7 +165,7 @@ def extended(name: str, data: bytes) -> str | None:
 
 
 def references(name: str, data: bytes) -> Iterator[str]:
-    """Yield the paths in the repository that the file ``name`` may refer to."""
+    """Yield the repository paths of the files that ``name`` may refer to."""
     folder = posixpath.dirname(name)
     for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
         path = posixpath.normpath(posixpath.join(folder, written))

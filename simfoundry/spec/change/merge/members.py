@@ -81,7 +81,7 @@ def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
-    """Return the tree with the keys and values from ``data``, which is its data after renaming, in the same order."""
+    """Return the tree with its keys and values replaced by those in ``data``, its own data after renaming."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)
         return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})
@@ -112,7 +112,10 @@ def at_odds(model: type[Model] | None, path: Path_, sides: Sides, merged: Member
 
 
 def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
-    """Return the keys at ``path`` where one side changed a leading key and the other side a key that depends on it."""
+    """Return the keys at ``path`` that must stay together but were changed on different sides.
+
+    This is the case if one side changed a leading key and the other side changed a key that depends on it.
+    """
     found = set[str]()
     for lead, led in LED:
         keys = (lead, *led)
@@ -135,7 +138,7 @@ def rivals_at(model: type[Model] | None, path: Path_) -> set[Path_]:
 
 
 def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> list[str]:
-    """Return the objects to which a task's `start` assigns both a pose and a place, which are mutually exclusive."""
+    """Return the objects to which a task's `start` assigns both a pose and a place, although only one is allowed."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
     if isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
         return [name for name in place if name in pose]

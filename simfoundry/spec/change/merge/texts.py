@@ -57,7 +57,7 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
     """Return the errors in a merged text at ``path`` that occur on neither side.
 
-    Such errors mean that the edits are incompatible. Unresolved conflicts are excluded. A missing file that the other
+    These errors mean that the edits are incompatible. Unresolved conflicts are excluded. A missing file that the other
     side adds is not reported, because that side's text has the same error. Raises :class:`UnmergeableError` if the
     merged text could not be read, for example because it is too large.
     """
@@ -123,7 +123,7 @@ def resolve(
     for key in keys:
         path, entry = parts(key), entries[key]
         if not isinstance(entry, dict) or not path:
-            raise ResolveError(f"the entry `{key}` is not a valid conflict")
+            raise ResolveError(f"`{key}` is not a valid conflict entry")
         _take(data, path, entry, entry.get(side, ABSENT), names)
         if side == "theirs":
             comment = tree.value[CONFLICTS].value[key].beside
@@ -166,7 +166,7 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
         place[key] = {name: place[key][name] for name in reordered(place[key], value)}
     elif key not in place and entry.get("base") == key and isinstance(here, str) and here in place:
         if value in place and value != here:
-            raise ResolveError(f"`{dotted((*path[:-1], value))}` already exists; rename one of them by hand")
+            raise ResolveError(f"`{dotted((*path[:-1], value))}` already exists; rename one of the two by hand")
         names[path[:-1], here] = value  # both sides renamed the member at `path`
     else:
         place[key] = value
@@ -179,7 +179,7 @@ def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
 
 
 def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
-    """Return the key of a remaining entry, which changes if its member was renamed."""
+    """Return the key of a remaining conflict entry, updated if the member was renamed."""
     path = parts(key)
     for (section, old), new in names.items():
         if path[: len(section) + 1] == (*section, old):

@@ -1,9 +1,9 @@
 """Semantic three-way merge of document trees.
 
 Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals are merged as sets; all other values
-are merged as a unit. Edits of different values never conflict, and equal edits are merged into one. Incompatible edits
-result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if one side removed the value)
-and records all three values under ``conflicts``.
+are merged as a unit. Edits to different values never conflict, and identical edits are merged into one. Incompatible
+edits result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if one side removed the
+value) and records all three values under ``conflicts``.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class _Merging:
         return there
 
     def is_empty_where_absent(self, base: YamlTree, there: YamlTree, path: Path_) -> bool:
-        """Return True for mappings and lists that documents omit if they are empty."""
+        """Return True for mappings and lists that documents omit when they are empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
