@@ -157,7 +157,7 @@ def test_a_target_that_breaks_takes_no_other_along(tmp_path: Path, monkeypatch: 
     write_package(tmp_path, "gone", entries, {"bad.py": "1 / 0"})
     monkeypatch.syspath_prepend(tmp_path)
     assert {"broken", "bad", "my_sim", "mujoco"} <= set(target_names())
-    with pytest.raises(SimfoundryError, match=r"the target `broken` from the package gone 0.1 cannot be loaded"):
+    with pytest.raises(SimfoundryError, match=r"the `broken` target from the package gone 0.1 cannot be loaded"):
         find_target("broken")
     assert find_target("mujoco").name == "mujoco"
     scene = tmp_path / "one.scene.yaml"
@@ -165,4 +165,4 @@ def test_a_target_that_breaks_takes_no_other_along(tmp_path: Path, monkeypatch: 
     done = run("compile", scene, "-t", "bad", "-t", "mjcf", "-o", tmp_path / "out")
     assert done.code == 1 and (tmp_path / "out/mjcf/scene.xml").is_file()
     (line,) = [line for line in done.err.splitlines() if "bad" in line]
-    assert "the backend `bad` from the package gone 0.1 cannot be loaded: ZeroDivisionError" in line
+    assert "the `bad` backend from the package gone 0.1 cannot be loaded: ZeroDivisionError" in line

@@ -123,7 +123,7 @@ def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
 
 
 def _shape_spec(shape: FittedShape) -> spec.Shape | None:
-    """Return the shape in spec form, or None if only a mesh can represent it."""
+    """Return a shape as it is written in a spec, or None if only a mesh can represent it."""
     geometry = shape.geometry
     if shape.profile is not None:
         return spec.LatheShape(lathe=spec.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
@@ -150,7 +150,7 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of a mesh, keyed by path relative to the scene; vertices are rounded to 0.01 mm."""
+    """Return the files of a mesh, keyed by their path relative to the scene; vertices are rounded to 0.01 mm."""
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}

@@ -124,7 +124,11 @@ class _Reader:
         fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
         too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
         if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
-            hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
+            hint = (
+                f"its values seem to be in {UNITS[fitting[0]]}; use `scale: {fitting[0]:g}`"
+                if fitting
+                else "check `scale`"
+            )
             percent = 100 * usable.sum() / valid.sum()
             share = f"{percent:.0f}% of {shot.depth.image} is between {NEAREST:g} and {FARTHEST:g} m"
             self.refuse("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
@@ -134,7 +138,7 @@ class _Reader:
         return np.where(usable, meters, np.nan)
 
     def masks(self) -> NDArray[np.int32] | None:
-        """Return the object number at each pixel, where 0 is the background, or None if the frame has no masks."""
+        """Return the object number at each pixel (0 for the background), or None if the frame has no masks."""
         masks = self.shot.masks
         if masks is None:
             return None

@@ -114,7 +114,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file in a folder except the report, keyed by relative POSIX path."""
+    """Return the SHA-256 hash of every file in a folder except the report, keyed by relative POSIX path."""
     files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 

@@ -60,7 +60,7 @@ def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
-    """Return the slab as a mesh with its top at z = 0, with the image projected onto it.
+    """Return the slab as a mesh with its top at z = 0 and the image projected onto it.
 
     Texture coordinates are positions in the bounding rectangle of the outline, so the sides get the color of the
     adjacent rim. Areas hidden by objects (``labels`` above 0, shape (h, w)) or outside the image get the color of the

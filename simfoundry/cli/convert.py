@@ -193,7 +193,7 @@ def _warned_of_masses(report: ImportReport) -> list[str]:
     shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
     total = sum(report.assumed_masses.values())
     return [
-        f"warning: {count} no mass; solids with 1000 kg/m^3 are assumed, for a total of {total:.3g} kg: "
+        f"warning: {count} no mass; solid shapes of 1000 kg/m^3 are assumed, for a total of {total:.3g} kg: "
         f"{_listed(shown)}; set the density with --density (such as 600 for wood), or specify `mass:` for each"
     ]
 

@@ -203,7 +203,7 @@ class _Rewritten(NamedTuple):
     findings: list[Diagnostic]
 
     def to_json(self, changed: str) -> dict[str, Any]:
-        """Return the report as JSON data, with the changed documents under the key ``changed``."""
+        """Return the report as JSON data; ``changed`` is the key under which the changed documents are listed."""
         files, changes = ([str(path) for path in paths] for paths in (self.files, self.changed))
         return {"files": files, changed: changes, "findings": [d.to_json() for d in self.findings]}
 

@@ -75,8 +75,8 @@ def subcommand(
 
     Args:
         name: Name of the command; defaults to the name of the function.
-        as_json: Whether to add the option ``--json`` after the command's own options.
-        force: Whether to add the option ``--force`` after the command's own options.
+        as_json: Whether to add the ``--json`` option after the command's own options.
+        force: Whether to add the ``--force`` option after the command's own options.
     """
 
     def decorate(function: Callable[..., int | None]) -> click.Command:

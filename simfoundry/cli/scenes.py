@@ -84,7 +84,7 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
     """Simulate a scene until it is at rest, and report how its objects moved.
 
     With -o, the settled scene is written in canonical form, without the comments in the input. The exit code is 1 if
-    an object moved, tilted, topples when nudged, penetrates another object, lost its support, fell, or never came to
+    an object moves, tilts, topples when nudged, penetrates another object, loses its support, falls, or never comes to
     rest.
     """
     from simfoundry.scene.state import with_state

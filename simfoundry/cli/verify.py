@@ -64,8 +64,8 @@ def verify_command(
     are measured.
 
     Engines are looked up in the current Python interpreter, in the interpreters specified with --python, and in those
-    listed in the environment variable SIMFOUNDRY_ENGINES (separated by commas). Each engine runs in a separate process:
-    if one crashes or hangs, this is reported and the others continue.
+    listed in the SIMFOUNDRY_ENGINES environment variable (separated by commas). Each engine runs in a separate process:
+    if an engine crashes or hangs, this is reported and the other engines continue.
 
     The exit code is 1 if a value differs from the scene without an entry in the loss report, if a behavior deviates
     without a known reason, or if an engine fails.

@@ -211,7 +211,7 @@ def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Yield base poses from which the arm can reach both objects, best first, as a position [m] and a heading [rad]."""
+    """Yield base poses (position [m] and heading [rad]) from which the arm can reach both objects, best first."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     tables = [world_bounds(item, item.X_WO) for item in scene.objects if item.fixed]
@@ -289,7 +289,7 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Replay a rollout and return labeled images at equal time intervals, side by side."""
+    """Replay a rollout and return an image strip with labeled images at equal time intervals, side by side."""
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
@@ -304,7 +304,7 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """Render the image of the demo's camera.
+    """Render an image from the demo's camera.
 
     Without a GL driver, the scene is ray-cast, and the arm is treated as an ordinary object.
     """

@@ -107,7 +107,7 @@ def _python(rest: str) -> PythonClass:
     said = parse_qsl(query, keep_blank_values=True)
     if not all(key.isidentifier() for key, _ in said) or len(dict(said)) < len(said):
         raise PolicyError(
-            f"`{query}` are not valid arguments for `{name}`; specify each argument once, such as "
+            f"`{query}` does not contain valid arguments for `{name}`; specify each argument once, such as "
             "`?checkpoint=last.pt&horizon=8`"
         )
     return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))

@@ -53,8 +53,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     - ``start``: the index of the initial state
     - ``trouble``: the reason why the simulation diverged, or an empty string; divergence also truncates the episode
 
-    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects one instead.
-    ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects initial
+    state k instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
     ``cameras`` maps names of cameras in the scene to (width, height); if it is empty, nothing is rendered.
     """

@@ -61,7 +61,7 @@ class EvaluationPlan:
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """One rollout in a plan."""
+    """A single rollout of an evaluation plan."""
 
     entry: TaskEntry
     contender: Contender

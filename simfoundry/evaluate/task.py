@@ -52,7 +52,7 @@ class TaskSetup:
 
     @property
     def own_start(self) -> Start | None:
-        """The start that the step itself defines, or None."""
+        """The start that the step itself defines, or None if it does not define one."""
         return self.task_spec.subtasks[self.step].start if self.step else None
 
     @property
@@ -211,13 +211,13 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """Robots that should act but whose model was not found, each with the reason."""
+        """The robots that should act but whose model was not found, along with the reason for each."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """Return a single step as a task, with the initial state and the goal of that step.
+        """Return a single step as a task of its own, with the initial state and goal of that step.
 
         Objects placed by the step's ``start`` keep that placement; the other objects are placed in their cells.
 

@@ -46,7 +46,7 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
         assert scene is not None
         own = judge if subtask.start is None else StartJudge(drafted(scene, [task.start, subtask.start]))
         if _is_true(subject, subtask.goal, own):
-            message = f"the step `{name}` is already complete when it starts"
+            message = f"the `{name}` step is already complete when it starts"
             yield _goal_finding(subject, ("subtasks", name, "goal"), message, own.explanation(subtask.goal))
 
 

@@ -129,7 +129,7 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Return True if the poses of some objects are uncertain; any other object may rest on them."""
+    """Return True if the poses of some objects are uncertain, in which case other objects may rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 

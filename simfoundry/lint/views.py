@@ -51,7 +51,7 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
 
 
 def sees(camera: Camera, low: Array, high: Array) -> bool:
-    """Return False if all corners of a box are beyond the same edge of the image or behind the camera, else True."""
+    """Return False if all corners of a box are behind the camera or beyond the same image edge, and True otherwise."""
     x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
     x, y = camera.fx * x, camera.fy * y
     right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy

@@ -47,7 +47,7 @@ class Vlm:
     """A vision-language model.
 
     ``model`` is a model name or, as in tests, a pydantic-ai model. ``base_url`` is the URL of a server with an
-    OpenAI-compatible API; if the server requires a key, it is read from the environment variable ``OPENAI_API_KEY``.
+    OpenAI-compatible API; if the server requires a key, it is read from the ``OPENAI_API_KEY`` environment variable.
     ``timeout_s`` is the time limit for one response [s].
     """
 
@@ -121,7 +121,7 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         key = os.environ.get("OPENAI_API_KEY") or "none"  # self-hosted servers rarely require a key
         return OpenAIChatModel(model.removeprefix("openai:"), provider=OpenAIProvider(base_url=base_url, api_key=key))
     except ImportError as error:
-        raise VlmError(f"`{model}` requires the package `{error.name}`; install with `{install_line('vlm')}`") from None
+        raise VlmError(f"`{model}` requires the `{error.name}` package; install with `{install_line('vlm')}`") from None
     except (UserError, ValueError) as error:
         raise VlmError(f"`{model}` cannot be used: {_short(error)}") from None
 

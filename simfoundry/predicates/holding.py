@@ -72,7 +72,7 @@ LIFTED = Predicate(
     ("thing",),
     lifted,
     f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the initial state, and no object is within "
-    f"{TOUCH * 1000:g} mm of `a` except objects that it supports",
+    f"{TOUCH * 1000:g} mm of `a` except objects that `a` supports",
     effect=Effect.GRASP,
     aliases=("lifted", "Up"),
     before_motion=False,

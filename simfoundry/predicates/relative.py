@@ -74,7 +74,7 @@ NEAR_SHARE = 1 / 6
 
 
 def next_to(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the heights overlap, the gap is small relative to the sizes, and neither is above the other."""
+    """Require that the objects' height ranges overlap, that the gap is small, and that neither is above the other."""
     import numpy as np
 
     from simfoundry.predicates.judging.view import ground_gap, over

@@ -162,7 +162,7 @@ def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> Non
 
 
 def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Add a plane behind everything with the ray caster's horizon color, unless the model has a skybox."""
+    """Add a plane in the ray caster's horizon color behind everything else, unless the model has a skybox."""
     import mujoco
 
     has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())

@@ -99,7 +99,7 @@ def _label(side: Side | None) -> str:
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Return both scenes, or the reasons why they cannot be shown, or nothing for other kinds of documents."""
+    """Return both scenes or the reasons why they cannot be shown; the result is empty for other document kinds."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()

@@ -19,12 +19,12 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480  # Default and maximum image size [px]; two images fit side by side on a page 1320 px wide
 
-VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]; wider views distort upright objects at the edges
+VIEW_DEG = 40.0  # Vertical field of view [deg] of the default camera; wider views distort upright objects at the edges
 
 # Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)
 
-# Margin of the default camera around the objects, as a factor on their radius; smaller values would cut off outlines.
+# Margin that the default camera leaves around the objects, as a factor of their radius; less would cut off outlines.
 MARGIN = 1.08
 
 RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales down an image
@@ -130,7 +130,7 @@ def _overview(scenes: list[Scene]) -> Camera:
 
 
 def _corners(scene: Scene, free: bool) -> Array:
-    """Return the corners of the visible triangles in the world [m], shape (n, 3), optionally only of free objects."""
+    """Return the corners of the visible triangles in the world [m], shape (n, 3); if ``free``, only of free objects."""
     surface = scene_surface(scene)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))

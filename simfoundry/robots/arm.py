@@ -178,7 +178,7 @@ class Arm:
 
     @cached_property
     def _longest(self) -> tuple[Array, Array, float]:
-        """A point of the base, a point of the hand link, and the maximum distance between them [m].
+        """A point on the base, a point on the hand link, and the maximum distance between them [m].
 
         A point on the axis of a hinge is fixed in both links, so the distance between points on consecutive axes never
         changes. The bound is the length of the shortest path over such points: the anchor of each joint, and the points

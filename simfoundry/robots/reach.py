@@ -44,7 +44,7 @@ BEYOND = 0.1
 
 
 class Hand(NamedTuple):
-    """A robot that acts.
+    """A robot that acts in a task, with the data needed for reach checks.
 
     Attributes:
         name: The name of the robot in the scene.
@@ -92,7 +92,7 @@ def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> t
 
 
 def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | None:
-    """Return the hand that comes closest to reaching a place, given the horizontal distances from their bases [m].
+    """Return the hand that comes closest to reaching a place, given the horizontal distance from each base [m].
 
     Returns None if a hand can reach the place or if the reach of any hand is unknown.
     """
@@ -165,7 +165,7 @@ class ArmReach:
         return self._known[key]
 
     def is_too_short(self, low: Array, high: Array, slack: float) -> bool:
-        """Return True if all arms are too short to grasp a box from above, even if the box moves by ``slack`` [m].
+        """Return True if no arm is long enough to grasp a box from above, even if the box moves by ``slack`` [m].
 
         This test is much faster than inverse kinematics. The result is False if reach cannot be checked.
         """

@@ -187,7 +187,7 @@ LISTED = 3  # Maximum number of files listed in a message
 
 
 def ensure_replaceable(path: Path, inputs: Iterable[Path] = (), force: bool = False) -> None:
-    """Raise :class:`OutputError` if writing the file ``path`` would destroy user data.
+    """Raise :class:`OutputError` if writing a file would destroy user data.
 
     ``inputs`` are the files that the command reads; they are never overwritten, even with ``force``.
     """

@@ -12,7 +12,7 @@ from simfoundry.errors import SimfoundryError
 T = TypeVar("T")
 R = TypeVar("R")
 
-SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; gives a stable mean
+SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; enough for a stable mean
 
 # Minimum amount of remaining work [s] that justifies starting processes, whose startup takes about 0.5 s.
 STARTUP_S = 2.0

@@ -85,11 +85,11 @@ class Plugin:
 
     def error(self, cause: str) -> PluginError:
         """Return an error that explains why this plug-in cannot be used."""
-        what = f"the {GROUPS.get(self.group, 'extension')} `{self.name}` from the package {self.distribution}"
+        what = f"the `{self.name}` {GROUPS.get(self.group, 'extension')} from the package {self.distribution}"
         cause = " ".join(cause.split()).rstrip(".")
         return PluginError(
             f"{what} cannot be loaded: {cause}. Update or uninstall that package "
-            f"(entry point `{self.name} = {self.value}` in the group `{self.group}`)"
+            f"(entry point `{self.name} = {self.value}` in the `{self.group}` group)"
         )
 
 

@@ -215,7 +215,7 @@ _exit_functions: list[Callable[[], object]] = []
 
 
 def report_progress(text: str) -> None:
-    """Report progress to the caller of a :class:`Worker`, which restarts its timeout; no effect outside a worker."""
+    """Report progress to the caller of a :class:`Worker` and restart its timeout; outside a worker, do nothing."""
     if _send_message is not None:
         _send_message("progress", text)
 

@@ -131,7 +131,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     return "\n".join(blocks)
 
 
-# Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue.
+# ECMA-48 "Select Graphic Rendition" codes for bold text in red, yellow or blue.
 _STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
 
 

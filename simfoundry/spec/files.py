@@ -57,7 +57,7 @@ def located(reference: str, document: Path) -> Path:
     spec = find_spec(package)  # locates the folder without running any code
     if spec is None or not spec.submodule_search_locations:
         hint = f"install it (`pip install {package}`), or give a path relative to this document"
-        raise FileError("SF203", f"the package `{package}` is not installed", hint)
+        raise FileError("SF203", f"the `{package}` package is not installed", hint)
     folder = Path(spec.submodule_search_locations[0]).resolve()
     target = (folder / path).resolve()
     if not target.is_relative_to(folder):

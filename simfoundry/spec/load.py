@@ -45,7 +45,7 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
         return Loaded(path, root, None, (*document.duplicates, finding), document)
     document, findings, bases = compose(document, kind, root)
     read_in_full = Loaded(path, root, None, tuple(findings), document, tuple(bases))
-    if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
+    if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and so is most of the content
         return read_in_full
     return checked(read_in_full, kind, known)
 
@@ -108,7 +108,7 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     elif "simfoundry" in data:
         message = f"`{value}` is not a known document kind"
     else:
-        message = "the key `simfoundry` is missing"
+        message = "the `simfoundry` key is missing"
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
     return None, document.finding("SF006", ("simfoundry",), message, hint)
 
@@ -193,7 +193,7 @@ def _own(node: Node, file: str) -> None:
 
 @dataclass
 class _Joining:
-    """The state of joining the document ``file`` with its base."""
+    """State that is needed while joining a document with its base; ``file`` is the document's path."""
 
     kind: str
     file: str
@@ -201,7 +201,7 @@ class _Joining:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
 
     def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
-        """Return ``base`` overridden by ``over``: mappings are merged by key, null removes a key."""
+        """Return ``base`` overridden by ``over``: mappings are merged by key, and null removes a key."""
         if not isinstance(base.children, dict) or not isinstance(over.children, dict):
             return over
         children, keys = dict(base.children), dict(base.keys)

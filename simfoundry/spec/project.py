@@ -74,7 +74,7 @@ class Project:
         return spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
-        """Return True if a command on the folder ``named`` skips ``path``.
+        """Return True if a command that was given the folder ``named`` skips ``path``.
 
         Only paths below ``named`` can be skipped, never ``named`` itself.
         """

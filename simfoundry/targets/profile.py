@@ -41,7 +41,7 @@ class Gap(Model):
     kind: Literal["notimpl", "notyet", "never"] = Field(
         description="`notimpl`: not implemented here; `notyet`: possible in the simulator; `never`: impossible there."
     )
-    reason: Words = Field(description="The reason, and the size of the error.")
+    reason: Words = Field(description="The reason for the loss, and the size of the error.")
     size: Positive | None = Field(
         None, description="The largest error of an approximated feature, in SI units, which `simfoundry verify` checks."
     )
@@ -59,7 +59,7 @@ class Tolerance(Model):
     """The largest error that `simfoundry verify` accepts, and the reason for it."""
 
     value: Positive = Field(
-        description="The error: relative for a quantity that is read back, and in the unit of the behavior otherwise."
+        description="The tolerance: relative for quantities that are read back, or in the behavior's unit."
     )
     reason: Words = Field(description="The reason why the tolerance is not smaller.")
 
@@ -70,7 +70,7 @@ class Tested(Model):
     how: Literal["run", "checked"] = Field(
         description="`run` if builds were loaded in the simulator, or `checked` if only the code was reviewed."
     )
-    versions: tuple[str, ...] = Field((), description="The simulator releases in which the loader was run.")
+    versions: tuple[str, ...] = Field((), description="The simulator releases with which the target was run.")
     note: Words | None = Field(None, description="Observations from the test.")
 
 

@@ -116,7 +116,7 @@ def find_engine(name: str) -> VerifyEngine:
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Return the interpreters by engine or family; the key ``""`` contains the interpreters for all engines.
+    """Return the interpreters keyed by engine or family; the ones under ``""`` are for all engines.
 
     Interpreters specified with ``--python`` precede those in the environment variable.
     """
@@ -138,7 +138,7 @@ def interpreters(
 def find_installed(
     engines: Mapping[str, VerifyEngine], places: Mapping[str, Sequence[Path]]
 ) -> dict[str, InstalledEngine | None]:
-    """Return each engine by name with the first interpreter that meets its requirements, or None if there is none."""
+    """Return the first interpreter that meets an engine's requirements, or None, keyed by the name of the engine."""
     modules = tuple(sorted({module for engine in engines.values() for module in engine.modules}))
     found: dict[str, InstalledEngine | None] = {}
     for engine in engines.values():
@@ -151,7 +151,7 @@ def find_installed(
 
 @cache
 def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions of the given modules in an interpreter, or an empty mapping if it does not start."""
+    """Return the versions of the given modules in an interpreter, or {} if the interpreter does not start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

@@ -51,7 +51,7 @@ def static_links(scene: Scene) -> set[str]:
 
 
 def _held(item: SceneObject) -> set[str]:
-    """Return the links of an object that are welded to the world."""
+    """Return the names of an object's links that are welded to the world."""
     return {link for link, first in weld_groups(item).items() if item.fixed and first == item.root.name}
 
 
@@ -104,7 +104,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield pairs of colliders of different objects that can touch and differ in friction, and the pair's friction."""
+    """Yield pairs of colliders on different objects that can touch and differ in friction, with the pair's friction."""
     excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
@@ -130,7 +130,7 @@ _MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class RobotReadback:
-    """A robot: its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
+    """A robot with its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
 
     Only the limits and the position of each joint are compared. None means that a value is not reported.
     """
@@ -198,7 +198,7 @@ def _expected(robot: Robot, target: str) -> RobotReadback | None:
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
-    """Return the joints of the robot's file in their initial state, renamed to the ``names`` of a conversion."""
+    """Return the joints in the robot's file in their initial state; ``names`` maps their names to converted names."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)

@@ -40,9 +40,9 @@ _START = (
     "from simfoundry.verify.process import main; sys.exit(main(sys.argv[3:]))"
 )
 
-# Timeout for an interpreter to report its installed modules [s], which is exceeded only if it hangs.
+# Time limit [s] for an interpreter to report its installed modules; only a hanging interpreter exceeds this limit.
 PROBE_S = 60.0
-# Timeout for an engine to process one build, including its startup [s].
+# Time limit [s] for an engine to process one build, including the engine's startup.
 TIMEOUT_S = 180.0
 
 
@@ -142,7 +142,7 @@ def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: flo
 def _one(
     process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: EngineJob, timeout: float, log: IO[bytes]
 ) -> tuple[EngineAnswer, bool]:
-    """Return the answer to a job, and true if the process can accept another job."""
+    """Return the answer to a job, and whether the process can accept another job."""
     start = time.monotonic()
     try:
         assert process.stdin is not None

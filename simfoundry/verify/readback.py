@@ -1,7 +1,7 @@
-"""Read-back data from an engine, which describes a build in the scene's terms, and its JSON form for other processes.
+"""Data read back from an engine, which describes a build in the scene's terms, and the JSON form of this data.
 
 None means that an engine does not report or store a value. Numbers are in SI units; poses are ``[x, y, z, qw, qx, qy,
-qz]``. A root link is named after the object, any other link is named ``object.link``, and a joint ``object.joint``.
+qz]``. Root links are named after the object, other links are named ``object.link``, and joints ``object.joint``.
 
 This module requires only numpy, because it runs in each engine's own environment.
 """
@@ -87,7 +87,7 @@ class JointReadback:
 class WorldReadback:
     """All data that an engine reports about a world.
 
-    ``pairs`` contains the friction of pairs of colliders. A pair consists of two ``link.collider`` names in
+    ``pairs`` contains the friction coefficients of collider pairs. A pair consists of two ``link.collider`` names in
     alphabetical order, separated by a bar. ``silent`` contains the pairs of links whose collisions are disabled, in the
     same form. ``actuators`` contains the motor names. Robots are reported like objects, with links named ``robot.link``
     and the base frame ``robot``.

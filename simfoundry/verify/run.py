@@ -87,7 +87,7 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """The measured value of a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
+    """The value measured for a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
 
     behavior: str
     engine: str
@@ -158,7 +158,7 @@ def measure_behaviors(
 
 
 class _Bench:
-    """The measurements in one engine, in which concurrent trials share a process."""
+    """Runs the measurements in one engine; concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout

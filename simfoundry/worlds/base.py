@@ -1,4 +1,4 @@
-"""The interfaces of a world and its robots, which allow predicates, tasks and checks to run in any simulator.
+"""The interfaces for worlds and their robots, which allow predicates, tasks and checks to run in any simulator.
 
 This module also provides cameras, including those mounted on links, at their current poses and for any image size.
 """
@@ -91,8 +91,8 @@ class World(Protocol):
     def reset(self, state: SceneState | None = None) -> None:
         """Reset to ``state``, or to the scene's initial state, with zero velocities.
 
-        Values that are missing from ``state`` are taken from the scene, and its velocities are ignored. Robots hold
-        their positions.
+        Values that are missing from ``state`` are taken from the scene. Velocities in ``state`` are ignored. Robots
+        hold their positions.
 
         Raises:
             KeyError: If ``state`` contains names that are not in the scene.
@@ -201,7 +201,7 @@ def camera_now(world: World, mounted: MountedCamera) -> Camera:
 
 
 def camera_of(world: World, name: str, width: int, height: int) -> Camera:
-    """Return the camera ``name`` at its current pose for the given image size.
+    """Return the camera called ``name`` at its current pose and for the given image size.
 
     Raises:
         KeyError: If the camera is unknown; the message lists the valid names.
@@ -219,7 +219,8 @@ def camera_of(world: World, name: str, width: int, height: int) -> Camera:
 def resized(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera with ``width`` x ``height`` pixels, scaled uniformly and cropped if the aspect ratio differs.
 
-    Its image equals the original image, scaled to cover the new size and then cropped equally on both sides.
+    The new camera's image equals the original image, scaled to cover the new size and then cropped equally on both
+    sides.
     """
     scale = max(width / camera.width, height / camera.height)
     off_x, off_y = (camera.width * scale - width) / 2, (camera.height * scale - height) / 2

@@ -51,7 +51,7 @@ def _packages() -> Iterator[Part]:
 
 
 def _extras() -> Iterator[Part]:
-    """Yield the extras, locating packages that are slow to load without importing them."""
+    """Yield the extras. Packages that are slow to load are located without importing them."""
     for extra in EXTRAS.values():
         found, problem = "", ""
         if extra.name == "pybullet":
@@ -66,7 +66,7 @@ def _extras() -> Iterator[Part]:
 
 
 def _robots() -> Iterator[Part]:
-    """Yield the known robots, with the command that installs missing models."""
+    """Yield the known robots, along with the command that installs missing models."""
     from simfoundry.scene.robot import lower_robot
     from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec
@@ -111,7 +111,7 @@ def _models() -> Iterator[Part]:
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """Return the version of a package, and a note about the error if the package is installed but fails to import.
+    """Return the version of a package and, if the package is installed but cannot be imported, a note about the error.
 
     The version is empty if the package cannot be imported, and the note is empty if there is no such error.
     """

@@ -137,7 +137,7 @@ class MujocoWorld(World):
         return SceneState.of(poses, joints, motions, robots, speeds)
 
     def contacts(self) -> list[Contact]:
-        """Return the current contacts between different objects."""
+        """Return the current contacts between different objects and robots."""
         self._mujoco.mj_forward(self.model, self.data)
         found = []
         for contact in self.data.contact[: self.data.ncon]:
@@ -278,7 +278,7 @@ class MujocoRobotHandle(WorldRobot):
         return found
 
     def is_driven(self, name: str) -> bool:
-        """Return true if an arm joint has an actuator."""
+        """Return True if an arm joint has an actuator."""
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:

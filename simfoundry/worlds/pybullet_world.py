@@ -181,7 +181,7 @@ class PybulletWorld(World):
         return bool(self._call("getJointInfo", body, index)[2] == self._bullet.JOINT_SPHERICAL)
 
     def contacts(self) -> list[Contact]:
-        """Return the current contacts between different objects."""
+        """Return the current contacts between different objects and robots."""
         self._call("performCollisionDetection")
         found = []
         for point in self._call("getContactPoints"):
@@ -334,13 +334,13 @@ class PybulletRobotHandle(WorldRobot):
         return tuple(self._facts["joints"])
 
     def model_positions(self) -> dict[str, float]:
-        """Return the positions of all movable joints [rad or m], by the model's names."""
+        """Return the positions of all movable joints [rad or m], keyed by their names in the model."""
         names = self.moving
         states = self._call("getJointStates", self._body, [self._index[name] for name in names])
         return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by the model's names, at zero velocity.
+        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by name in the model, at zero velocity.
 
         The motors hold these positions, and mimic joints are set from their leaders.
         """

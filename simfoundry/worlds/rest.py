@@ -36,7 +36,7 @@ FOOT = 0.001
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
-    """Return the objects that support ``name`` from below, with contact normals whose z is at least ``upward``."""
+    """Return the objects that support ``name`` from below, through contacts with a normal z of at least ``upward``."""
     below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
     below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
     return tuple(sorted(below))
@@ -51,7 +51,7 @@ def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Return true if the contacts from below surround the center of mass horizontally."""
+    """Return True if the contacts from below surround the center of mass horizontally."""
     center = center_of_mass(item, X_WO)
     below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
     offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
@@ -63,7 +63,7 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Return true if an object falls over when released with a slight tilt about either axis, ignoring rolling."""
+    """Return True if an object falls over when released with a slight tilt about either axis, ignoring rolling."""
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
@@ -90,7 +90,7 @@ def ball_radius(item: SceneObject) -> float | None:
 
 
 def is_ball(item: SceneObject) -> bool:
-    """Return true if an object is a single sphere at its frame, whose orientation does not matter."""
+    """Return True if an object is a single sphere at its frame, whose orientation does not matter."""
     return ball_radius(item) is not None
 
 
@@ -115,7 +115,7 @@ def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
 
 
 def _differ(start: Pose, end: Pose, turns: bool = True) -> bool:
-    """Return true if two poses differ by more than the creep of an object at rest; ``turns`` compares rotations too."""
+    """Return True if two poses differ by more than the creep of an object at rest; ``turns`` compares rotations too."""
     return float(np.linalg.norm(end.p - start.p)) > STILL_M or (turns and end.angle_to(start) > STILL_RAD)
 
 
@@ -165,7 +165,7 @@ def tilt_deg(before: Pose, after: Pose) -> float:
 
 
 def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
-    """Return true if a ball that was released at rest moved by at most its diameter, like a ball in a bowl.
+    """Return True if a ball that was released at rest moved by at most its diameter, like a ball in a bowl.
 
     Without rolling resistance, a height difference of only 0.1 mm keeps a ball in a bowl moving. On an open slope of
     just 0.1 degrees, a ball rolls several times as far.

@@ -25,7 +25,7 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """Return the rows for MuJoCo's model, which is the canonical model, or no rows if there is no such model."""
+    """Return the rows for MuJoCo's model, which is the canonical model, or nothing if there is no such model."""
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 
@@ -58,7 +58,7 @@ def _names(robot: Robot, native: NativeModel) -> dict[str, str]:
 
 
 def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Row]:
-    """Yield the rows of the gripper joints, either pairwise or all from the other model's first joint."""
+    """Yield the rows for the gripper joints, matched pairwise or all derived from the other model's first joint."""
     theirs = list(other.joints.items())
     if len(theirs) != len(own.joints):
         theirs = theirs[:1] * len(own.joints)

@@ -57,10 +57,10 @@ class SettleOptions:
 class ObjectSettle:
     """The effect of settling on one object.
 
-    ``penetration_before`` and ``penetration_after`` are the depths [m] of its deepest contacts, ``drift`` is the
-    distance [m] from its fitted pose, ``tilt_deg`` is the change in its up axis, and ``turn_deg`` is its total
-    rotation. ``supports`` names the objects that support it; ``support_kept`` is False if an ``OnTop`` relation in the
-    scene is no longer true. An object that fell off the scene keeps its fitted pose.
+    ``penetration_before`` and ``penetration_after`` are the depths [m] of the object's deepest contact before and after
+    settling. ``drift`` is the distance [m] from its fitted pose, ``tilt_deg`` is the change in its up axis, and
+    ``turn_deg`` is its total rotation. ``supports`` names the objects that support it, and ``support_kept`` is False if
+    an ``OnTop`` relation in the scene is no longer true. An object that fell off the scene keeps its fitted pose.
     """
 
     name: str
@@ -81,7 +81,7 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class SettleResult:
-    """The poses at rest, the effect on each free object, and the objects that fell off or did not come to rest."""
+    """The poses at rest, the effect of settling on each free object, and the objects that fell off or kept moving."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]

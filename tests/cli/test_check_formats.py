@@ -37,7 +37,7 @@ def test_text_is_that_of_a_compiler_and_sums_up() -> None:
         "      3 | objects: {cup: {shape: {sphere: 0.04}, mas: 0.2}}\n"
         "        |                                        ^\n"
         "        = did you mean `mass`?\n"
-        "warned.scene.yaml:4:3: warning[SF401] the material `wood` is not used\n"
+        "warned.scene.yaml:4:3: warning[SF401] the `wood` material is not used\n"
         "      4 |   wood: {density: 700}\n"
         "        |   ^\n"
         "        = remove it\n"
@@ -59,7 +59,7 @@ def test_json_has_the_shape_that_is_promised() -> None:
             {
                 "code": "SF401",
                 "severity": "warning",
-                "message": "the material `wood` is not used",
+                "message": "the `wood` material is not used",
                 "file": "warned.scene.yaml",
                 "line": 4,
                 "column": 3,
@@ -83,7 +83,7 @@ def test_annotations_stand_at_their_lines() -> None:
     assert (done.code, done.err) == (1, "")
     assert done.out.splitlines() == [
         "::error file=bad.scene.yaml,line=3,col=40,title=SF101::unknown key `mas`%0Adid you mean `mass`?",
-        "::warning file=warned.scene.yaml,line=4,col=3,title=SF401::the material `wood` is not used%0Aremove it",
+        "::warning file=warned.scene.yaml,line=4,col=3,title=SF401::the `wood` material is not used%0Aremove it",
         "1 error and 1 warning in 2 of 3 documents",
     ]
     assert run("check", "good.scene.yaml", "--format", "github").out == "no findings in 1 document\n"

@@ -287,7 +287,7 @@ def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each()
     assert {name for name, part in facts.items() if part["section"] == "robots"} == set(robot_names())
     assert facts["expert"]["version"] == ""
     assert facts["expert"]["remedy"] == "pip install 'simfoundry[expert]' (missing: mink)"
-    assert "SIMFOUNDRY_ROBOTS refers to the folder /nowhere, which does not exist" in str(facts["yam"]["remedy"])
+    assert "SIMFOUNDRY_ROBOTS is set to /nowhere, but this folder does not exist" in str(facts["yam"]["remedy"])
     assert facts["raycast"]["version"] and facts["images"]["version"] and not facts["meshes"]["version"]
     assert all(part["version"] or part["remedy"] for part in facts.values())
     assert "-> install the robot models with `pip install 'simfoundry[robots]'`" in without_folder.out

@@ -134,7 +134,7 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
         ),
         ("python:syntax:Push", "syntax.py: SyntaxError"),
         ("python:own_policies:np", "is a `module`, not a class"),
-        ("python:own_policies:Push?1=2", "are not valid arguments for `Push`"),
+        ("python:own_policies:Push?1=2", "does not contain valid arguments for `Push`"),
     ]:
         result = run("eval", "push.task.yaml", "-p", text, "-n", "1", "-o", "out")
         assert result.code == 2 and said in result.err, (text, result.err)

@@ -73,7 +73,7 @@ def test_steps_are_judged_at_starts_of_their_own(tmp_path: Path) -> None:
     steps += "  two: {goal: OnTop(cup, plate), start: {place: {cup: {on: plate}}}}\n"
     ((code, message),) = lint_task(tmp_path, "OnTop(cup, plate)", steps)
     assert code == "SF405"
-    assert message.startswith("the step `two` is already complete when it starts")
+    assert message.startswith("the `two` step is already complete when it starts")
     assert lint_task(tmp_path, "OnTop(cup, plate)", "subtasks: {one: {goal: Upright(cup)}}\n")[0][0] == "SF405"
 
 

@@ -91,6 +91,6 @@ def test_a_broken_one_is_a_finding(folder: Path, monkeypatch: pytest.MonkeyPatch
     (folder / "site" / "rise.py").write_text("HIGHER = 1\n")
     monkeypatch.syspath_prepend(folder / "site")
     monkeypatch.delitem(sys.modules, "rise", raising=False)
-    words = r"predicate `Higher` from the package rise 0\.1 cannot be loaded: .* is a int"
+    words = r"`Higher` predicate from the package rise 0\.1 cannot be loaded: .* is a int"
     with pytest.raises(ExpressionError, match=words):
         parse_call("Higher(c, d)")

@@ -60,9 +60,9 @@ def test_a_broken_plug_in_is_a_sentence(site: Path, value: str, text: str, cause
     with pytest.raises(PluginError) as caught:
         BACKENDS.load("tau")
     message = str(caught.value)
-    assert message.startswith("the backend `tau` from the package ab 0.1 cannot be loaded: ")
+    assert message.startswith("the `tau` backend from the package ab 0.1 cannot be loaded: ")
     assert cause in message and "\n" not in message
-    assert message.endswith("(entry point `tau = ab:X` in the group `simfoundry.backends`)")
+    assert message.endswith("(entry point `tau = ab:X` in the `simfoundry.backends` group)")
 
 
 def test_two_packages_with_one_name_are_told_apart(site: Path) -> None:

@@ -63,7 +63,7 @@ class Hue:
 
     @classmethod
     def of(cls, mask: Mask, hue: NDArray[np.uint8], vivid: Mask) -> Hue:
-        """Return the hue of the region ``mask``."""
+        """Return the hue of the region that ``mask`` covers."""
         counts = np.bincount(hue[mask & vivid], minlength=180)
         smooth = np.sum([np.roll(counts, i) for i in range(-5, 6)], axis=0)
         return cls(float(np.argmax(smooth)), float((mask & vivid).sum() / max(1, mask.sum())))
@@ -71,7 +71,7 @@ class Hue:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Evidence on whether two parts belong to the same object: hues, supports, hidden lower edges, and borders."""
+    """Evidence that two parts may belong to the same object: hues, supports, hidden lower edges, and borders."""
 
     hues: dict[int, Hue]
     on: dict[int, int]

@@ -232,7 +232,7 @@ def _short_side(points: Array) -> float:
 
 
 def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
-    """Merge every region in ``parent`` into its parent, recursively, and renumber the labels 1..n without gaps."""
+    """Recursively merge every region in ``parent`` into its parent, and renumber the labels 1..n without gaps."""
     return compact(np.array([root(parent, region) for region in range(int(labels.max()) + 1)])[labels])
 
 

@@ -221,7 +221,7 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
 
 
 def _solve(s: Array) -> Array:
-    """Solve the least-squares problem at every pixel from its moment sums, slightly damped toward fronto-parallel."""
+    """Solve the least-squares problem at every pixel from its moment sums, with slight damping toward no slope."""
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -277,7 +277,7 @@ def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, 
 
 
 def _breaks(depth: Array) -> Array:
-    """Return the depth jump [m] to adjacent pixels if it exceeds any slope, else 0; no surfaces are fitted for this."""
+    """Return the depth jump [m] to adjacent pixels, or 0 if a sloping surface could explain it."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):

@@ -131,9 +131,10 @@ def _columns(t: Array) -> Array:
 def _mirror_depths(fronts: list[_Slice]) -> Array:
     """Return the position of the mirror plane in each slice [m].
 
-    Over the inner 85% of its width, an ellipse curves back by 0.47 of its half depth, which determines the plane. A
-    flat front provides no information, so the depth prior for boxes is used instead. Standing objects are usually
-    symmetric about a single plane from base to cap, so all slices use the median, as far as their widths allow.
+    The plane is computed from the curvature of the front: over the inner 85% of its width, an ellipse curves back by
+    0.47 of its half depth. A flat front provides no information, so the depth prior for boxes is used instead. Standing
+    objects are usually symmetric about a single plane from base to cap, so all slices use the median position, as far
+    as their widths allow.
     """
     width = np.array([one.t[-1] - one.t[0] for one in fronts])
     front, turned = np.array([np.percentile(one.near, [10.0, 85.0]) for one in fronts]).T
@@ -142,7 +143,7 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """Return a percentile of ``s`` near each column; columns without points are interpolated."""
+    """Return a percentile of the depths ``s`` near each column; columns without points are interpolated."""
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))

@@ -76,7 +76,7 @@ class Evidence:
 
     @property
     def top(self) -> float:
-        """Height of the object [m], robust to noise: the median of its highest 2% of points, but at least ten."""
+        """Noise-robust height of the object [m]: the median of its highest 2% of points, but at least of ten points."""
         z = self.points[:, 2]
         count = max(min(10, len(z)), len(z) // 50)
         return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
@@ -168,7 +168,7 @@ def smooth_gaps(x: Array, values: Array) -> Array:
 
 
 def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the rays: a regular grid over the bounding window of the mask, with a margin."""
+    """Return the rows and columns of the rays, a regular grid over the mask's bounding window and a margin."""
     rows, cols = np.nonzero(mask)
     margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
     top, bottom = max(0, rows.min() - margin), min(mask.shape[0] - 1, rows.max() + margin)

@@ -91,7 +91,7 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:
-    """Fit every family of shapes that the evidence can support; few points support only boxes and cylinders."""
+    """Fit every family of shapes that the evidence supports. With few points, these are only boxes and cylinders."""
     found = [fit_box(evidence), fit_cylinder(evidence)]
     if len(evidence.points) < FEW_POINTS:
         return found

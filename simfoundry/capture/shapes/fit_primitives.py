@@ -20,7 +20,7 @@ Solid = tuple[Cylinder | Sphere, Pose]
 
 
 def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
-    """Minimize ``cost`` with the Nelder-Mead method, starting at ``start`` with ``steps`` as the simplex sizes.
+    """Minimize ``cost`` with the Nelder-Mead method from ``start``; ``steps`` are the edges of the initial simplex.
 
     Returns:
         The minimum cost and its parameters; the result is deterministic.
@@ -172,7 +172,7 @@ def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
 
 
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
-    """Move one face, or change the yaw, as long as the cost decreases, in progressively smaller steps.
+    """Move one face at a time or change the yaw, in progressively smaller steps, as long as the cost decreases.
 
     Nelder-Mead stalls at discontinuities caused by individual pixels, especially if a band of pixels without depth
     separates the object from the background: in that case, no small change to all parameters reduces the cost.

@@ -151,7 +151,7 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
 
 
 def _too_far(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason for each task object that all arms are too short to reach, even if it moves while it settles."""
+    """Yield a reason for each task object that no arm is long enough to reach, even if it moves while settling."""
     for name in _grasped(twin) if twin.goal is not None else ():
         box = twin.box(name, state.poses[name])
         slack = DRIFT + math.sin(math.radians(TILT_DEG)) * float(np.linalg.norm(box[1] - box[0]))

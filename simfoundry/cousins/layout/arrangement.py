@@ -36,7 +36,7 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return the object ``name`` to be placed on ``on``, with all its riders except for those in ``staying``."""
+        """Return the object called ``name``, to be placed on ``on`` with all its riders except those in ``staying``."""
         riders = tuple(n for n in twin.riders(name) if n not in set(staying))
         key = (name, on, riders)
         if key not in twin.placeables:
@@ -159,7 +159,7 @@ class Arrangement:
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return True if an object or one of its riders is closer to one of the ``others`` than the clearance.
+        """Return True if an object or any of its riders is closer to any of the ``others`` than the required clearance.
 
         Contact with the object named ``on`` is allowed, but overlap is not.
         """

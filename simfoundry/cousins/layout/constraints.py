@@ -93,7 +93,7 @@ def _resolved(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
         several = min(axis.relations_per_object, len(set(words)))
         if len(sets[name][0]) < several:
             listed = ", ".join(dict.fromkeys(words))
-            text = f"no {several} of {listed} can hold for `{name}` at once, as required by `relations_per_object`"
+            text = f"`{name}` cannot satisfy {several} of {listed} at once, as required by `relations_per_object`"
             reasons.append(Reason("contradiction", text, {"together": several}))
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
@@ -191,8 +191,8 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
     """Return an upper bound on the gap [m] between the anchor and an object that still fits on a support.
 
     The object's center must be at least half the object's width from the edge of the support. If a side is requested,
-    the center must also be beyond the edge of the anchor on that side. The gap is at least half the object's width less
-    than the distance from the center to the anchor.
+    the center must also be beyond the edge of the anchor on that side. The distance from the center to the anchor
+    exceeds the gap by at least half the object's width.
 
     Args:
         support: The support.
@@ -231,8 +231,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
         return
     sides = twin.shape(name).size(), max(boxes, key=np.prod)
     size, room = (" x ".join(f"{100 * v:.1f}" for v in np.sort(side)[::-1]) for side in sides)
-    text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of it must be"
-    text += " inside, but "
+    text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of the "
+    text += "object must be inside, but "
     if share <= SURE:
         text += f"at most {share:.0%} fits in any orientation"
     else:
@@ -241,7 +241,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return True if at least one of many drops puts an object that fits only partly inside the anchor."""
+    """Return True if any of many drops succeeds in placing an object inside the anchor, even if it fits only partly."""
     rng = np.random.default_rng(0)  # use a fixed seed, because the result must not depend on the candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
@@ -342,7 +342,7 @@ def too_full(
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Return a lower bound on the total shadow area [m^2] of ``count`` objects, each item being used in turn.
+    """Return a lower bound on the total shadow area [m^2] of ``count`` objects chosen from ``items`` in turn.
 
     If the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed and the result is 0.
     """

@@ -199,7 +199,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return masks of the values that lie in windows of a given length, one starting at each value, shape (n, n)."""
+    """Return masks of the values inside windows of the given length, shape (n, n); window i starts at value i."""
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 

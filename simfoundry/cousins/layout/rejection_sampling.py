@@ -82,7 +82,7 @@ class Occupancy:
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Ignore only the entries of ``owner``, because objects that stand on it touch it."""
+        """Ignore the entries of ``owner``, and no others, because objects that stand on ``owner`` touch it."""
         self._rows[3:5] = self._rows[6:]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
@@ -90,7 +90,7 @@ class Occupancy:
     def overlaps(
         self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> dict[int, list[int]]:
-        """Map each rectangle's index to the entries that it overlaps or that are less than ``gap`` [m] away.
+        """Map the index of each rectangle to the entries that overlap it or are less than ``gap`` [m] away from it.
 
         The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m]. Rectangles without
         any such entry are omitted.
@@ -161,7 +161,7 @@ class Region:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """The lower bounds of x, y [m] and rotation [rad], and the sizes of the three ranges, with shape (3,) each."""
+        """The lower bounds of x, y [m] and the rotation [rad], and the sizes of these three ranges, shape (3,) each."""
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 

@@ -173,7 +173,7 @@ class Twin:
     # -- shapes -------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> TwinObject:
-        """Return the object ``name`` at its rest pose."""
+        """Return the object called ``name`` at its rest pose."""
         if name not in self._objects:
             if self.base is not None and self._is_as_in_base(name):
                 self._objects[name] = self.base[name]
@@ -272,7 +272,7 @@ class Twin:
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """Return the shadow of an object and the riders ``along`` when the object's frame has the pose ``upright``."""
+        """Return the combined shadow of an object and the riders in ``along``, with its frame at pose ``upright``."""
         if not along:
             return self[name].outline(upright)
         key = (name, tuple(upright.q.tolist()), tuple(along))

@@ -46,7 +46,7 @@ class TwinRobots:
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:
-        """The robots that have a model, as objects."""
+        """The robots that have a model, represented as objects."""
         bodies = Bodies(self._scene)
         return tuple(bodies[name].item for name in bodies.robots)
 
@@ -59,12 +59,12 @@ class TwinRobots:
 
     @cached_property
     def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
-        """Shadows of the links of each obstacle in the world frame, by obstacle name."""
+        """Shadows of each obstacle's links in the world frame, keyed by obstacle name."""
         return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot's collision geometry; the visual meshes have too many triangles."""
+        """Surface of each robot's collision geometry, used because the visual meshes have too many triangles."""
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
@@ -117,7 +117,7 @@ class TwinObject:
         return edges_of(self.placed, self.still_links)
 
     def outline(self, upright: Pose) -> Outline:
-        """Return the object's shadow when its frame has the pose ``upright``."""
+        """Return the object's shadow with its frame at the pose ``upright``."""
         key = tuple(upright.q.tolist())
         if key not in self.outlines:
             self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))

@@ -124,7 +124,7 @@ JITTER = 0.035
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of a component, and of all parts of the same link that have the same color."""
+    """Change the color of a component and of all same-colored parts of its link."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
@@ -170,7 +170,7 @@ def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """Assign a color to the link instead of its parts if all parts have the same color."""
+    """Assign a color to a link instead of its parts if all its parts have that color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec

@@ -111,7 +111,7 @@ class ObjectBaseline:
             lacks.append(f"stands: {unstable}")
         width, opening = grasp_width(solid(item)), needs.opening
         if opening is not None and width > opening - MARGIN:
-            lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
+            lacks.append(f"the object is {length(width)} wide, but the gripper only opens to {length(opening)}")
             opening = None
         rests = tuple(call for call, why in failures.items() if why is None)
         return cls(item, replace(needs, rests=rests, opening=opening), tuple(lacks), unstable is None)
@@ -127,7 +127,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
         if width > opening - MARGIN:
             fits = math.isfinite(width)
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
-            text = f"it {narrow}, but the gripper opens only {length(opening)}"
+            text = f"it {narrow}, but the gripper only opens to {length(opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": opening})
     if twin.needs.joints:
         yield from _joint_faults(item, twin.item)
@@ -215,7 +215,7 @@ def rest_failure(call: Call, objects: Mapping[str, SceneObject]) -> str | None:
     """Return the reason why ``OnTop(a, b)`` or ``Inside(a, b)`` does not hold after ``a`` is released on or in ``b``.
 
     The joints of ``b`` are opened first, and then a few orientations of ``a`` are tried. The result is None if the
-    predicate holds for at least one orientation. ``objects`` maps the names of both objects to the objects.
+    predicate holds for at least one orientation. ``objects`` contains both objects, keyed by name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     try:
@@ -261,7 +261,7 @@ def _release_failure(call: Call, a: SceneObject, b: SceneObject) -> str | None:
 
 
 def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
-    """Yield a reason if a joint has a much smaller range than the twin's joint or if the links jam."""
+    """Yield a reason if a joint has a much smaller range than in the twin or if the links jam."""
     limits = {joint.name: joint.limits for joint in twin.joints if joint.limits is not None}
     for joint in item.joints:
         if joint.limits is None or joint.name not in limits:

@@ -209,7 +209,7 @@ def _main_kind(parts: Parts) -> Kind:
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """Group parts into components. Handle parts that touch form one component; every other part is a component."""
+    """Group parts into components. Touching handle parts form one component; any other part is one by itself."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

@@ -154,7 +154,7 @@ class Generation:
 def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
     """Convert a generated mesh to a draft.
 
-    The mesh is scaled to the size of the twin's object, aligned with its base, and gets its material.
+    The mesh is scaled to the size of the twin's object and aligned with its base. It gets the material of that object.
 
     Args:
         item: The twin's object.
@@ -185,7 +185,7 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
 def fitted(vertices: Array, low: Array, high: Array) -> Array:
     """Scale points uniformly to the size of given bounds, measured by the geometric mean of the side lengths.
 
-    The result is centered horizontally on the bounds and has the same lowest height.
+    The result is centered horizontally on the bounds, and its lowest point is at the bottom of the bounds.
 
     Args:
         vertices: Points in any unit, shape (n, 3).

@@ -45,7 +45,7 @@ class ObjectAsset:
 
 
 def item_of(scene: Loaded, name: str) -> ObjectAsset:
-    """Return the object ``name`` in a validated scene document; raise KeyError if it does not exist."""
+    """Return the object called ``name`` in a validated scene document; raise KeyError if it does not exist."""
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
         raise KeyError(f"no object {name!r}; available objects: {', '.join(scene.spec.objects) or 'none'}")

@@ -67,7 +67,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
 
 def mesh_files(mesh: Mesh) -> tuple[str, dict[str, bytes]]:
-    """Return the name of a mesh's OBJ file and the content of all its files by name, all in :data:`FOLDER`."""
+    """Return the name of a mesh's OBJ file and the contents of all its files by name; all are in :data:`FOLDER`."""
     files = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
     return next(iter(files)), files
 
@@ -159,7 +159,7 @@ class Loop:
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Return the points [m], shape (n, 3), with those deeper inside the wall than :attr:`sunk` moved out to it."""
+        """Move points [m], shape (n, 3), that are deeper inside the wall than :attr:`sunk` outward to that depth."""
         if self.wall is None:
             return points
         profile, base = self.wall

@@ -152,5 +152,5 @@ def _edit(
 
 
 def rng_of(seed: int, name: str, k: int) -> np.random.Generator:
-    """Return the random generator of candidate ``k`` of the object ``name``."""
+    """Return the random generator for candidate ``k`` of the object called ``name``."""
     return np.random.default_rng([seed, k, *name.encode()])

@@ -192,7 +192,7 @@ def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
 
 
 def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
-    """Shift radii by ``delta`` [m], a function of the heights [m]; points on the axis are unchanged."""
+    """Shift radii by ``delta`` [m], which is a function of the height [m]; points on the axis are unchanged."""
     chains = profile.outer.copy(), profile.inner.copy()
     for chain in chains:
         by, off = delta(chain[:, 1]), chain[:, 0] > 0
@@ -247,7 +247,7 @@ def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Arr
 
 
 def arc_lengths(chain: Array) -> Array:
-    """Return the distance along a chain [m] from its first point to each point, given points of shape (k, d)."""
+    """Return the distance [m] of each point on a chain from its first point, measured along the chain."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
 
 

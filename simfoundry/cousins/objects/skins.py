@@ -106,7 +106,7 @@ def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng)
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """Draw a texture with a pattern in the lower two thirds and a plain color, used for insides and edges, above it.
+    """Draw a texture with a pattern in the lower two thirds. Above it is a plain color for insides and edges.
 
     Returns:
         The texture as PNG data.

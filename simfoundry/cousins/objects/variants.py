@@ -122,7 +122,7 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Number of rejections for each reason, the most frequent first."""
+        """Number of rejections for each reason, starting with the most frequent reason."""
         counts = Counter(one.reason.code for one in self.refused)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
@@ -277,7 +277,7 @@ def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    """Return the volume enclosed by each of an asset's mesh files, keyed by name, in the file's unit cubed."""
+    """Return the volume enclosed by each mesh file of an asset, keyed by name, in the cube of the file's unit."""
     names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
@@ -299,7 +299,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
     Args:
         spec: The variant's asset.
         twin: The twin's asset.
-        volumes: Volumes of the variant's mesh files, keyed by name, in each file's unit cubed.
+        volumes: Volumes of the variant's mesh files, keyed by name, in the cube of each file's unit.
         before: Volumes of the twin's mesh files, keyed by name, in the same units.
     """
     links = {}
@@ -322,7 +322,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
     """Return the mass of a link [kg].
 
-    ``side`` selects which densities to use for its materials: lowest (-1), nominal (0) or highest (1).
+    ``side`` selects which densities to use for the link's materials: lowest (-1), nominal (0) or highest (1).
     """
     total = 0.0
     for part in link.parts.values():

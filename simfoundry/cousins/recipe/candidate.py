@@ -70,7 +70,7 @@ class Candidate:
         return not self.reasons
 
     def files(self) -> dict[str, str]:
-        """Return the file names of the documents by kind, such as ``000017.scene.yaml``."""
+        """Return the file names of the documents, such as ``000017.scene.yaml``, keyed by kind."""
         return {kind: file_of(self.index, kind) for kind in self.documents}
 
     def line(self) -> str:

@@ -77,7 +77,7 @@ class LibraryItem:
 
 @dataclass(frozen=True)
 class Library:
-    """The objects in a folder, along with the reason why each unusable file was skipped, by relative path."""
+    """The objects in a folder, and the reason why each unusable file was skipped, keyed by relative path."""
 
     title: str
     items: tuple[LibraryItem, ...]

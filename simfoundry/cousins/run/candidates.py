@@ -112,8 +112,8 @@ class _Draw:
     Attributes:
         twin: The twin with replaced and added objects.
         layout: The new poses.
-        others: Replacements of objects in the twin, by object name.
-        added: Distractors, by object name.
+        others: Replacements for objects in the twin, keyed by object name.
+        added: Distractors, keyed by object name.
     """
 
     twin: Twin

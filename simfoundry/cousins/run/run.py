@@ -115,7 +115,7 @@ class Ledger:
         return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
-        """Yield the indices of unexamined candidates in order; infinite if the number of candidates is unbounded."""
+        """Yield the indices of unexamined candidates in order, without end if the number of candidates is unbounded."""
         index = self.next_index
         while not self._is_beyond(index):
             if index not in self.known:
@@ -171,7 +171,7 @@ class RunPlan:
 
 
 def begin(plan: RunPlan) -> None:
-    """Create the output folder of a run, or check that an existing folder belongs to a run with the same fingerprint.
+    """Create the output folder of a run. If it already exists, check that it belongs to a run with this fingerprint.
 
     Raises:
         OutputError: The folder belongs to a different run, contains unrelated files, or is damaged.

@@ -75,9 +75,9 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """Return the level surfaces of an object that has several of them, highest first.
+    """Return the level surfaces of an object, highest first, if it has at least two.
 
-    The result is empty for links and for objects that have moved from their pose in the twin.
+    The result is empty for other objects, for links, and for objects that have moved from their pose in the twin.
     """
     X_WO = setting.twin.state.poses.get(target)  # None for links
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):

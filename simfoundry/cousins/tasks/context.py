@@ -253,7 +253,7 @@ class TaskContext:
         if width <= widest + SLACK:
             return ()
         narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped"
-        text = f"`{name}` {narrow}, but the fingers open only {length(widest)}"
+        text = f"`{name}` {narrow}, but the fingers only open to {length(widest)}"
         return (Reason("too_wide", text, {"width_m": min(width, 1e3), "opening_m": widest}),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:

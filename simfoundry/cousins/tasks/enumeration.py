@@ -122,7 +122,7 @@ def _sentence(words: str) -> str:
 
 
 def free_name(wanted: str, taken: set[str]) -> str:
-    """Convert the wanted name to a valid name, and append a number if it is already taken."""
+    """Convert the requested name to a valid name, and append a number if that name is already taken."""
     plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
     plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
     names = chain((plain,), (f"{plain[: NAME - 4]}_{k}" for k in count(2)))
@@ -234,12 +234,12 @@ def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """Return the path by which a document in ``out`` refers to a scene."""
+    """Return the path to a scene, as written in a document in ``out``."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """Run ``simfoundry check`` on the accepted proposals as documents in ``out``; reject those with findings."""
+    """Run ``simfoundry check`` on the accepted proposals, as documents in ``out``, and reject any with findings."""
     found = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:

@@ -225,7 +225,7 @@ def _step(thing: str, word: str, target: str) -> IdeaStep:
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
-    """Return the step to put an object on top of a target with a cavity below its top, and not into the cavity."""
+    """Return the step of putting an object on top of a target, and not into the cavity below its top."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
     return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)

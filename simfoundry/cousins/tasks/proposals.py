@@ -299,9 +299,9 @@ class TaskCousin:
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
         """Return the reasons why the task cannot be used in a settled scene; empty if it can be used.
 
-        A task cannot be used if its goal already holds or an object is out of reach. Goals were found to be feasible in
-        the twin, and feasibility does not depend on the layout, so it is verified again only if an object in the goal
-        was replaced.
+        A task cannot be used if its goal already holds or an object is out of reach. The goal was found to be feasible
+        in the twin, and feasibility does not depend on the layout, so feasibility is verified again only if an object
+        in the goal was replaced.
 
         Args:
             twin: The twin.

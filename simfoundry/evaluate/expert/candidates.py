@@ -235,7 +235,7 @@ class _Target:
         return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
 
     def _walled(self, foot: Array) -> bool:
-        """Return True if a point at an object's base, or slightly above it, has walls on most sides."""
+        """Return True if a point at or slightly above an object's base has walls on most sides."""
         return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
@@ -264,7 +264,7 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 def _tried(
     item: SceneObject, turns: Iterable[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
-    """Combine every rotation with every position; return them with the rotated shape and the cost, cheapest first."""
+    """Return all combinations of rotation and position with the rotated shape and the cost, cheapest first."""
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
@@ -295,7 +295,7 @@ def _turned(pose: Pose) -> list[Pose]:
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, with their costs."""
+    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, along with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return
@@ -310,7 +310,7 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
 
 
 def _long_axis(item: SceneObject) -> int | None:
-    """Return the index of the axis along which the object is long, or None."""
+    """Return the index of the axis along which the object is long, or None if it is not long."""
     size = hulls(replace(item, X_WO=Pose.of())).size()
     axis = int(size.argmax())
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None

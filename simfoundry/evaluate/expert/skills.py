@@ -236,7 +236,7 @@ def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: 
 
 
 def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
-    """Plan for the first placement at which the arm can release the object and retreat, or return None."""
+    """Return a plan for the first placement at which the arm can release the object and retreat, or None."""
     planner, q, name = worker.planners[robot], worker.q[robot], worker.held[robot].name
     reading = worker.now.robots[robot]
     held, share = Held(name, reading.X_WH.inverse() @ worker.now.state.poses[name]), reading.gripper

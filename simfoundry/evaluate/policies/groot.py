@@ -205,7 +205,8 @@ class GrootPolicy(RemotePolicy):
     """A client of GR00T's ``PolicyServer`` for a single arm.
 
     The server describes its inputs (``get_modality_config``). If the server needs images from earlier steps, as N1.7
-    does, the images of earlier requests are sent again, so the number of steps must be divisible by ``horizon``.
+    does, the images of earlier requests are sent again, so the number of steps to look back must be divisible by
+    ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -289,7 +290,7 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
         if step > 0 or -step % spec.horizon:
             fits = ", ".join(str(n) for n in range(1, -step + 1) if -step % n == 0)
             reason = f"with `horizon: {spec.horizon}` there is no request at that step"
-            raise PolicyError(f"the server looks {-step} steps back, but {reason}; set `horizon` to {fits}")
+            raise PolicyError(f"the server needs data from {-step} steps back, but {reason}; set `horizon` to {fits}")
 
 
 def _joined(answer: Any) -> Array:

@@ -56,7 +56,7 @@ LARGEST = 256 * 2**20
 
 
 class ReplayPolicy(Policy):
-    """A policy that replays recorded actions in order and then holds the last one.
+    """A policy that replays recorded actions in order and then keeps repeating the last action.
 
     Every rollout starts with the first action.
     """

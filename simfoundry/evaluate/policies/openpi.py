@@ -2,7 +2,7 @@
 
 RoboArena and DreamZero extend openpi's messages with an ``endpoint`` and keep rollout state on the server. Their server
 first sends its configuration (``PolicyServerConfig`` in ``roboarena/policy_server.py``), which is checked against the
-policy document. Note that they number cameras from 0, whereas openpi numbers them from 1.
+policy document. RoboArena and DreamZero number cameras from 0, whereas openpi numbers cameras from 1.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
     """Yield a sentence for each mismatch between the server's configuration and the document."""
     space = wishes.get("action_space")
     if isinstance(space, str) and space != spec.action_space:
-        yield f"its action space is `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
+        yield f"its action space is `{space[:40]}`, but the document specifies `action_space: {spec.action_space}`"
     for key in _wanted_cameras(wishes):
         if key not in spec.cameras:
             yield f"it needs the image `{key}`, which is missing from `cameras`"

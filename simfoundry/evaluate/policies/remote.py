@@ -107,7 +107,7 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
-    """Return the robots' state under the policy's keys, as float32 as in DROID's recordings."""
+    """Return the robots' state under the policy's keys, in float32 like DROID's recordings."""
     wanted = default if spec.state is None else spec.state
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
 
@@ -237,7 +237,7 @@ class ServerConnection(ABC):
             raise self.fail(f"could not send a request to {self.spec.name}: {error}") from None
 
     def unpacked(self, data: bytes) -> Any:
-        """Parse a response, which is untrusted."""
+        """Parse an untrusted response."""
         try:
             return self.codec.unpack(data)
         except CodecError as error:
@@ -245,7 +245,7 @@ class ServerConnection(ABC):
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Count a request and measure the time until its response."""
+        """Count a request and measure the time until the response arrives."""
         start = time.monotonic()
         self.record.questions += 1
         try:

@@ -42,7 +42,7 @@ def draws(name: str, seed: int, start: int) -> np.random.Generator:
 def sample(
     region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Sample a position x, y [m] within a cell and a rotation [deg] within its range, all uniformly."""
+    """Uniformly sample a position x, y [m] within a cell, and a rotation [deg] within the allowed range."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
     share = rng.random(3)
     low_yaw, high_yaw = region.yaw_deg
@@ -118,7 +118,7 @@ def placed(task: Task, spots: Spots) -> SceneState:
 
 
 def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
-    """Return the closest object in the chain of supports that is placed at random, or None."""
+    """Return the closest randomly placed object in the chain of supports, or None if there is none."""
     seen = {name}
     while (name := task.carriers.get(name, "")) and name not in seen:
         if name in spots:

@@ -153,7 +153,7 @@ def starts(
 ) -> tuple[RolloutStart, ...]:
     """Return the first ``n`` initial states of a task.
 
-    Once there is an initial state for every grid cell, the cells are dealt again.
+    Once there is an initial state for every grid cell, the cells are shuffled again.
 
     Args:
         task: The task.

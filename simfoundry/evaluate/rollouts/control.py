@@ -1,6 +1,6 @@
 """The interface between a policy and the robots and cameras in a world.
 
-It provides observations and applies actions as joint targets.
+The interface provides observations and applies actions as joint targets.
 """
 
 from __future__ import annotations

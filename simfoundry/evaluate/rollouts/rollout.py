@@ -117,7 +117,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """The images to record during a rollout: one from each of ``cameras`` after every ``every`` control steps."""
+    """The images to record during a rollout: one from each camera in ``cameras`` every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -238,7 +238,7 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Run until the rollout ends; return the reason, and the details of a failure."""
+        """Run until the rollout ends; return the reason and, for a failure, its details."""
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)

@@ -124,7 +124,7 @@ def check_layout(folder: Path) -> None:
 
 
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield every rollout of an evaluation with its file, ordered by file name.
+    """Yield every rollout of an evaluation, along with its file, ordered by file name.
 
     Missing rollouts are included; their ``end`` identifies them.
 

@@ -134,7 +134,7 @@ def pools(records: Iterable[Record]) -> list[RatePool]:
 
 
 def _rate_of(done: Sequence[int | None]) -> Rate:
-    """Return the rate of a step, given the control step at which each rollout completed it, or None if it did not."""
+    """Return a step's rate, given the control step at which each rollout completed it, or None if it did not."""
     return Rate(sum(step is not None for step in done), len(done))
 
 
@@ -195,7 +195,7 @@ class ScoreRow:
 
     @property
     def summary(self) -> str:
-        """The success rate as text, followed by any invalid responses and missing rollouts."""
+        """The success rate as text, followed by the numbers of invalid responses and missing rollouts, if any."""
         rate = str(self.success) if self.success.of else "no result"
         return f"{rate}, {self.exceptions}" if self.exceptions else rate
 

@@ -40,13 +40,13 @@ class CollisionBody:
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, Joint]]:
-        """The parent link of each link except the first, and the joint that connects them, by index."""
+        """The parent link of each link except the first, and the joint that connects the two, keyed by link index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
         return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
 
     @cached_property
     def turns(self) -> dict[int, Turn]:
-        """The rotation about the joint axis for each link except the first, by index."""
+        """The rotation about the joint axis for each link except the first, keyed by link index."""
         return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
@@ -55,7 +55,7 @@ class CollisionBody:
 
 
 class Entity(NamedTuple):
-    """The links of a body, by index, that an argument refers to; bounding boxes use the frame of the first link."""
+    """The links of a body that an argument refers to, as indices. Bounding boxes use the frame of the first link."""
 
     name: str
     owner: str
@@ -71,7 +71,7 @@ class Joints(NamedTuple):
 
 
 class Bodies:
-    """The bodies in a scene, which are its objects and robots, by name; each body is prepared once."""
+    """The bodies in a scene (its objects and robots), keyed by name. Each body is prepared only once."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -34,7 +34,7 @@ class Context:
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:
-        """The fingers of all robots that have a gripper, by robot."""
+        """The fingers of all robots that have a gripper, keyed by robot."""
         found = {name: fingers(self.bodies, name) for name in self.bodies.robots}
         return {name: hand for name, hand in found.items() if hand is not None}
 
@@ -81,7 +81,7 @@ class Terms:
     def require_if_open(
         self, measure: Callable[[View], Array], margin: Callable[[Array], Array], explain: Explain
     ) -> None:
-        """Add a term that is slow to measure; it is evaluated only in states in which all previous terms hold.
+        """Add a term that is slow to measure. It is evaluated only in states in which all previous terms hold.
 
         ``measure`` returns the values in these states, and ``margin`` converts values to margins.
         """
@@ -164,7 +164,7 @@ class Judge:
         return values, margins
 
     def _views(self, batch: StateBatch) -> Iterator[tuple[Index, View]]:
-        """Yield views of :data:`CHUNK` states each, with the indices of the states."""
+        """Yield views of :data:`CHUNK` states each, along with the indices of these states."""
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
             yield index, View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))

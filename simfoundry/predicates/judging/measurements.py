@@ -22,8 +22,8 @@ from simfoundry.scene.lengths import length
 class Meeting(NamedTuple):
     """The depths [m] at which plumb lines through one entity hit parts of another entity over and under it, (n,) each.
 
-    Each depth is the smaller of two values: the distance of the line from the outline of the part, and the length by
-    which the part extends beyond the end of the first entity along the line. It is negative if nothing is hit.
+    Each depth is the smaller of two values: the distance from the line to the part's outline, and the length by which
+    the part extends beyond the end of the first entity along the line. The depth is negative if nothing is hit.
     """
 
     over: Array
@@ -79,9 +79,10 @@ SAMPLES = 64
 
 
 def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
-    """Return the cavities of an entity's links in their current orientations, with the link index and the states.
+    """Return the cavities of an entity's links in their current orientations.
 
-    The up axis of a cavity is the link axis closest to the vertical.
+    Each cavity comes with its link index and the indices of the states in which the link has this orientation. The up
+    axis of a cavity is the link axis closest to the vertical.
     """
     found = []
     for k in view.bodies.hollow_links(b):
@@ -143,7 +144,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """Return the number of samples for each link, in proportion to its mass."""
+    """Return the number of samples for each link, which is proportional to the link's mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -153,7 +154,7 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """Return the margin [m] before the opening of a cavity faces too far down, shape (n,).
+    """Return the margin [m] that remains before the opening of a cavity faces too far down, shape (n,).
 
     The margin is scaled by the depth of the cavity.
     """
@@ -214,8 +215,8 @@ class SupportContact:
 def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
     """Return the distance [m] of the center of mass of ``a`` from the edge of the outline of ``b``, shape (n,).
 
-    It is positive inside the outline. If the center of mass is outside and another object also touches ``a``, the
-    margin of that contact is returned instead.
+    The distance is positive inside the outline. If the center of mass is outside and another object also touches
+    ``a``, the margin of that contact is returned instead.
     """
     within = over(center_of_mass(view, a), view.boxes(b))
     for other in context.others(a, b):
@@ -263,7 +264,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Return, as a mask of shape (n,) per object, the states in which ``a`` supports it directly or indirectly.
+    """Return a mask for each object, shape (n,), of the states in which ``a`` supports it directly or indirectly.
 
     ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
     something touches ``a``.

@@ -223,7 +223,7 @@ class View:
         return self._heights[thing]
 
     def aabb_middle(self, thing: Entity) -> Array:
-        """Return the middle of the bounding box of an entity along the axes of the world [m], shape (n, 3)."""
+        """Return the middle [m] of an entity's bounding box along the world axes, shape (n, 3)."""
         spans = [self.span(thing, axis) for axis in np.eye(2, 3)] + [self.heights(thing)]
         return np.stack([(low + high) / 2 for low, high in spans], axis=1)
 

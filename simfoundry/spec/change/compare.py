@@ -48,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """A comparison of two states of the document ``name``; a side is None if the document does not exist there."""
+    """A comparison of two states of a document; ``old`` or ``new`` is None if the document did not exist."""
 
     name: str
     old: Side | None

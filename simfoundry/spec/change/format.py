@@ -38,7 +38,7 @@ class Formatted:
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
     """Return the canonical form of a document; raises :class:`SpecError` if the text could not be parsed.
 
-    If ``schema`` (a relative path or a URL) is specified, the first line of the result refers editors to this schema.
+    If ``schema`` (a relative path or a URL) is specified, the first line of the result points editors to this schema.
     Otherwise, an existing schema line is kept.
     """
     document = _parsed(file, text)
@@ -49,7 +49,7 @@ def format_file(path: Path) -> Formatted:
     """Format a document without writing the result; raises :class:`SpecError` if the document could not be read.
 
     If a parent folder within the project contains the schema for the document's kind in ``schemas/`` or
-    ``.simfoundry/schemas/``, the first line of the result refers editors to that schema. An existing reference to a
+    ``.simfoundry/schemas/``, the first line of the result points editors to that schema. An existing reference to a
     different schema is kept if that schema exists or is a URL.
     """
     document = _parsed(str(path))
@@ -155,7 +155,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
         return kind
     versions = [*steps, *KINDS]
-    message = f"`{kind}` is not a known document kind" if kind is not None else f"the key `{KIND}` is missing"
+    message = f"`{kind}` is not a known document kind" if kind is not None else f"the `{KIND}` key is missing"
     hint = nearest(str(kind), versions) if kind is not None else "start the document with `simfoundry: scene/1`"
     raise SpecError([*document.duplicates, document.finding("SF006", (KIND,), message, hint)])
 

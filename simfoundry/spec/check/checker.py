@@ -123,7 +123,7 @@ class Checker:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
     def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
-        """Check that a body's density, given or computed as mass over the ``solid`` volume [m^3], is plausible."""
+        """Check that a body's density is plausible; by default, this is its mass over its ``solid`` volume [m^3]."""
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:
             self.plausible(str(path[-1]), given, (*path, "density"))
@@ -140,7 +140,7 @@ class Checker:
         """Warn about each unused material."""
         for name in materials if self.whole else ():
             if name not in used:
-                self.warn("SF401", ("materials", name), f"the material `{name}` is not used", "remove it")
+                self.warn("SF401", ("materials", name), f"the `{name}` material is not used", "remove it")
 
 
 # Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity.
@@ -155,7 +155,7 @@ def implausible(density: float) -> str:
 
 
 def volume(shape: Shape) -> float:
-    """Return the volume of a primitive [m^3], or infinity if the computation overflows."""
+    """Return the volume [m^3] of a primitive, or infinity if the computation overflows."""
     try:
         value = _volume(shape)
     except OverflowError:

@@ -62,7 +62,7 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
 
 
 def absolute(file: str) -> Path:
-    """Return the normalized absolute path; symbolic links are not resolved because their own folder matters."""
+    """Return the normalized absolute path; symbolic links are not resolved because the folder of the link matters."""
     return Path(os.path.normpath(Path(file).absolute()))
 
 

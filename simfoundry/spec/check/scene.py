@@ -199,15 +199,15 @@ class SceneNames:
         self._items = spec.objects if spec is not None else {}
 
     def asset(self, name: str) -> AssetSpec | None:
-        """Return the asset document of the object ``name``, or None if it does not exist or is invalid."""
+        """Return the asset document of an object, or None if the document does not exist or is invalid."""
         return asset_in(self._used(name))
 
     def is_fixed(self, name: str) -> bool:
-        """Return True if the object ``name`` is fixed to the world."""
+        """Return True if an object is fixed to the world."""
         return name in self._items and self._items[name].fixed
 
     def is_known(self, name: str) -> bool:
-        """Return True if the parts of the object ``name`` are known."""
+        """Return True if the parts of an object are known."""
         used = self._used(name)
         return name in self._items and (used is None or used.spec is not None)
 

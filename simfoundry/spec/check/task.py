@@ -120,7 +120,7 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
 
 
 def _engines(c: Checker, axis: TaskAxis | None) -> None:
-    """Check that scenes can be run in the simulators that a recipe names, including those of installed packages."""
+    """Check that each simulator named in a recipe, including those from installed packages, can run scenes."""
     if axis is None or "engines" not in axis.model_fields_set:
         return
     worlds = import_module("simfoundry.worlds")  # belongs to a higher layer, and most recipes do not need it

@@ -153,7 +153,7 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
         return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
     former = {old: new for owner in owners for old, new in former_keys(owner).items()}
     if last in former:
-        return f"the key `{last}` was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
+        return f"the `{last}` key was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
     return f"unknown key `{last}`", nearest(str(last), names)
 
 

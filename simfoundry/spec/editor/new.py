@@ -163,7 +163,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Return the template variables for a task, which is to put one object onto another, or to lift the only object."""
+    """Return the template variables for a task: putting one object onto another, or lifting the only object."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
@@ -177,7 +177,7 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     words["instruction"] = words["instruction"].replace("_", " ")
     regions = [(name, _where(item)) for name, item in free.items() if name in (thing, target)]
     lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
-    ranges = "ranges of x and y in the world [m], and of the turn about z"
+    ranges = "ranges of x and y in the world [m], and of the rotation about z [deg]"
     reset = ["  objects:", f"    # {ranges}", *lines]
     if not lines:
         reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]

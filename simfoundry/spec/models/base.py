@@ -121,7 +121,7 @@ class Model(BaseModel):
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error that is reported as finding ``code`` at the key ``at`` of the model."""
+    """Return a validation error that is reported as finding ``code`` at the model's key ``at``."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 
@@ -193,7 +193,7 @@ class Estimate(Model):
 
     value: Positive = Field(description="The value to use [kg, or kg/m^3].")
     range: tuple[Positive, Positive] | None = Field(None, description="Plausible minimum and maximum [kg, or kg/m^3].")
-    source: Agent = Field("unknown", description="Person or method that estimated it, such as `category_table`.")
+    source: Agent = Field("unknown", description="Person or method that made the estimate, such as `category_table`.")
 
     @consistent
     def _inside(self) -> None:
@@ -302,19 +302,19 @@ class CousinOf(Model):
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
     index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, starting at 1.")
-    generator: Agent = Field("simfoundry", description="The program that generated it.")
+    generator: Agent = Field("simfoundry", description="The program that generated the cousin.")
 
 
 class Origin(Model):
     """The source of a description and how well it fits the observations."""
 
-    capture: str | None = Field(None, description="The capture it was estimated from.")
+    capture: str | None = Field(None, description="The capture from which the values were estimated.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
         None, description="Median distance between the observed points and the fitted surface [m]."
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
-    cousin: CousinOf | None = Field(None, description="Recipe, seed and index, if it is a cousin.")
+    cousin: CousinOf | None = Field(None, description="Recipe, seed and index of a cousin.")
 
 
 class Material(Model):
@@ -337,7 +337,7 @@ class Material(Model):
     restitution: Fraction = Field(
         0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
     )
-    color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color: red, green, blue and optionally opacity, each 0 to 1.")
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]

@@ -84,7 +84,7 @@ class ObjectModels(Model):
         "`openai:gpt-5`; default: the value of `--vlm`.",
     )
     images: ModelName | None = Field(
-        None, description="Image-editing model, by its name on the server; default: the model set in the environment."
+        None, description="Name of the image-editing model on the server; default: `SIMFOUNDRY_IMAGES_MODEL`."
     )
     meshes: Literal["hunyuan3d"] = Field(
         "hunyuan3d", description="Interface of the server that turns an image into a mesh."

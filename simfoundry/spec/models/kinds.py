@@ -19,7 +19,7 @@ def suffix(kind: str) -> str:
 
 
 def is_document(path: Path) -> bool:
-    """Return True if the file name is that of a document."""
+    """Return True if the file name has a document suffix, such as ``.scene.yaml``."""
     return path.name == "capture.yaml" or path.name.endswith(tuple(map(suffix, KINDS)))
 
 

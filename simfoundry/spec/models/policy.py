@@ -136,8 +136,8 @@ class CameraView(Model):
 class GripperConvention(Model):
     """The gripper values that the policy uses, in both observations and actions."""
 
-    open: Number = Field(0.0, description="Number that means fully open.")
-    closed: Number = Field(1.0, description="Number that means fully closed.")
+    open: Number = Field(0.0, description="Value for a fully open gripper.")
+    closed: Number = Field(1.0, description="Value for a fully closed gripper.")
     threshold: Number | None = Field(
         None,
         description="Closing fraction, 0 to 1, above which the gripper closes fully; by default, intermediate "
@@ -167,20 +167,20 @@ class PolicySpec(DocumentSpec):
     )
     velocity_unit: Positive | None = Field(
         None,
-        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
-        "DROID, 3. By default, velocities are in rad/s or m/s.",
+        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; "
+        "DROID uses 3. By default, velocities are in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
         description="Number of steps of each action chunk to execute before the policy is queried again."
     )
     cameras: dict[WireKey, CameraView] = Field(
-        {}, description="Images that the policy receives, by the keys it expects."
+        {}, description="Camera views by the key that the policy expects for each image."
     )
     state: dict[WireKey, Reading] | None = Field(
-        None, description="Robot state that the policy receives, by the keys it expects; default: as in DROID."
+        None, description="Robot state values by the key that the policy expects for each; default: as in DROID."
     )
     gripper: GripperConvention = Field(
-        GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
+        GripperConvention(threshold=0.5), description="Gripper values that the policy uses."
     )
     timeout: Positive = Field(60.0, le=86400, description="Timeout for a response [s].")
     warm_up: Positive = Field(

@@ -1,7 +1,7 @@
 """Predicate declarations (name, arguments, and meaning) that do not require numpy.
 
 Each predicate is a :class:`Predicate` instance in a module of :mod:`simfoundry.predicates`, or is provided by another
-package through an entry point in the group ``simfoundry.predicates``.
+package through an entry point in the ``simfoundry.predicates`` group.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ def own_folder(must_exist: bool = False) -> Path | None:
     if folder is None or folder.is_dir():
         return folder
     if must_exist:
-        raise SimfoundryError(f"{OWN_ROBOTS} refers to the folder {folder}, which does not exist")
+        raise SimfoundryError(f"{OWN_ROBOTS} is set to {folder}, but this folder does not exist")
     return None
 
 

@@ -56,9 +56,9 @@ class Place(Model):
     inside: PartName | None = Field(
         None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
-    xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
+    xy: Point2 | None = Field(None, description="Position of the object's frame in the world [m].")
     local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
-        None, description="Position of its frame in the frame of its support [m]."
+        None, description="Position of the object's frame in the support's frame [m]."
     )
     left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
     right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
@@ -185,7 +185,8 @@ class CameraSpec(Model):
     cy: Number | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
-        None, description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or its link."
+        None,
+        description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or an object's link.",
     )
 
 

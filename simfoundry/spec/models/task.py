@@ -43,7 +43,7 @@ class Start(Model):
 
 
 class Subtask(Model):
-    """A step of the task, complete once its goal has been satisfied."""
+    """A step of the task; it is complete once its goal has been satisfied."""
 
     goal: Condition = Field(
         description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
@@ -80,7 +80,10 @@ class TaskSpec(DocumentSpec):
     scene: FileName = Field(description="The scene, relative to this document.")
     instruction: Instruction = Field(description="Instruction for the policy.")
     robots: tuple[Name, ...] | None = Field(
-        None, min_length=1, max_length=8, description="Robots that the policy controls; default: all in the scene."
+        None,
+        min_length=1,
+        max_length=8,
+        description="Robots that the policy controls; default: all robots in the scene.",
     )
     goal: Condition = Field(
         description="Condition that ends the task: a predicate, or conditions combined with `all`, `any` and `not`."

@@ -165,7 +165,7 @@ class _Reader:
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
     def _about_whole(self, start: int, in_list: bool) -> int:
-        """Count the pending comments that belong to the value that starts here rather than to its first entry.
+        """Count the pending comments that belong to the next value as a whole rather than to its first entry.
 
         These comments are above or beside the dash of an item, or beside a colon on a separate line.
         """
@@ -189,7 +189,7 @@ class _Reader:
             self.owner = ("close", frame.path, event.end_mark.index)
 
     def _next_path(self, plain: str) -> Path_:
-        """Return the path of the value that starts here."""
+        """Return the path of the value that starts at the current position."""
         if not self.stack:
             return ()
         frame = self.stack[-1]

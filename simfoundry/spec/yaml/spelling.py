@@ -141,7 +141,7 @@ def _block(head: str, lines: tuple[str, ...], text: str) -> tuple[str, ...] | No
 
 
 def filled(words: list[str], width: int, indent: str = "") -> Iterator[str]:
-    """Yield lines with as many words as fit; all lines except the first are indented."""
+    """Yield lines, each with as many words as fit; all lines except the first are indented."""
     line = words[0]
     for word in words[1:]:
         if len(line) + 1 + len(word) > width:

@@ -37,7 +37,7 @@ class Document:
     root: Node
     duplicates: tuple[Diagnostic, ...]
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
-    """Members that this document adds to its base, by path, with the names of the existing members."""
+    """Members that this document adds to its base, keyed by path, each with the names of the members in the base."""
 
     def section(self, name: str) -> dict[str, Any]:
         """Return the data of a section by name; the result is empty if it is missing or not a mapping."""

@@ -60,7 +60,7 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Return a tree of the new plain ``data``, in its order, with the comments from ``tree``.
+    """Return a tree of the plain ``data``, in the order of the data, with the comments from ``tree``.
 
     Comments of removed values are dropped. A mapping entry keeps its comments if its key still exists, even if its
     value changes. A list item keeps its comments if an equal item exists, or if it was changed but has the same

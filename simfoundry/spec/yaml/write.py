@@ -1,4 +1,4 @@
-"""Write YAML in a canonical form that is compact, gives stable diffs, and preserves comments."""
+"""Write YAML in a canonical form that is compact, produces stable diffs, and preserves comments."""
 
 from __future__ import annotations
 

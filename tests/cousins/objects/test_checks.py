@@ -82,7 +82,7 @@ def test_what_must_be_taken_fits_the_gripper() -> None:
     wide = stretched(item("cube").spec, np.full(3, 1.8))
     assert first(wide, "cube", cube, "cube") == (
         "grip",
-        "it is 9.0 cm wide at its narrowest, but the gripper opens only 8.5 cm",
+        "it is 9.0 cm wide at its narrowest, but the gripper only opens to 8.5 cm",
     )
 
 

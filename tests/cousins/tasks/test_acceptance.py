@@ -32,7 +32,7 @@ def why(setting: TaskContext, goal: object) -> tuple[str, str]:
         ("OnTop(ball, block)", "impossible", "placements of `ball` (6.7 x 6.7 x 6.7 cm)"),
         ("Open(bowl)", "impossible", "bowl"),
         ("At(block, 1.3, 0)", "out_of_reach", "reaches 0.855 m"),
-        ("Lifted(wide)", "too_wide", "fingers open"),
+        ("Lifted(wide)", "too_wide", "fingers only open to"),
         ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "did not become true"),
     ],
 )

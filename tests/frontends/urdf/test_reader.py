@@ -136,7 +136,10 @@ def test_masses_that_nobody_states_are_warned_of_and_given_by_a_density(tmp_path
     source, out = tmp_path / "a.urdf", tmp_path / "a.asset.yaml"
     source.write_text(_robot(_link("a"), _link("b", BOX), _joint("continuous", "")))
     shown = run("import", source, "-o", out)
-    assert "warning: 1 link has no mass; solids with 1000 kg/m^3 are assumed, for a total of 6 kg: b 6 kg;" in shown.out
+    assert (
+        "warning: 1 link has no mass; solid shapes of 1000 kg/m^3 are assumed, for a total of 6 kg: b 6 kg;"
+        in shown.out
+    )
     assert run("import", source, "-o", out, "--force", "--json").json["assumed_masses"] == pytest.approx({"b": 6.0})
     shown = run("import", source, "-o", out, "--force", "--density", "600")
     assert "warning" not in shown.out and "600 kg/m^3" in shown.out

@@ -81,7 +81,7 @@ def test_what_is_up_to_date_is_left_alone() -> None:
     ("text", "words"),
     [
         ("simfoundry: scene/9\n", "`scene/9` is not a known document kind"),
-        ("name: a\n", "the key `simfoundry` is missing"),
+        ("name: a\n", "the `simfoundry` key is missing"),
         ("simfoundry: [\n", "expected a value"),
     ],
 )
@@ -138,8 +138,8 @@ def test_keys_that_were_renamed_are_found_and_mended_where_they_stand(tmp_path: 
     recipe.write_text(FORMER)
     scene.write_text(SCENE)
     found = {(d.code, d.line, d.column, d.message) for d in load(recipe).findings}
-    assert ("SF101", 9, 10, "the key `most` was renamed to `max`") in found
-    assert ("SF101", 5, 35, "the key `together` was renamed to `relations_per_object`") in found
+    assert ("SF101", 9, 10, "the `most` key was renamed to `max`") in found
+    assert ("SF101", 5, 35, "the `together` key was renamed to `relations_per_object`") in found
     assert [d.line for d in load(scene).findings] == [7, 8, 9, 9]
     assert {d.hint for d in load(scene).findings} == {"run `simfoundry migrate` on the file"}
     assert run("migrate", "--check", str(tmp_path)).code == 1 and recipe.read_text() == FORMER

@@ -87,7 +87,7 @@ def to_json(change: Change) -> dict[str, Any]:
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping keyed by name, or the items of a list of expressions keyed by text, else None."""
+    """Return the members of a mapping keyed by name, or a list of expressions keyed by text; None for other values."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -162,7 +162,7 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
     """Return the members of ``a`` that were renamed in ``b``. Within each section, the best match comes first."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
-        # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
+        # Each rename may make references match and thus reveal further renames, so repeat until no more are found.
         known = len(found)
         spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
         # Sections that define names come first, before those that only refer to them.

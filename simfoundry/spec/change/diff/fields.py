@@ -27,7 +27,7 @@ class Verbs(list[str]):
     moved = False
 
     def add_motion(self, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-        """Add phrases that describe the motion from the pose ``old`` to the pose ``new``."""
+        """Add phrases that describe the motion between two poses."""
         found = values.motion(old, new)
         self.extend(values.motion_words(found))
         self.moved = found.moved or found.turned
@@ -35,7 +35,7 @@ class Verbs(list[str]):
 
 @dataclass
 class Describing:
-    """Describes the changes from the document ``a`` to the document ``b``; both documents use the new names.
+    """Describes the changes from document ``a`` to document ``b``, both of which use the new names.
 
     Methods that take an old and a new value accept :data:`ABSENT` for a value that one document does not contain.
     """

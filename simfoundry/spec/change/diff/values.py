@@ -66,7 +66,7 @@ def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
 
 
 def value(key: str, item: Any) -> str:
-    """Describe ``item``, the value of the field ``key``."""
+    """Describe ``item``, which is the value of a field called ``key``."""
     match item:
         case None:
             return "none"
@@ -198,7 +198,7 @@ class PoseChange:
 
 
 def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
-    """Return the motion from the pose ``old`` to the pose ``new``, both given as document data."""
+    """Return the motion between two poses, which are given as document data."""
     return PoseChange(_minus(_xyz(new), _xyz(old)), *_turn(_rotation(old), _rotation(new)))
 
 

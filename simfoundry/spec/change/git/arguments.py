@@ -205,7 +205,7 @@ class HistoryEntry:
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
+    """Yield the commits that changed a document, latest first; ``path`` is relative to the repository ``root``.
 
     Each commit is compared with its first parent, and both versions are merged with the documents that they extended
     at that time. Merge commits are included only if they differ from all of their parents. The history follows renames

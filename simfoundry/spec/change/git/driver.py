@@ -36,7 +36,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
     if len(arguments) not in (7, 9):
-        return [f"a diff driver is called with 7 or 9 arguments, not {len(arguments)}"]
+        return [f"git calls a diff driver with 7 or 9 arguments, not {len(arguments)}"]
     path, old_file, old_id, _, new_file, new_id, _ = arguments[:7]
     new_path = arguments[7] if len(arguments) == 9 else path
     old, new = _blob(path, old_file, old_id, top), _blob(new_path, new_file, new_id, top)
@@ -64,7 +64,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides, or return None if either is invalid or any error occurs, so that `git diff` can continue."""
+    """Compare both sides; return None if a side is invalid or an error occurs, so that `git diff` can continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))

@@ -31,7 +31,7 @@ _SHOWN = 60
 
 @dataclass(frozen=True)
 class MergeConflict:
-    """Conflicting edits of the value at ``path``.
+    """Conflicting edits to the value at ``path``.
 
     The three values are plain data, or :data:`ABSENT`. If they are lists of the keys of an ordered mapping, only the
     order of the keys conflicts. If they are names, and ``path`` refers to the member named ``base``, both sides renamed

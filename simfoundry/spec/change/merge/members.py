@@ -138,7 +138,7 @@ def rivals_at(model: type[Model] | None, path: Path_) -> set[Path_]:
 
 
 def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> list[str]:
-    """Return the objects to which a task's `start` assigns both a pose and a place, which are mutually exclusive."""
+    """Return the objects to which a task's `start` assigns both a pose and a place, although only one is allowed."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
     if isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
         return [name for name in place if name in pose]

@@ -123,7 +123,7 @@ def resolve(
     for key in keys:
         path, entry = parts(key), entries[key]
         if not isinstance(entry, dict) or not path:
-            raise ResolveError(f"the entry `{key}` is not a valid conflict")
+            raise ResolveError(f"`{key}` is not a valid conflict entry")
         _take(data, path, entry, entry.get(side, ABSENT), names)
         if side == "theirs":
             comment = tree.value[CONFLICTS].value[key].beside
