@@ -93,7 +93,9 @@ class MjcfGeoms:
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
-        """Return the use of a geom: `visual` if it never collides, `collision` if viewers hide it, and `both` otherwise.
+        """Return the use of a geom.
+
+        The use is `visual` if the geom never collides, `collision` if viewers hide it, and `both` otherwise.
         """
         if not self.model.geom_contype[geom] and not self.model.geom_conaffinity[geom]:
             return "visual"
