@@ -43,8 +43,7 @@ class Artifact:
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Format data as a JSON file with one line per key, both at the top level and in the direct children of the top level.
-    """
+    """Format data as a JSON file with one line per key, both at the top level and in the direct children of the top level."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
