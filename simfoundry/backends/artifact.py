@@ -43,7 +43,10 @@ class Artifact:
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Format data as a JSON file with one line per key, both at the top level and in the direct children of the top level."""
+    """Format data as a JSON file with one line per key.
+
+    This applies to the keys of the top-level mapping and of its direct children.
+    """
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 

@@ -74,7 +74,10 @@ MARK = "simfoundry:scene"
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:
-    """Add a ``<custom>`` element with the categories, labels and stated relations, and with names that MJCF cannot represent."""
+    """Add a ``<custom>`` element.
+
+    The element contains the categories, the labels, the stated relations, and names that MJCF cannot represent.
+    """
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
     for item in scene.objects:

@@ -29,9 +29,11 @@ from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 
 class Resistance(NamedTuple):
-    """The resistances written for the links, keyed by qualified name.
+    """The resistance to write for each link.
 
-    The largest relative error of any pair is included.
+    Attributes:
+        written: The values to write, keyed by the qualified name of the link.
+        error: The largest relative error of any pair of links.
     """
 
     written: dict[str, float]

@@ -205,7 +205,7 @@ def _joint_type(joint: Joint, dialect: Dialect) -> str:
 def _limit(joint: Joint) -> dict[str, str]:
     """Return the attributes of a ``limit`` element.
 
-    The element is necessary because many readers lock prismatic joints without limits at zero.
+    Prismatic joints without limits get very large limits, because many readers would otherwise lock them at zero.
     """
     strength = joint.drive.force_limit if joint.drive is not None else None
     limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
