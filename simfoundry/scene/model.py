@@ -277,7 +277,7 @@ class LightType(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or everywhere (dome).
+    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or from all sides (dome).
 
     ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
     [0, 1], shape (3,).

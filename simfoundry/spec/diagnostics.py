@@ -24,10 +24,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
+    """A finding at a location.
 
-    ``about`` contains names that the finding concerns in addition to those in ``path``. Like those, they can be used in
-    ``allow`` to silence the finding.
+    ``line`` and ``column`` count from 1, and 0 means the whole file. ``about`` contains names that the finding concerns
+    in addition to those in ``path``. Like the names in ``path``, they can be used in ``allow`` to silence the finding.
     """
 
     code: str
@@ -51,7 +51,7 @@ class Diagnostic:
 
 
 class SpecError(PicklableError):
-    """Raised if findings prevent further processing; the message contains all of the findings."""
+    """Raised if findings prevent further processing. The message contains all of the findings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)

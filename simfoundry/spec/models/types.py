@@ -43,7 +43,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """Yield the types that a member of a type can have; ``part`` is the key or index of the member."""
+    """Yield the types that a member of a type can have. ``part`` is the key or index of the member."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             yield field_type(kind, part)
