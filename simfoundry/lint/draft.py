@@ -89,7 +89,7 @@ class DraftScene:
         return float(self._distances.between(self._view, *things, threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
-        """Return the penetration depth of two objects [m]."""
+        """Return the penetration depth [m] of two objects."""
         things = self._bodies.thing(a), self._bodies.thing(b)
         return -float(Distances(self._bodies).between(self._view, *things)[0])
 

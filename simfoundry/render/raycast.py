@@ -30,7 +30,7 @@ class Raycast:
         depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, shape (h, w).
         objects: 1 + the index in ``scene.objects``, or 0 if no surface is hit, int32, shape (h, w).
         normals: Unit normals in the world toward the camera, or NaN if no surface is hit, shape (h, w, 3).
-        camera: The camera of the image.
+        camera: The camera from which the image was rendered.
     """
 
     color: NDArray[np.uint8]

@@ -19,8 +19,8 @@ SEGMENTS = 96  # Segments around round primitives; the surface of a 5 cm cup is 
 
 CREASE_DEG = 35.0  # Faces that meet at a smaller angle than this are shaded as a single smooth surface
 
-# Vertices with more corners than this, such as the hub of a fan, are not smoothed, because the number of pairs of
-# corners is quadratic.
+# Vertices with more corners than this, such as the hub of a fan, are not smoothed, because the number of corner pairs
+# grows quadratically.
 _CROWDED = 512
 
 

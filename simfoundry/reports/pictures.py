@@ -19,7 +19,7 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480  # Default and maximum image size [px]; two images fit side by side on a page 1320 px wide
 
-VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]; wider views distort upright objects at the edges
+VIEW_DEG = 40.0  # Vertical field of view [deg] of the default camera; wider views distort upright objects at the edges
 
 # Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)

@@ -91,7 +91,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of compared quantities, the unexplained differences, the explained differences, and stale losses."""
+    """The result of a comparison: quantities compared, unexplained and explained differences, and stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]

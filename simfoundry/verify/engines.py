@@ -151,7 +151,7 @@ def find_installed(
 
 @cache
 def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions of the given modules in an interpreter, or an empty mapping if it does not start."""
+    """Return the versions of the given modules in an interpreter, or {} if the interpreter does not start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

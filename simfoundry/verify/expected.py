@@ -51,7 +51,7 @@ def static_links(scene: Scene) -> set[str]:
 
 
 def _held(item: SceneObject) -> set[str]:
-    """Return the links of an object that are welded to the world."""
+    """Return the names of an object's links that are welded to the world."""
     return {link for link, first in weld_groups(item).items() if item.fixed and first == item.root.name}
 
 

@@ -1,4 +1,4 @@
-"""Read-back data from an engine, which describes a build in the scene's terms, and its JSON form for other processes.
+"""Data read back from an engine, which describes a build in the scene's terms, and the JSON form of this data.
 
 None means that an engine does not report or store a value. Numbers are in SI units; poses are ``[x, y, z, qw, qx, qy,
 qz]``. Root links are named after the object, other links are named ``object.link``, and joints ``object.joint``.

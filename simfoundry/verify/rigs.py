@@ -39,7 +39,7 @@ def solid(
 
 
 def moments(shape: Primitive, mass: float) -> Array:
-    """Return the principal moments of inertia of a solid box, ball or cylinder [kg m^2], shape (3,)."""
+    """Return the principal moments of inertia [kg m^2] of a solid box, ball or cylinder, shape (3,)."""
     match shape:
         case Box(size=size):
             x, y, z = size

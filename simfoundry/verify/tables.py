@@ -1,4 +1,4 @@
-"""Text output of the results: tables of read-backs and behaviors by engine, and details of every failure."""
+"""Text output for verification results: tables of read-backs and behaviors by engine, and details of every failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Materials as MJCF default classes, and the contacts in a scene: collision geoms, excluded pairs and losses."""
+"""Conversion of materials to MJCF default classes, and the collision geoms, excluded pairs and losses of a scene."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def surface_of(collider: Collider) -> ContactSurface:
 
 
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
-    """Return the attributes of a geom with the given surface, if its class has the ``inherited`` surface.
+    """Return the attributes of a geom with the given surface whose class has the ``inherited`` surface.
 
     The restitution is stored in ``user``, which MuJoCo keeps but does not use, and ``solref`` approximates the
     restitution as closely as possible.
@@ -101,7 +101,7 @@ def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
 
 
 def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Return the pairs of bodies that do not collide, such as a drawer and the cabinet to which a joint connects it."""
+    """Return the pairs of bodies that do not collide, for example because they are connected by a joint."""
     own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in excluded_link_pairs(item)]
     return [*own, *scene.no_contact]
 
@@ -118,9 +118,9 @@ def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the friction and restitution losses if contacts in the files use MuJoCo's own rule.
+    """Yield the friction and restitution losses if any contacts in the files use MuJoCo's own rule.
 
-    Each loss is illustrated by the worst pair.
+    Each loss is illustrated by the pair with the largest error.
     """
     groups = rules.written_groups(geoms)[1] if exact else rules.unlike_groups(geoms)
     count = sum(len(group.one) * len(group.other) for group in groups)
