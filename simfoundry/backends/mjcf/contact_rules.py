@@ -216,10 +216,7 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return the ``condim``, ``friction`` and ``solref`` of a pair.
-
-    Pairs do not inherit these values from their geoms.
-    """
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair; pairs do not inherit values from their geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -235,8 +232,7 @@ def _attributes(surface: ContactSurface) -> str:
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
     """Return the collision geoms of the scene, their counterparts in the specification, and the geoms of the robots.
 
-    The counterparts are keyed by name. Geoms and bodies without a name get one in memory, which contains
-    :data:`PROXY`.
+    The counterparts are keyed by name. Geoms and bodies without a name get one that contains :data:`PROXY`.
     """
     robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
     ours: list[ContactGeom] = []
