@@ -24,7 +24,7 @@ from simfoundry.spec.yaml.write import to_data, to_yaml
 class EditableDocument(DocumentEntry):
     """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text. Findings refer to lines in
     that text, and the comments and layout around each edit are preserved.
     """
 
@@ -78,7 +78,7 @@ class EditableDocument(DocumentEntry):
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
+        """Check the edited document and return all findings. If ``lints`` is False, only its structure is checked."""
         from simfoundry.lint.lints import lint
 
         loaded = self._load()
@@ -94,7 +94,7 @@ class EditableDocument(DocumentEntry):
             The path of the file that was written.
 
         Raises:
-            SpecError: If the edited document has errors; nothing is written in this case.
+            SpecError: If the edited document has errors. In this case, nothing is written.
         """
         from simfoundry.runtime.files import write_atomically
 
@@ -144,7 +144,11 @@ class EditableDocument(DocumentEntry):
         return self._loaded if self._data == self._before else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document, or raise :class:`SpecError` if it has errors."""
+        """Return the edited document.
+
+        Raises:
+            SpecError: If the document has errors.
+        """
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -165,7 +169,11 @@ class EditableDocument(DocumentEntry):
         return value
 
     def _set(self, path: DataPath, value: Any) -> None:
-        """Set the value at a path, or raise :class:`SpecError` if the value is invalid."""
+        """Set the value at a path.
+
+        Raises:
+            SpecError: If the value is invalid.
+        """
         before, plain = copied(self._data), to_plain(value)
         place = self._data
         for part in path[:-1]:
@@ -179,7 +187,7 @@ class EditableDocument(DocumentEntry):
             raise SpecError(findings) from None
 
     def _delete(self, path: DataPath) -> None:
-        """Remove the value at a path, and all parent mappings that become empty as a result."""
+        """Remove the value at a path, along with all parent mappings that become empty as a result."""
         place = self._get(path[:-1])
         del place[path[-1]]
         if not place and len(path) > 1:
