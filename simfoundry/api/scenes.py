@@ -161,7 +161,7 @@ class SceneDocument(EditableDocument):
 
     @relations.setter
     def relations(self, texts: Sequence[str]) -> None:
-        ExpressionList(self, ("relations",))[:] = list(texts)
+        self.update(relations=texts or None)
 
     def lower(self) -> Scene:
         """Lower the document to an immutable scene in which all poses, masses and inertias are resolved.

@@ -13,11 +13,15 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class InvalidSceneError(SimfoundryError, ValueError):
-    """Raised if no backend can write a scene, for example because a name is invalid or not unique."""
+    """Raised if a scene cannot be written by any backend, for example because a name is invalid or not unique."""
 
 
 def check_names(scene: Scene) -> None:
-    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique in its category."""
+    """Check that every name matches ``[a-z][a-z0-9_]*`` and is unique in its category.
+
+    Raises:
+        InvalidSceneError: If a name is invalid or not unique.
+    """
     if scene in _VALID:
         return
     _check("the scene", "scene", [scene])

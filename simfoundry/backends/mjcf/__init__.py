@@ -1,10 +1,10 @@
-"""MJCF backend for MuJoCo, which writes ``scene.xml`` with its contact pairs, assets and loader.
+"""The MJCF backend for MuJoCo, which writes ``scene.xml`` with its contact pairs, assets and loader.
 
 Naming: the body of a root link is named after the object, and any other body is named ``object.link``. The free joint
 of a root is named after the object, and any other joint is named ``object.joint``. Collision geoms are named
 ``object.collider`` or ``object.link.collider``. Visual geoms are named ``object:visual``, or ``:background:visual`` in
 the background. A primitive that is both visual and collider becomes one geom with the collider's name. Visual geoms are
-in group 2; colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
+in group 2. Colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
 geom that uses it, for example ``bowl_collision_3``.
 
 Settings shared by all scenes are in ``settings.xml``. Each material becomes a default class;
@@ -16,8 +16,8 @@ but joints are at zero. The ``ref`` attribute could also specify an initial join
 ball joints do not support it, some readers measure joint coordinates relative to it (Newton uses ``qpos - ref``), and
 anyone editing a position by hand would have to change the body pose, ``ref`` and the keyframe together.
 
-A robot keeps its own MJCF model, placed below a body named after the robot. All of its names are prefixed with that
-name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
+A robot keeps its own MJCF model, placed below a body named after the robot. All names in the model are prefixed with
+the robot's name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def compile_mjcf(
 
 
 def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses) -> ET.Element:
-    """Return the root of an MJCF file with its compiler settings, solver settings and default classes."""
+    """Return the root of an MJCF file that contains compiler settings, solver settings and default classes."""
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     root = ET.fromstring(_SETTINGS.read_text(encoding="utf-8").replace("SCENE", scene.name), comments)
     settings = {element.tag: element for element in root}

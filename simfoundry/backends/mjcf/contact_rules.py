@@ -76,7 +76,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. Any static geoms are in ``one``."""
+    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. If one group is static, it is ``one``."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -187,7 +187,7 @@ def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], lis
 
 
 def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
-    """Return the text of :data:`CONTACTS_FILE`, with one class per type of contact and its pairs."""
+    """Return the text of :data:`CONTACTS_FILE`, in which each type of contact has a class with its pairs."""
     kept, left = written_groups(geoms)
     classes, lines, names = list[str](), list[str](), set[str]()
     for group in kept:
@@ -219,7 +219,10 @@ def _unused_name(wish: str, taken: set[str]) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return the ``condim``, ``friction`` and ``solref`` of a pair; pairs do not inherit values from their geoms."""
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair.
+
+    Pairs do not inherit these values from their geoms.
+    """
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -233,7 +236,7 @@ def _attributes(surface: ContactSurface) -> str:
 
 
 def read_scene(folder: Path) -> mujoco.MjSpec:
-    """Read the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
+    """Read the specification of the scene in a folder, excluding its :data:`CONTACTS_FILE`."""
     assets = {path.name: path.read_bytes() for path in (folder / "assets").glob("*")}
     return _specification((folder / "scene.xml").read_bytes(), assets)
 
@@ -253,7 +256,10 @@ def _specification(text: bytes, assets: Mapping[str, bytes]) -> mujoco.MjSpec:
 
 
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
-    """Return the scene's collision geoms, their counterparts in the specification by name, and the robots' geoms."""
+    """Return the collision geoms of the scene, their counterparts in the specification, and the geoms of the robots.
+
+    The counterparts are keyed by name.
+    """
     robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
     ours: list[ContactGeom] = []
     by_name: dict[str, mujoco.MjsGeom] = {}
@@ -309,7 +315,10 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits unused by robots, or none if a robot geom would not collide with the first bit alone."""
+    """Return the mask bits that robots do not use.
+
+    No bits are returned if a robot geom would not collide with the first bit alone.
+    """
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -372,7 +381,7 @@ def _add_proxies(
 
 
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
-    """Add a proxy with the shape of ``geom``; the proxy's values take priority in all of its contacts."""
+    """Add a proxy with the shape of ``geom``, whose values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     values = {"condim": dimensions, "friction": [mu, spinning, rolling], "solref": [*solref(contact.restitution)]}
     values |= {"contype": mask, "conaffinity": 0, "priority": 1, "group": 4}

@@ -1,4 +1,4 @@
-"""Materials as MJCF default classes, and the contacts in a scene: collision geoms, excluded pairs and losses."""
+"""Conversion of materials to MJCF default classes, and the collision geoms, excluded pairs and losses of a scene."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def surface_of(collider: Collider) -> ContactSurface:
 
 
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
-    """Return the attributes of a geom with the given surface, if its class has the ``inherited`` surface.
+    """Return the attributes of a geom with the given surface whose class has the ``inherited`` surface.
 
     The restitution is stored in ``user``, which MuJoCo keeps but does not use, and ``solref`` approximates the
     restitution as closely as possible.
@@ -102,7 +102,10 @@ def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the friction loss, illustrated by the worst pair, if any contacts in the files use MuJoCo's own rule."""
+    """Yield the friction loss if any contacts in the files use MuJoCo's own rule.
+
+    The loss is illustrated by the pair with the largest error.
+    """
     groups = rules.written_groups(geoms)[1] if exact else rules.unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):

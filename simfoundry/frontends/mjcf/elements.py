@@ -155,7 +155,10 @@ def _add_cameras(source: MjcfSource) -> None:
 
 
 def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
-    """Return camera ``k`` in its body frame, or record the camera and return None if it is not a pinhole camera."""
+    """Return camera ``k`` with its pose in the body frame.
+
+    A camera that is not a pinhole camera is recorded as dropped, and None is returned.
+    """
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
