@@ -27,7 +27,7 @@ from simfoundry.spec.yaml.write import to_data, to_yaml
 class EditableDocument(DocumentEntry):
     """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text. Findings refer to lines in
     that text, and the comments and layout around each edit are preserved.
     """
 
@@ -95,7 +95,7 @@ class EditableDocument(DocumentEntry):
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
+        """Check the edited document and return all findings. If ``lints`` is False, only its structure is checked."""
         from simfoundry.lint.lints import lint
 
         loaded = self._load()
@@ -111,7 +111,7 @@ class EditableDocument(DocumentEntry):
             The path of the file that was written.
 
         Raises:
-            SpecError: If the edited document has errors; nothing is written in this case.
+            SpecError: If the edited document has errors. In this case, nothing is written.
         """
         from simfoundry.runtime.files import write_atomically
 
@@ -161,7 +161,11 @@ class EditableDocument(DocumentEntry):
         return self._loaded if self._data == self._before else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document, or raise :class:`SpecError` if it has errors."""
+        """Return the edited document.
+
+        Raises:
+            SpecError: If the document has errors.
+        """
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -175,7 +179,11 @@ class EditableDocument(DocumentEntry):
     # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
-        """Return the plain value at a path, or :data:`ABSENT`; raise :class:`UnknownNameError` for a missing member."""
+        """Return the plain value at a path, or :data:`ABSENT` if a field is not set.
+
+        Raises:
+            UnknownNameError: If a member of a section does not exist.
+        """
         value: Any = self._data
         for k, part in enumerate(path):
             members = value if isinstance(value, dict) else {}
@@ -186,7 +194,9 @@ class EditableDocument(DocumentEntry):
         return value
 
     def _edit(self, edits: Mapping[DataPath, Any]) -> None:
-        """Set the values at paths, where :data:`ABSENT` removes a value. If an error is raised, nothing is changed.
+        """Set the values at the given paths, where :data:`ABSENT` removes a value.
+
+        If an error is raised, nothing is changed.
 
         Raises:
             SpecError: If a value is invalid.
@@ -211,7 +221,11 @@ class EditableDocument(DocumentEntry):
 
     @contextmanager
     def _replacing(self, data: dict[str, Any]) -> Iterator[None]:
-        """Replace the data of the document after the body has validated it; otherwise, raise :class:`SpecError`."""
+        """Replace the data of the document after the body of the ``with`` statement has validated it.
+
+        Raises:
+            SpecError: If the data is invalid.
+        """
         try:
             yield
         except (ValidationError, ExpressionError) as error:
@@ -231,9 +245,10 @@ def _is_member(model: type[Model], path: DataPath) -> bool:
 
 
 def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
-    """Return a copy of ``data`` with a new value at a path; nothing in ``data`` is modified.
+    """Return a copy of ``data`` with a new value at a path. The original data is not modified.
 
-    :data:`ABSENT` removes the value and the fields and sections that become empty as a result, but not named members.
+    If the value is :data:`ABSENT`, it is removed, along with the fields and sections that become empty as a result, but
+    not with named members.
     """
     part, new = path[depth - 1], value
     if depth < len(path):
@@ -253,7 +268,7 @@ def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
 
 
 def _judge(model: type[Model], path: DataPath, value: Any) -> None:
-    """Check everything about the value at a path that does not depend on other values.
+    """Check all properties of the value at a path that do not depend on other values.
 
     Raises:
         ValidationError: If the value or a name in it has the wrong type.

@@ -26,14 +26,14 @@ DataPath = tuple[str, ...]
 
 
 class UnknownNameError(SimfoundryError, KeyError):
-    """Raised if a name does not exist in a document; the message suggests similar names."""
+    """Raised if a name does not exist in a document. The message suggests similar names."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class DocumentEntry:
-    """A view of one entry in a document, such as an object or a material; all values are stored in the document."""
+    """A view of one entry in a document, such as an object or a material. All values are stored in the document."""
 
     _model: ClassVar[type[Model]]
     _document: EditableDocument
@@ -49,7 +49,7 @@ class DocumentEntry:
         return copied(found) if isinstance(found, dict) else {}
 
     def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
-        """Set several fields at once; a value of None removes the field.
+        """Set several fields at once. A value of None removes the field.
 
         This is useful if one field replaces another: ``update(pose=None, place=...)``. If an error is raised, no field
         is changed.
@@ -99,7 +99,11 @@ class _Field(Generic[Given]):
         self.name = name
 
     def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Set the value; None removes it. Raises :class:`SpecError` if the value is invalid."""
+        """Set the value, or remove it if it is None.
+
+        Raises:
+            SpecError: If the value is invalid.
+        """
         entry.update({self.name: value})
 
     def __delete__(self, entry: DocumentEntry) -> None:
@@ -167,7 +171,7 @@ View = TypeVar("View")
 
 
 class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[View]):
-    """A field with parts, such as a pose or a section; edit its parts individually, or assign a mapping."""
+    """A field with parts, such as a pose or a section. Edit its parts individually, or assign a mapping."""
 
     def __init__(self, view: Callable[[EditableDocument, DataPath], View]) -> None:
         self.view = view
