@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from weakref import WeakSet
@@ -13,11 +14,15 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class InvalidSceneError(SimfoundryError, ValueError):
-    """Raised if no backend can write a scene, for example because a name is invalid or not unique."""
+    """Raised if a scene cannot be written by any backend, for example because a name is invalid or not unique."""
 
 
 def check_names(scene: Scene) -> None:
-    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique in its category."""
+    """Check that every name matches ``[a-z][a-z0-9_]*`` and is unique in its category.
+
+    Raises:
+        InvalidSceneError: If a name is invalid or not unique.
+    """
     if scene in _VALID:
         return
     _check("the scene", "scene", [scene])
@@ -32,6 +37,12 @@ def check_names(scene: Scene) -> None:
             _check(f"{item.name}.{link.name}", "visual", link.visuals)
             _check(f"{item.name}.{link.name}", "collider", link.colliders)
     _VALID.add(scene)
+
+
+def check_timestep(timestep: float) -> None:
+    """Raise :class:`InvalidSceneError` unless a time step [s] is positive and finite."""
+    if not 0 < timestep < math.inf:
+        raise InvalidSceneError(f"option `timestep` must be a positive number of seconds, not `{timestep:g}`")
 
 
 # Scenes whose names have been validated, so that the check is not repeated for every target.

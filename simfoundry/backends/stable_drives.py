@@ -17,10 +17,10 @@ from simfoundry.scene.model import Drive, Scene, SceneObject
 
 @lru_cache(maxsize=256)  # the same object is written to many scenes
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> Mapping[str, Drive]:
-    """Return an object's drives by joint name, with gains limited to be stable at a time step of ``timestep`` [s].
+    """Return an object's drives, keyed by joint name, with gains that are stable at a time step of ``timestep`` [s].
 
-    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping alone at
-    2 m / dt. At a quarter of these limits, the combination is still stable.
+    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia. Explicit damping alone diverges
+    at 2 m / dt. At a quarter of these limits, the combination of both is still stable.
     """
     stable = {joint.name: joint.drive for joint in item.joints if joint.drive is not None}
     if not stable:

@@ -1,7 +1,7 @@
 """Robots and mounted cameras in MJCF. Each robot's own model is placed below a body named after the robot.
 
-The scene's options override the options in the robot's file. Robot contacts use the values in the robot's file, except
-for the stiffness of the finger contacts.
+The scene's options override those in the robot's file. Robot contacts use the values in the robot's file, except that
+the finger contacts are stiffer.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
-    """Add each mounted camera to the body of its link, unless its robot was not written."""
+    """Add each mounted camera to the body of its link, except cameras on robots that were not written."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
         robot, camera, name = robots.get(mounted.carrier), mounted.camera, mounted.carrier

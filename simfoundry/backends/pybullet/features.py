@@ -1,4 +1,4 @@
-"""Losses that occur in PyBullet; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in PyBullet. The fidelity of each feature is listed in ``features.yaml``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Losses that occur in a USD stage; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in a USD stage. The fidelity of each feature is listed in ``features.yaml``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def usd_losses(scene: Scene) -> tuple[Loss, ...]:
 
 
 def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
-    """Yield the friction and restitution losses; both quantities are exact only with PhysX's combine modes."""
+    """Yield the friction and restitution losses. Both quantities are exact only with PhysX's combine modes."""
     colliders = [c for item in objects for link in item.links for c in link.colliders]
     for name in ("friction", "restitution"):
         values = [float(getattr(collider, name)) for collider in colliders]

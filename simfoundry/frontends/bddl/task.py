@@ -1,4 +1,4 @@
-"""Convert a BDDL problem to a task: names are bound to scene objects, and regions become conditions."""
+"""Convert a BDDL problem to a task. Names are bound to scene objects, and regions become conditions."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def read_bddl_task(
         options: Import options; ``scene`` is the scene document, and ``bound`` assigns objects to unresolved names.
 
     Raises:
-        ImportRefusedError: If the file is invalid or some elements cannot be resolved; the message lists all of these
-            elements with their lines.
+        ImportRefusedError: If the file is invalid or if some elements cannot be resolved. The message lists each
+            unresolved element with its line number.
     """
     problem = read_problem(path)
     draft = ModelDraft(problem.name, "BDDL")
@@ -68,7 +68,7 @@ def read_bddl_task(
 
 @dataclass
 class _TaskReader:
-    """Converts a BDDL problem to a task."""
+    """A converter from a BDDL problem to a task."""
 
     problem: BddlProblem
     scene: Scene
@@ -84,7 +84,10 @@ class _TaskReader:
         self.missing = self.conditions.missing
 
     def goal(self) -> Any:
-        """Return the goal condition, or None if it could not be resolved; ``missing`` contains the reasons."""
+        """Return the goal condition, or None if it could not be resolved.
+
+        The reasons are then listed in ``missing``.
+        """
         found = self.conditions.condition(self.problem.goal, {})
         if found is None and not self.missing:
             self.missing.add(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
@@ -227,7 +230,8 @@ class _TaskReader:
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
     """Return the scene object for a name in a problem, or None if there is no match.
 
-    Names in ``bound`` take precedence, followed by objects with the same name and then by matches of type and number.
+    Names in ``bound`` take precedence. They are followed by objects with the same name, and then by objects whose type
+    and number match.
     """
     if name in bound:
         return bound[name]
@@ -258,7 +262,7 @@ def _opened(item: SceneObject, name: str) -> float:
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """Return the part that has the same name as a region, or else all parts whose names share a word with it."""
+    """Return the part that has the same name as a region, or otherwise all parts whose names share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]

@@ -1,4 +1,4 @@
-"""Read scenes from the authors' release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
+"""Read scenes from the paper's release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
 
 In this format, quaternions have w last, masses are specified only in the URDF, friction coefficients are in the object
 list, joint positions have no names, and the table is an infinite plane.
@@ -32,12 +32,16 @@ LEVELS = 5
 
 
 def read_omnigibson(path: Path, options: ImportOptions) -> ModelDraft:
-    """Read the scene in a JSON file from the release; raise :class:`ImportRefusedError` if it is invalid."""
+    """Read the scene in a JSON file from the paper's release.
+
+    Raises:
+        ImportRefusedError: If the file is invalid.
+    """
     return _SceneReader(path, options).read()
 
 
 class _SceneReader:
-    """Reads a single scene file."""
+    """A reader for a single scene file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.options, self.packages = path, options, options.packages
@@ -56,7 +60,7 @@ class _SceneReader:
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """Return the entries in `scene_objects_info.json` by object name."""
+        """Return the entries in `scene_objects_info.json`, keyed by object name."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:
@@ -102,7 +106,10 @@ class _SceneReader:
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """Add an object from its URDF; its friction and pose come from the other files."""
+        """Add an object from its URDF.
+
+        The friction and the pose come from the other files.
+        """
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
@@ -125,7 +132,7 @@ class _SceneReader:
         self.draft.bodies.append(body)
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
-        """Find the URDF of an object in the folders of the release."""
+        """Find the URDF of an object in the folders of the paper's release."""
         parts = Path(str(args.get("usd_path") or "")).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
             k = parts.index("objects")
@@ -144,7 +151,10 @@ class _SceneReader:
         raise ImportRefusedError(self.path, f"could not find the URDF of `{name}`: {inside.as_posix()}", hint=hint)
 
     def scale(self, name: str, body: BodyDraft, scale: Any) -> None:
-        """Scale a body uniformly; as in OmniGibson, a mass specified in the file does not change."""
+        """Scale a body uniformly.
+
+        As in OmniGibson, a mass that is specified in the file does not change.
+        """
         factors = [float(v) for v in scale] if isinstance(scale, list) else [float(scale or 1.0)] * 3
         if all(abs(f - 1) < 1e-9 for f in factors):
             return
@@ -172,7 +182,7 @@ class _SceneReader:
                     link.contact["friction"] = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
-        """Set the joint positions, which the file lists in PhysX's breadth-first order without names."""
+        """Set the joint positions, which the file lists without names in PhysX's breadth-first order."""
         listed = [float(v) for v in state.get("joint_pos") or ()]
         order, todo = [], [body.root]
         while todo:

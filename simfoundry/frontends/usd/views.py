@@ -37,7 +37,7 @@ def _pose(X_WP: Array) -> Pose:
 
 
 def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
-    """Add all perspective cameras; cameras below a rigid body are attached to its link."""
+    """Add all perspective cameras. Cameras below a rigid body are attached to its link."""
     for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
         focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in (*LENS, *OFFSETS))

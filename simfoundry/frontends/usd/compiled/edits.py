@@ -1,4 +1,4 @@
-"""Convert edits to a stage member to document data; unedited values stay as they were written."""
+"""Convert edits to a stage member to document data. Values that were not edited stay as they were written."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ _OFF_M, _OFF_RAD = 1e-3, 1e-2
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Write changed joint positions to ``data`` and yield notes on unsupported edits.
 
-    Changed joint attributes take precedence over changed link poses. Processed attributes are added to ``handled``.
+    If a joint attribute and a link pose were both changed, the joint attribute takes precedence. Processed attributes
+    are added to ``handled``.
     """
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
@@ -80,7 +81,11 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
-    """Return a joint's child link, the link's motion along the joint [m or rad], and True for any other motion."""
+    """Determine the motion of a joint.
+
+    Returns:
+        The joint's child link, its motion along the joint [m or rad], and True if it also moved in any other way.
+    """
     prim = part.prim.GetPrimAtPath(relative)
     targets = (prim.GetRelationship(name).GetTargets() for name in ("physics:body0", "physics:body1"))
     parent, child = (str(t[0].MakeRelativePath(part.prim.GetPath())) if t else "" for t in targets)
@@ -302,7 +307,10 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply changes in color, friction and restitution; if several parts changed, the first one is used."""
+    """Apply changes in color, friction and restitution.
+
+    If several parts changed, the first of them is used.
+    """
     for relative, values in part.built.items():
         if (now := part.now.get(relative)) is None:
             continue
@@ -325,7 +333,7 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 
 
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
-    """Return a changed contact coefficient, or None if it is unchanged.
+    """Return a contact coefficient if it was changed, or None if it is unchanged.
 
     Each argument contains SimFoundry's own copy of the coefficient and the square root that simulators read, either of
     which may have been edited.
@@ -358,7 +366,8 @@ def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
     """Scale an object along its axes by ``factors``, shape (3,).
 
     Returns:
-        The changed keys, and the reason why the result cannot be expressed, or an empty string if it can.
+        The changed keys, and the reason why the result cannot be expressed. The reason is an empty string if the result
+        can be expressed.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:
