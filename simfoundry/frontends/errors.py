@@ -33,9 +33,6 @@ class ImportRefusedError(SimfoundryError):
         super().__init__(f"{place}: {message}" + (f"; {hint}" if hint else ""))
         self.file, self.line, self.reason, self.hint = str(file), line, message, hint
 
-    def __reduce__(self) -> tuple[type[ImportRefusedError], tuple[str, str, int, str]]:
-        return type(self), (self.file, self.reason, self.line, self.hint)
-
 
 @contextmanager
 def refusing_faults(file: Path) -> Iterator[None]:

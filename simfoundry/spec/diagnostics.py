@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from simfoundry.errors import PicklableError
+
 # Maximum displayed length of a source line [columns], which is the width of a wide terminal.
 SHOWN = 160
 
@@ -48,7 +50,7 @@ class Diagnostic:
         return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
-class SpecError(Exception):
+class SpecError(PicklableError):
     """Raised if findings prevent further processing. The message contains all of the findings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:

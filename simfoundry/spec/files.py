@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.yaml.text import Document
@@ -21,7 +22,7 @@ _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
-class FileError(Exception):
+class FileError(PicklableError):
     """Raised if a document cannot use a file. The message states the reason."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:

@@ -74,7 +74,7 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
         keys = dict.fromkeys((*mine, *before, *after))
         pairs = {key: own_data(*(side.get(key, ABSENT) for side in sides)) for key in keys}
         kept = {key: value for key, value in pairs.items() if value is not ABSENT}
-        return kept if kept or not mine else ABSENT
+        return kept if kept or not mine or base is ABSENT else ABSENT
     return after
 
 

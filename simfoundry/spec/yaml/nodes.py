@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
 # Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000.
@@ -65,7 +66,7 @@ class Node:
         return self.line, self.column
 
 
-class YamlError(Exception):
+class YamlError(PicklableError):
     """Raised if a YAML text could not be read."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
