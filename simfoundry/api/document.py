@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
@@ -175,7 +175,11 @@ class EditableDocument(DocumentEntry):
     # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
-        """Return the plain value at a path, or :data:`ABSENT`; raise :class:`UnknownNameError` for a missing member."""
+        """Return the plain value at a path, or :data:`ABSENT` if the path ends with a field that is not set.
+
+        Raises:
+            UnknownNameError: If the path contains a member that does not exist, for example because it was renamed.
+        """
         value: Any = self._data
         for k, part in enumerate(path):
             members = value if isinstance(value, dict) else {}
@@ -198,7 +202,7 @@ class EditableDocument(DocumentEntry):
             before = self._get(path if value is ABSENT else path[:-1])
             if value is not ABSENT or before is not ABSENT:
                 data = _replaced(self._model, data, path, value)
-        with self._replacing(data):
+        with self._replacing(data, given):
             for path, value in given.items():
                 if value is not ABSENT:
                     _judge(self._model, path, value)
@@ -206,18 +210,24 @@ class EditableDocument(DocumentEntry):
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
         (sections,) = (field_type(owner, section[-1]) for owner in models_at(self._model, section[:-1]))
-        with self._replacing(renamed(self._data, [Rename(section, old, new)])):
+        with self._replacing(renamed(self._data, [Rename(section, old, new)]), [(*section, new)]):
             TypeAdapter(get_args(sections)[0]).validate_python(new, strict=True)
 
     @contextmanager
-    def _replacing(self, data: dict[str, Any]) -> Iterator[None]:
-        """Replace the data of the document after the body has validated it; otherwise, raise :class:`SpecError`."""
+    def _replacing(self, data: dict[str, Any], paths: Iterable[DataPath]) -> Iterator[None]:
+        """Replace the data of the document after the body has validated it.
+
+        Raises:
+            SpecError: If the body finds an error. The exception contains the findings at or below ``paths``.
+        """
         try:
             yield
         except (ValidationError, ExpressionError) as error:
             edited = copy(self)
             edited._data = data
-            findings = [d for d in edited._load().findings if d.severity is Severity.ERROR]
+            starts = tuple(f"{'.'.join(path)}." for path in paths)
+            errors = (d for d in edited._load().findings if d.severity is Severity.ERROR)
+            findings = [d for d in errors if f"{d.path}.".startswith(starts)]
             code = "SF202" if isinstance(error, ExpressionError) else "SF103"
             # Text does not distinguish some values, such as 5.0 and 5, and therefore has no error for them.
             reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
@@ -231,7 +241,7 @@ def _is_member(model: type[Model], path: DataPath) -> bool:
 
 
 def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
-    """Return a copy of ``data`` with a new value at a path; nothing in ``data`` is modified.
+    """Return a copy of ``data`` with a new value at a path, without modifying anything in ``data``.
 
     :data:`ABSENT` removes the value and the fields and sections that become empty as a result, but not named members.
     """

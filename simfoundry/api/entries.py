@@ -134,11 +134,11 @@ class ValueField(_Field[Given], Generic[Got, Given]):
 
 
 class FixedField(ValueField[Got, Never]):
-    """A field that can be read, but not edited: changing it would change what the rest of the document means."""
+    """A field that can only be read, because the rest of the document depends on it."""
 
 
 class ReadOnlyDict(dict[str, Any]):
-    """A mapping in a value that was read from a document; editing it would not change the document."""
+    """A mapping in a value that was read from a document. It is read-only, because the document would not change."""
 
     def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise TypeError("this mapping is read-only; assign a new value to its field: `x.y = {**x.y, name: value}`")
@@ -221,15 +221,19 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def pop(self, name: str, /, *default: Any) -> E | Any:
-        """Remove a member and return it as an entry in a copy of the document."""
+        """Remove a member and return it as an entry of a copy of the document."""
         before = EntryMapping(copy(self._document), self._at, self._kind)
         super().pop(name, *default)
         return before.get(name, *default)
 
     def popitem(self) -> tuple[str, E]:
-        """Remove the first member and return its name, and the member as an entry in a copy of the document."""
+        """Remove the first member and return its name and the member, which is an entry of a copy of the document."""
         name = next(iter(self), "")
         return name, self.pop(name)
+
+    def update(self, members: Any = (), /, **more: Any) -> None:
+        """Set several members at once. If an error is raised, no member is changed."""
+        self._document._edit({(*self._at, str(name)): value for name, value in {**dict(members), **more}.items()})
 
     def clear(self) -> None:
         """Remove all members."""
