@@ -27,7 +27,7 @@ from simfoundry.spec.yaml.write import to_data, to_yaml
 class EditableDocument(DocumentEntry):
     """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text. Findings refer to lines in
     that text, and the comments and layout around each edit are preserved.
     """
 
@@ -95,7 +95,7 @@ class EditableDocument(DocumentEntry):
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
+        """Check the edited document and return all findings. If ``lints`` is False, only its structure is checked."""
         from simfoundry.lint.lints import lint
 
         loaded = self._load()
@@ -111,7 +111,7 @@ class EditableDocument(DocumentEntry):
             The path of the file that was written.
 
         Raises:
-            SpecError: If the edited document has errors; nothing is written in this case.
+            SpecError: If the edited document has errors. In this case, nothing is written.
         """
         from simfoundry.runtime.files import write_atomically
 
@@ -161,7 +161,11 @@ class EditableDocument(DocumentEntry):
         return self._loaded if self._data == self._before else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document, or raise :class:`SpecError` if it has errors."""
+        """Return the edited document.
+
+        Raises:
+            SpecError: If the document has errors.
+        """
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -175,10 +179,10 @@ class EditableDocument(DocumentEntry):
     # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
-        """Return the plain value at a path, or :data:`ABSENT` if the path ends with a field that is not set.
+        """Return the plain value at a path, or :data:`ABSENT` if a field is not set.
 
         Raises:
-            UnknownNameError: If the path contains a member that does not exist, for example because it was renamed.
+            UnknownNameError: If a member of a section does not exist.
         """
         value: Any = self._data
         for k, part in enumerate(path):
@@ -190,7 +194,9 @@ class EditableDocument(DocumentEntry):
         return value
 
     def _edit(self, edits: Mapping[DataPath, Any]) -> None:
-        """Set the values at paths, where :data:`ABSENT` removes a value. If an error is raised, nothing is changed.
+        """Set the values at the given paths, where :data:`ABSENT` removes a value.
+
+        If an error is raised, nothing is changed.
 
         Raises:
             SpecError: If a value is invalid.
@@ -215,10 +221,10 @@ class EditableDocument(DocumentEntry):
 
     @contextmanager
     def _replacing(self, data: dict[str, Any], paths: Iterable[DataPath]) -> Iterator[None]:
-        """Replace the data of the document after the body has validated it.
+        """Replace the data of the document after the body of the ``with`` statement has validated it.
 
         Raises:
-            SpecError: If the body finds an error. The exception contains the findings at or below ``paths``.
+            SpecError: If the data is invalid. The exception contains the findings at or below ``paths``.
         """
         try:
             yield
@@ -241,9 +247,10 @@ def _is_member(model: type[Model], path: DataPath) -> bool:
 
 
 def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
-    """Return a copy of ``data`` with a new value at a path, without modifying anything in ``data``.
+    """Return a copy of ``data`` with a new value at a path. The original data is not modified.
 
-    :data:`ABSENT` removes the value and the fields and sections that become empty as a result, but not named members.
+    If the value is :data:`ABSENT`, the key is removed, and so are fields and sections that become empty as a result.
+    Named members, such as objects, are kept even if they become empty.
     """
     part, new = path[depth - 1], value
     if depth < len(path):
@@ -263,7 +270,7 @@ def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
 
 
 def _judge(model: type[Model], path: DataPath, value: Any) -> None:
-    """Check everything about the value at a path that does not depend on other values.
+    """Check all properties of the value at a path that do not depend on other values.
 
     Raises:
         ValidationError: If the value or a name in it has the wrong type.

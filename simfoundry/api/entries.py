@@ -26,14 +26,14 @@ DataPath = tuple[str, ...]
 
 
 class UnknownNameError(SimfoundryError, KeyError):
-    """Raised if a name does not exist in a document; the message suggests similar names."""
+    """Raised if a name does not exist in a document. The message suggests similar names."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class DocumentEntry:
-    """A view of one entry in a document, such as an object or a material; all values are stored in the document."""
+    """A view of one entry in a document, such as an object or a material. All values are stored in the document."""
 
     _model: ClassVar[type[Model]]
     _document: EditableDocument
@@ -49,7 +49,7 @@ class DocumentEntry:
         return copied(found) if isinstance(found, dict) else {}
 
     def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
-        """Set several fields at once; a value of None removes the field.
+        """Set several fields at once. A value of None removes the field.
 
         This is useful if one field replaces another: ``update(pose=None, place=...)``. If an error is raised, no field
         is changed.
@@ -70,7 +70,7 @@ class DocumentEntry:
             return f"<{'.'.join(self._at)}, which was removed or renamed>"
 
     def _check_field(self, name: str, error: type[Exception] = UnknownNameError) -> None:
-        """Raise an error if there is no field called ``name`` that can be edited."""
+        """Check that there is a field called ``name`` that can be edited, and raise an error otherwise."""
         fields = {n: getattr(type(self), n, None) for n in self._model.model_fields}
         if isinstance(fields.get(name), FixedField):
             raise error(f"`{name}` cannot be changed in Python; edit it in {self._document.path}")
@@ -99,7 +99,11 @@ class _Field(Generic[Given]):
         self.name = name
 
     def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Set the value; None removes it. Raises :class:`SpecError` if the value is invalid."""
+        """Set the value, or remove it if it is None.
+
+        Raises:
+            SpecError: If the value is invalid.
+        """
         entry.update({self.name: value})
 
     def __delete__(self, entry: DocumentEntry) -> None:
@@ -134,11 +138,11 @@ class ValueField(_Field[Given], Generic[Got, Given]):
 
 
 class FixedField(ValueField[Got, Never]):
-    """A field that can only be read, because the rest of the document depends on it."""
+    """A field that can be read but not edited. Changing it would change the meaning of the rest of the document."""
 
 
 class ReadOnlyDict(dict[str, Any]):
-    """A mapping in a value that was read from a document. It is read-only, because the document would not change."""
+    """A read-only mapping in a value that was read from a document. Edits to it would not change the document."""
 
     def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise TypeError("this mapping is read-only; assign a new value to its field: `x.y = {**x.y, name: value}`")
@@ -167,7 +171,7 @@ View = TypeVar("View")
 
 
 class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[View]):
-    """A field with parts, such as a pose or a section; edit its parts individually, or assign a mapping."""
+    """A field with parts, such as a pose or a section. Edit its parts individually, or assign a mapping."""
 
     def __init__(self, view: Callable[[EditableDocument, DataPath], View]) -> None:
         self.view = view
@@ -182,7 +186,7 @@ class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[Vie
 
 
 def section(kind: type[E]) -> EntryField[EntryMapping[E]]:
-    """Declare a section of a document, such as its objects by name."""
+    """Declare a section of a document, such as the objects of a scene by name."""
     return EntryField(lambda document, path: EntryMapping(document, path, kind))
 
 
@@ -221,13 +225,13 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def pop(self, name: str, /, *default: Any) -> E | Any:
-        """Remove a member and return it as an entry of a copy of the document."""
+        """Remove a member, and return it as an entry in a copy of the document."""
         before = EntryMapping(copy(self._document), self._at, self._kind)
         super().pop(name, *default)
         return before.get(name, *default)
 
     def popitem(self) -> tuple[str, E]:
-        """Remove the first member and return its name and the member, which is an entry of a copy of the document."""
+        """Remove the first member, and return its name and an entry in a copy of the document."""
         name = next(iter(self), "")
         return name, self.pop(name)
 
@@ -306,7 +310,7 @@ class ExpressionList(MutableSequence[str]):
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a value to plain data: mappings without values of None, tuples and scalars."""
+    """Convert a value to plain data, which consists of mappings, tuples and scalars. Mappings omit values of None."""
     if isinstance(value, Model):
         return to_data(value)
     if hasattr(value, "tolist"):  # numpy arrays and numbers

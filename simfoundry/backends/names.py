@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from weakref import WeakSet
@@ -36,6 +37,12 @@ def check_names(scene: Scene) -> None:
             _check(f"{item.name}.{link.name}", "visual", link.visuals)
             _check(f"{item.name}.{link.name}", "collider", link.colliders)
     _VALID.add(scene)
+
+
+def check_timestep(timestep: float) -> None:
+    """Raise :class:`InvalidSceneError` unless a time step [s] is positive and finite."""
+    if not 0 < timestep < math.inf:
+        raise InvalidSceneError(f"option `timestep` must be a positive number of seconds, not `{timestep:g}`")
 
 
 # Scenes whose names have been validated, so that the check is not repeated for every target.

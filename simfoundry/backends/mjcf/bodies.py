@@ -221,7 +221,7 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
         for joint in (joint for joint in item.joints if joint.name in drives):
             name, drive = f"{item.name}.{joint.name}", drives[joint.name]
             ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
-            ctrl.append(drive.target if drive.stiffness else 0.0)
+            ctrl.append(drive.target)
     if ctrl:
         root.append(actuator)
     return ctrl

@@ -18,7 +18,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
 from simfoundry.backends.features import Loss, approximate, drop
-from simfoundry.backends.names import check_names
+from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
 from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light
 from simfoundry.backends.robot_models.robot_object import RobotUrdf, Write, robot_urdf, without_model
@@ -62,8 +62,9 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     """Compile a scene for PyBullet with a time step of ``timestep`` [s].
 
     Raises:
-        InvalidSceneError: If a name is invalid.
+        InvalidSceneError: If a name or the time step is invalid.
     """
+    check_timestep(timestep)
     check_names(scene)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)

@@ -64,7 +64,8 @@ def _add_drives(source: MjcfSource) -> None:
         gain = float(model.actuator_gainprm[k][0])
         bias, stiffness, damping = (-model.actuator_biasprm[k][:3]).tolist()
         is_servo = is_servo and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
-        if not is_servo or gain != (stiffness or damping) or joint not in joints or joints[joint][1].type == "ball":
+        is_servo = is_servo and gain in ((stiffness,) if stiffness else (damping, 0.0))
+        if not is_servo or joint not in joints or joints[joint][1].type == "ball":
             draft.dropped(what, "only position and velocity servos on joints can be expressed")
             continue
         driven = joints[joint][1]
@@ -182,7 +183,7 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
         fx, fy, cx, cy = model.cam_intrinsic[k].tolist()
         camera.fx, camera.fy = fx / across * width, fy / up * height
         camera.cx = (width - 1) / 2 - cx / across * width
-        camera.cy = (height - 1) / 2 + cy / up * height
+        camera.cy = (height - 1) / 2 - cy / up * height
     return camera
 
 

@@ -145,6 +145,9 @@ class _MjcfReader:
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
             mujoco.mj_normalizeQuat(model, self.data.qpos)  # turns a zero quaternion into the identity
+            free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] if self.own is not None else []
+            for start in free:  # in compiled files, the pose of a free body can be edited at the body
+                self.data.qpos[start : start + 7] = model.qpos0[start : start + 7]
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
