@@ -96,7 +96,7 @@ class SupportSurface:
     """The surface that supports the objects.
 
     Attributes:
-        X_WC: Camera pose in the world frame, whose origin is on the surface with z up.
+        X_WC: Camera pose in the world frame. The origin of this frame is on the surface, and its z axis points up.
         outline: Boundary of the visible surface in world xy [m], shape (n, 2). The boundary is a simple
             counterclockwise polygon whose first point is not repeated at the end.
         residual: Median distance of the surface points from the plane [m].

@@ -25,7 +25,7 @@ class SensorModel:
     The standard deviation of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
     ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] relative to the image plane. The model
     and its defaults were fitted to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking", 3DIMPVT 2012. The authors add the last term only beyond 60 degrees; here, the term
+    Reconstruction and Tracking", 3DIMPVT 2012. The authors add the last term only beyond 60 degrees. Here, the term
     grows from zero to avoid a discontinuity. ``lateral`` is the authors' value of 0.8 px for a surface that faces the
     camera.
     """

@@ -86,7 +86,7 @@ def find_support(frame: Frame) -> SupportSurface:
     points to the left.
 
     Among all planes that could be a tabletop, the support is the one with the most objects and visible surface,
-    weighted by proximity. A box with another box on top scores lower than the table below, because the table supports
+    weighted by proximity. A box with another box on top scores lower than the table below because the table supports
     both. The floor scores lower because it is farther away and the objects on a table are too high above the floor to
     count as standing on it.
 

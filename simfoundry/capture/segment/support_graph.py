@@ -1,4 +1,4 @@
-"""The support graph, which specifies the part that each part stands on.
+"""The support graph, which specifies the part on which each part stands.
 
 This module also contains tests for hidden and sunken parts.
 """
@@ -61,7 +61,7 @@ def carriers(parts: list[RegionPart]) -> dict[int, int]:
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the part on which ``part`` stands, or 0 if there is none.
+    """Return the label of the part on which ``part`` stands, or 0 if there is no such part.
 
     The top of this part meets the bottom of ``part``. If there are several such parts, the one with the largest overlap
     of footprints is returned.
@@ -106,7 +106,7 @@ def shared_footprint(one: RegionPart, other: RegionPart) -> float:
 def below(labels: Labels, crop: Crop) -> dict[int, float]:
     """Return the fraction of each region's lower edge that has an occluder or missing depth below it.
 
-    At 1, the base of the object may be hidden; at 0, the background is visible below it.
+    If the fraction is 1, the base of the object may be hidden. If it is 0, the background is visible below it.
     """
     at, under, other = _pixels_below(labels, crop)
     here, there = crop.depth[at], crop.depth[under]

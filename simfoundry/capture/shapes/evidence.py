@@ -79,7 +79,8 @@ class Evidence:
     def top(self) -> float:
         """A noise-robust estimate of the height of the object [m].
 
-        This is the median of the highest 2% of its points, but of at least ten points.
+        This is the median height of the highest 2% of its points, or of its ten highest points if the object has few
+        points.
         """
         z = self.points[:, 2]
         count = max(min(10, len(z)), len(z) // 50)

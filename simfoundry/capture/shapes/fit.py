@@ -31,7 +31,7 @@ class FittedShape:
         X_WO: Pose of the solid in the world. The origin is the center of the bounding box for a primitive, and the
             center of the base (z up) for a mesh.
         fit_m: Median distance of the object's visible points from the surface [m].
-        confidence: Confidence in the fit, in [0, 1]; see :func:`confidence`.
+        confidence: Confidence in the fit, in [0, 1]. See :func:`confidence`.
         hollow: True for an open container that is modeled with its cavity.
         profile: Pairs (radius, height) [m], shape (k, 2), or None if the mesh is not a body of revolution.
     """

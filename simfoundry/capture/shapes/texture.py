@@ -170,7 +170,7 @@ def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
 
 
 def _borrow(key: Array, colors: Array, done: Mask) -> None:
-    """Replace the colors that are not marked as ``done`` with the nearest color that is.
+    """Replace each color that is not marked as ``done`` with the nearest color that is marked.
 
     The colors are replaced in place. A color is not replaced if the nearest one is too far away.
     """
@@ -197,7 +197,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
 
 
 def _nearest_fill(picture: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
-    """Fill the pixels that are not marked as ``known`` with the color of the nearest pixel that is."""
+    """Fill each unknown pixel with the color of the nearest pixel that is marked as ``known``."""
     from scipy import ndimage
 
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
