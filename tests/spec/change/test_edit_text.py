@@ -146,7 +146,7 @@ def test_any_edit_of_any_spec_gives_the_data_that_is_wanted(path: Path, seed: in
         if random.random() < 0.3 and len(place) > 1 and key in place:
             del place[key]
         else:
-            place[key] = random.choice(VALUES)
+            place[key] = copied(random.choice(VALUES))
     edited = edit_text(text, data, model_of(data["simfoundry"]))
     assert parse(edited).data == {**parse(edited).data, **data}
     assert edited == edit_text(edited, data, model_of(data["simfoundry"]))
@@ -162,4 +162,5 @@ def test_an_overlay_says_only_what_it_changes() -> None:
     del after["objects"]["mug"]
     assert own_data(own, before, after, base) == {"objects": {"bowl": {"mass": 2.0}, "mug": None}}
     assert own_data(own, before, before, base) == own
-    assert own_data({"a": {"b": 1}}, {"a": {"b": 1}}, {}) is ABSENT
+    assert own_data({"a": {"b": 1}}, {"a": {"b": 1}}, {}) == {}
+    assert own_data({"a": {"b": 1}}, {"a": {"b": 1, "c": 2}}, {"a": {"c": 2}}, {"a": {"c": 2}}) is ABSENT
