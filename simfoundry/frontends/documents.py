@@ -292,7 +292,7 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part; parameters that the part does not specify come from its link.
+    """Return the contact parameters of a part. Parameters that the part does not specify come from its link.
 
     Torsional and rolling friction are omitted if they are zero.
     """

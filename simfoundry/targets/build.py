@@ -86,7 +86,10 @@ def build(
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that can be compiled, and the reasons why the other targets fail, by name."""
+    """Return the artifacts of the targets that can be compiled, and the reasons why all other targets fail.
+
+    Both are keyed by target name.
+    """
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
