@@ -188,11 +188,9 @@ def write_text(path: Path, text: str) -> None:
 
 def write_in_place(path: Path, text: str) -> None:
     """Write to a file while preserving its permissions; if it is a symbolic link, write to the link's target."""
-    target = path.resolve()
-    mode = target.stat().st_mode if target.exists() else None
-    write_text(target, text)
-    if mode is not None:
-        target.chmod(mode)
+    from simfoundry.runtime.files import write_in_place
+
+    write_in_place(path, text.encode())
 
 
 def plural(count: int, noun: str) -> str:
