@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from pydantic import TypeAdapter, ValidationError
 
 from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, to_plain
-from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.change.diff.changes import Rename, copied, renamed
-from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.changes import Rename, copied, renamed, same
+from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import load, load_kind
+from simfoundry.spec.load import compose, load, load_kind
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.types import field_type, file_patterns, models_at
 from simfoundry.spec.yaml.write import to_data, to_yaml
@@ -34,12 +36,7 @@ class EditableDocument(DocumentEntry):
     def __init__(self, loaded: Loaded) -> None:
         assert isinstance(loaded.spec, self._model)
         super().__init__(self, ())
-        self._file = loaded.path
-        text = loaded.document.text if loaded.document is not None else ""
-        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
-        self._before: dict[str, Any] = to_data(loaded.spec)
-        self._data: dict[str, Any] = copied(self._before)
-        self._loaded = loaded
+        self._set_loaded(loaded)
         self._imported_from: Path | None = None
         self._mesh_folder: Path | None = None
 
@@ -60,15 +57,7 @@ class EditableDocument(DocumentEntry):
     @property
     def text(self) -> str:
         """The text of the document with all edits applied."""
-        if self._data == self._before:
-            return self._source
-        from simfoundry.spec.yaml.text import parse, read
-
-        base: Any = ABSENT
-        if self._loaded.bases:
-            base = (load(self._loaded.bases[0]).document or read(self._loaded.bases[0])).data
-        own = own_data(parse(self._source).data, self._before, self._data, base)
-        return edit_text(self._source, own, self._model)
+        return self._text(self._data)
 
     @property
     def changes(self) -> list[str]:
@@ -95,49 +84,74 @@ class EditableDocument(DocumentEntry):
 
         Raises:
             SpecError: If the edited document has errors; nothing is written in this case.
+            OutputError: If the mesh folder of an imported document would replace files that SimFoundry did not write.
         """
-        from simfoundry.runtime.files import write_atomically
+        from simfoundry.runtime.files import write_in_place
 
         target = Path(path) if path is not None else self.path
         if path is None and self._imported_from is not None:
             raise SimfoundryError(
                 f"this document was imported from {self._imported_from}; save it elsewhere: `save('a.scene.yaml')`"
             )
-        if not target.name.endswith(".yaml"):
+        if target.suffix.lower() not in (".yaml", ".yml"):
             raise SimfoundryError(f"{target} is not a YAML file; specify one, such as `save('desk.scene.yaml')`")
-        if target.resolve().parent != self.path.resolve().parent and any(self._files()):
-            self._take_files(target)
         text = self.text
-        loaded = load(target, text=text)
-        if loaded.errors:
-            raise SpecError(loaded.errors)
-        write_atomically(target, text.encode())
-        self._file, self._source, self._before = target, text, copied(self._data)
+        with self._copied_files(target):
+            loaded = load(target, text=text)
+            if loaded.errors:
+                raise SpecError(loaded.errors)
+            write_in_place(target, text.encode())
+        self._set_loaded(loaded)
         self._imported_from = None
-        self._loaded = loaded
         return target
 
     def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
         """Record the source file of an imported document and the mesh folder to copy when the document is saved."""
         self._imported_from, self._mesh_folder = source, mesh_folder
 
-    def _take_files(self, target: Path) -> None:
-        """Copy the mesh folder of an imported document to the folder in which the document is saved."""
-        import shutil
+    @contextmanager
+    def _copied_files(self, target: Path) -> Iterator[None]:
+        """Copy the mesh folder of an imported document to the folder of ``target``; undo this if the block fails."""
+        from simfoundry.runtime.files import copied_folder
 
-        folder = self._mesh_folder
-        if folder is None:
+        moved = target.parent.resolve() != self.path.parent.resolve() and any(self._files())
+        if moved and self._mesh_folder is None:
             raise SimfoundryError(
-                f"{target} cannot be written: the document refers to files relative to {self.path.resolve().parent}; "
+                f"{target} cannot be written: the document refers to files relative to {self.path.parent.resolve()}; "
                 "save it in that folder"
             )
-        if (target.parent / folder.name).exists():
-            raise OutputError(f"{target.parent / folder.name} already exists; save to a different folder")
-        shutil.copytree(folder, target.parent / folder.name)
+        source = self._mesh_folder
+        if not moved or source is None or not source.is_dir():
+            yield
+            return
+        with copied_folder(source, target.parent / source.name, f"{target.stem}.files.json"):
+            yield
 
     def __repr__(self) -> str:
         edited = ", edited" if self._data != self._before else ""
         return f"<{type(self).__name__} {self._data.get('name')} of {self.path}{edited}>"
+
+    def _set_loaded(self, loaded: Loaded) -> None:
+        """Make a loaded document the current state, without edits."""
+        from simfoundry.spec.yaml.text import read
+
+        assert loaded.spec is not None and loaded.document is not None
+        text = loaded.document.text
+        self._file, self._loaded = loaded.path, loaded
+        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
+        # All values that are stated in the text, including defaults, joined with the documents that it extends.
+        self._before: dict[str, Any] = copied(loaded.document.data) if text else to_data(loaded.spec)
+        self._data: dict[str, Any] = copied(self._before)
+        bases = loaded.bases[:1]
+        self._base = compose(read(bases[0]), self._kind, loaded.root)[0].data if bases else ABSENT
+
+    def _text(self, data: dict[str, Any]) -> str:
+        """Return the text of the document with the given content."""
+        if same(data, self._before):
+            return self._source
+        from simfoundry.spec.yaml.text import parse
+
+        return edit_text(self._source, own_data(parse(self._source).data, self._before, data, self._base), self._model)
 
     def _load(self) -> Loaded:
         """Return the edited document, including any findings."""
@@ -159,24 +173,32 @@ class EditableDocument(DocumentEntry):
 
     def _get(self, path: DataPath) -> Any:
         """Return the plain value at a path, or :data:`ABSENT`."""
-        value: Any = self._data
-        for part in path:
-            value = value.get(part, ABSENT) if isinstance(value, dict) else ABSENT
-        return value
+        return _value_at(self._data, path)
 
     def _set(self, path: DataPath, value: Any) -> None:
         """Set the value at a path, or raise :class:`SpecError` if the value is invalid."""
-        before, plain = copied(self._data), to_plain(value)
-        place = self._data
-        for part in path[:-1]:
-            place = place.setdefault(part, {})
-        place[path[-1]] = plain
+        plain = to_plain(value)
         try:
             _validate(self._model, path, plain)
         except ValidationError:
-            findings = [d for d in self._load().findings if d.severity is Severity.ERROR]
-            self._data = before
-            raise SpecError(findings) from None
+            plain = self._as_written(path, plain)
+        _put(self._data, path, plain)
+
+    def _as_written(self, path: DataPath, plain: Any) -> Any:
+        """Return a value as it is read from the document's text, such as 77 for 77.0.
+
+        Raises:
+            SpecError: If the value is invalid in the text too; the findings are those of the edited text.
+        """
+        data = copied(self._data)
+        _put(data, path, plain)
+        loaded = load(self.path, text=self._text(data))
+        written = _value_at(loaded.document.data, path) if loaded.document is not None else ABSENT
+        try:
+            _validate(self._model, path, written)
+        except ValidationError:
+            raise SpecError(d for d in loaded.findings if d.severity is Severity.ERROR) from None
+        return copied(written)
 
     def _delete(self, path: DataPath) -> None:
         """Remove the value at a path, and all parent mappings that become empty as a result."""
@@ -188,6 +210,18 @@ class EditableDocument(DocumentEntry):
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
         self._data = renamed(self._data, [Rename(section, old, new)])
+
+
+def _value_at(data: Any, path: DataPath) -> Any:
+    for part in path:
+        data = data.get(part, ABSENT) if isinstance(data, dict) else ABSENT
+    return data
+
+
+def _put(data: dict[str, Any], path: DataPath, value: Any) -> None:
+    for part in path[:-1]:
+        data = data.setdefault(part, {})
+    data[path[-1]] = value
 
 
 def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:

@@ -45,7 +45,7 @@ class DocumentEntry:
         object.__setattr__(self, "_at", path)
 
     def to_data(self) -> dict[str, Any]:
-        """Return the values that are set in the entry as plain data, without defaults."""
+        """Return the values that the document states for the entry as plain data."""
         found = self._document._get(self._at)
         return copied(found) if isinstance(found, dict) else {}
 
