@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, to_plain
+from simfoundry.api.entries import DataPath, DocumentEntry, FixedField, UnknownNameError, to_plain
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.diff.changes import Rename, copied, renamed, same
+from simfoundry.spec.change.diff.changes import Rename, renamed, same
 from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import compose, load, load_kind
-from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.types import field_type, file_patterns, models_at
+from simfoundry.spec.models.base import Conflict, DocumentSpec, Model
+from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
+from simfoundry.spec.models.types import field_adapter, field_type, file_patterns, models_at
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
 class EditableDocument(DocumentEntry):
     """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text. Findings refer to lines in
     that text, and the comments and layout around each edit are preserved.
     """
 
     _model: ClassVar[type[DocumentSpec]]
     _kind: ClassVar[str]
+
+    simfoundry = FixedField[str]()
+    extends = FixedField[str | None]()
+    conflicts = FixedField[Mapping[str, Conflict]]()
 
     def __init__(self, loaded: Loaded) -> None:
         assert isinstance(loaded.spec, self._model)
@@ -39,6 +45,16 @@ class EditableDocument(DocumentEntry):
         self._set_loaded(loaded)
         self._imported_from: Path | None = None
         self._mesh_folder: Path | None = None
+        self._original = self  # a copy of an imported document uses files that exist as long as the original
+
+    def __copy__(self) -> Self:
+        """Return an independent document with the same edits."""
+        copied = object.__new__(type(self))
+        vars(copied).update(vars(self), _document=copied)
+        return copied
+
+    def __deepcopy__(self, _memo: object) -> Self:
+        return copy(self)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -57,7 +73,12 @@ class EditableDocument(DocumentEntry):
     @property
     def text(self) -> str:
         """The text of the document with all edits applied."""
-        return self._text(self._data)
+        if same(self._data, self._before):
+            return self._source
+        from simfoundry.spec.yaml.text import parse
+
+        own = own_data(parse(self._source).data, self._before, self._data, self._base)
+        return edit_text(self._source, own, self._model)
 
     @property
     def changes(self) -> list[str]:
@@ -67,7 +88,7 @@ class EditableDocument(DocumentEntry):
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
+        """Check the edited document and return all findings. If ``lints`` is False, only its structure is checked."""
         from simfoundry.lint.lints import lint
 
         loaded = self._load()
@@ -83,7 +104,7 @@ class EditableDocument(DocumentEntry):
             The path of the file that was written.
 
         Raises:
-            SpecError: If the edited document has errors; nothing is written in this case.
+            SpecError: If the edited document has errors. In this case, nothing is written.
             OutputError: If the mesh folder of an imported document would replace files that SimFoundry did not write.
         """
         from simfoundry.runtime.files import write_in_place
@@ -111,7 +132,7 @@ class EditableDocument(DocumentEntry):
 
     @contextmanager
     def _copied_files(self, target: Path) -> Iterator[None]:
-        """Copy the mesh folder of an imported document to the folder of ``target``; undo this if the block fails."""
+        """Copy the mesh folder of an imported document to the folder of ``target``. Undo this if the block fails."""
         from simfoundry.runtime.files import copied_folder
 
         moved = target.parent.resolve() != self.path.parent.resolve() and any(self._files())
@@ -139,26 +160,22 @@ class EditableDocument(DocumentEntry):
         text = loaded.document.text
         self._file, self._loaded = loaded.path, loaded
         self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
-        # All values that are stated in the text, including defaults, joined with the documents that it extends.
-        self._before: dict[str, Any] = copied(loaded.document.data) if text else to_data(loaded.spec)
-        self._data: dict[str, Any] = copied(self._before)
+        # All values that the text states, including defaults, joined with the documents that it extends.
+        self._before: dict[str, Any] = loaded.document.data if text else to_data(loaded.spec)
+        self._data = self._before  # edits replace the mappings that contain them and leave others as they are
         bases = loaded.bases[:1]
         self._base = compose(read(bases[0]), self._kind, loaded.root)[0].data if bases else ABSENT
 
-    def _text(self, data: dict[str, Any]) -> str:
-        """Return the text of the document with the given content."""
-        if same(data, self._before):
-            return self._source
-        from simfoundry.spec.yaml.text import parse
-
-        return edit_text(self._source, own_data(parse(self._source).data, self._before, data, self._base), self._model)
-
     def _load(self) -> Loaded:
         """Return the edited document, including any findings."""
-        return self._loaded if self._data == self._before else load(self.path, text=self.text)
+        return self._loaded if same(self._data, self._before) else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document, or raise :class:`SpecError` if it has errors."""
+        """Return the edited document.
+
+        Raises:
+            SpecError: If the document has errors.
+        """
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -172,56 +189,83 @@ class EditableDocument(DocumentEntry):
     # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
-        """Return the plain value at a path, or :data:`ABSENT`."""
-        return _value_at(self._data, path)
-
-    def _set(self, path: DataPath, value: Any) -> None:
-        """Set the value at a path, or raise :class:`SpecError` if the value is invalid."""
-        plain = to_plain(value)
-        try:
-            _validate(self._model, path, plain)
-        except ValidationError:
-            plain = self._as_written(path, plain)
-        _put(self._data, path, plain)
-
-    def _as_written(self, path: DataPath, plain: Any) -> Any:
-        """Return a value as it is read from the document's text, such as 77 for 77.0.
+        """Return the plain value at a path, or :data:`ABSENT` if a field is not set.
 
         Raises:
-            SpecError: If the value is invalid in the text too; the findings are those of the edited text.
+            UnknownNameError: If a member of a section does not exist.
         """
-        data = copied(self._data)
-        _put(data, path, plain)
-        loaded = load(self.path, text=self._text(data))
-        written = _value_at(loaded.document.data, path) if loaded.document is not None else ABSENT
-        try:
-            _validate(self._model, path, written)
-        except ValidationError:
-            raise SpecError(d for d in loaded.findings if d.severity is Severity.ERROR) from None
-        return copied(written)
+        value: Any = self._data
+        for k, part in enumerate(path):
+            members = value if isinstance(value, dict) else {}
+            value = members.get(part, ABSENT)
+            if value is ABSENT and _is_member(self._model, path[: k + 1]):
+                kind = path[k - 1].removesuffix("s")
+                raise UnknownNameError(f"{self.path} has no {kind} `{part}`; {nearest(str(part), members)}")
+        return value
 
-    def _delete(self, path: DataPath) -> None:
-        """Remove the value at a path, and all parent mappings that become empty as a result."""
-        place = self._get(path[:-1])
-        del place[path[-1]]
-        if not place and len(path) > 1:
-            self._delete(path[:-1])
+    def _edit(self, edits: Mapping[DataPath, Any]) -> None:
+        """Set the values at the given paths, where :data:`ABSENT` removes a value.
+
+        If an error is raised, nothing is changed.
+
+        Raises:
+            SpecError: If a value is invalid.
+            UnknownNameError: If a path contains a member that does not exist, for example because it was renamed.
+        """
+        data = self._data
+        given = {path: ABSENT if value is ABSENT else to_plain(value) for path, value in edits.items()}
+        for path, value in given.items():
+            before = self._get(path if value is ABSENT else path[:-1])
+            if value is not ABSENT or before is not ABSENT:
+                data = _replaced(self._model, data, path, value)
+        with self._replacing(data):
+            for path, value in given.items():
+                if value is not ABSENT:
+                    _judge(self._model, path, value)
 
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
-        self._data = renamed(self._data, [Rename(section, old, new)])
+        (sections,) = (field_type(owner, section[-1]) for owner in models_at(self._model, section[:-1]))
+        with self._replacing(renamed(self._data, [Rename(section, old, new)])):
+            TypeAdapter(get_args(sections)[0]).validate_python(new, strict=True)
+
+    @contextmanager
+    def _replacing(self, data: dict[str, Any]) -> Iterator[None]:
+        """Replace the data of the document after the body of the ``with`` statement has validated it.
+
+        Raises:
+            SpecError: If the data is invalid.
+        """
+        try:
+            yield
+        except (ValidationError, ExpressionError) as error:
+            edited = copy(self)
+            edited._data = data
+            findings = [d for d in edited._load().findings if d.severity is Severity.ERROR]
+            code = "SF202" if isinstance(error, ExpressionError) else "SF103"
+            # Some values of other types have the same text as valid values, which therefore has no error for them.
+            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+            raise SpecError(findings or [Diagnostic(code, Severity.ERROR, reason, str(self.path))]) from None
+        self._data = data
 
 
-def _value_at(data: Any, path: DataPath) -> Any:
-    for part in path:
-        data = data.get(part, ABSENT) if isinstance(data, dict) else ABSENT
-    return data
+def _is_member(model: type[Model], path: DataPath) -> bool:
+    """Return True if a path ends with the name of a member, such as an object, and False if it ends with a field."""
+    return not any(path[-1] in owner.model_fields for owner in models_at(model, path[:-1]))
 
 
-def _put(data: dict[str, Any], path: DataPath, value: Any) -> None:
-    for part in path[:-1]:
-        data = data.setdefault(part, {})
-    data[path[-1]] = value
+def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
+    """Return a copy of ``data`` with a new value at a path. The original data is not modified.
+
+    If the value is :data:`ABSENT`, it is removed, along with the fields and sections that become empty as a result, but
+    not with named members.
+    """
+    part, new = path[depth - 1], value
+    if depth < len(path):
+        new = _replaced(model, data.get(part, {}), path, value, depth + 1)
+    if new is ABSENT or (value is ABSENT and not new and not _is_member(model, path[:depth])):
+        return {key: item for key, item in data.items() if key != part}
+    return {**data, part: new}
 
 
 def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
@@ -233,13 +277,25 @@ def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
             yield from _values(data.get(key), pattern[1:])
 
 
-def _validate(model: type[Model], path: DataPath, value: Any) -> None:
-    """Validate a value against the type of the field or section member at a path."""
+def _judge(model: type[Model], path: DataPath, value: Any) -> None:
+    """Check all properties of the value at a path that do not depend on other values.
+
+    Raises:
+        ValidationError: If the value or a name in it has the wrong type.
+        ExpressionError: If a predicate in the value is invalid.
+    """
     for owner in models_at(model, path[:-1]):
-        if path[-1] in owner.model_fields and issubclass(owner, Model):
-            TypeAdapter(field_type(owner, path[-1])).validate_python(value, strict=True)
+        if path[-1] in owner.model_fields:
+            field_adapter(owner, path[-1]).validate_python(value, strict=True)
+            for text in _predicates(path[-1], value):
+                parse_call(text)
             return
-    for kind in models_at(model, path):
-        kind.model_validate(value)
-        return
-    raise UnknownNameError(f"`{'.'.join(path)}` is not a path in this document")
+    _judge(model, path[:-1], {path[-1]: value})  # a member is checked together with its name
+
+
+def _predicates(key: str, value: Any) -> Iterator[str]:
+    """Yield the predicates in the value of a key."""
+    if key in ("relations", "goal"):
+        yield from (text for text, _ in texts({"all": value} if key == "relations" else value))
+    for name, item in value.items() if isinstance(value, dict) else ():
+        yield from _predicates(name, item)

@@ -150,7 +150,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
 
 
 def _spread(points: Array, count: int) -> NDArray[np.int64]:
-    """Return the indices of ``count`` points that are far apart, selected greedily from the lowest corner."""
+    """Return the indices of ``count`` points that are far apart, selected greedily starting at the lowest corner."""
     chosen = [int(np.lexsort(points.T)[0])]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:

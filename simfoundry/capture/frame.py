@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, Pose
 
 NEAREST, FARTHEST = 0.1, 5.0  # Measuring range of tabletop sensors [m]
@@ -23,7 +24,7 @@ UNITS = {
 }
 
 
-class CaptureError(Exception):
+class CaptureError(PicklableError):
     """An error raised for a capture that cannot be reconstructed, with a diagnostic code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:

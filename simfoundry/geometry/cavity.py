@@ -165,7 +165,7 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """Return the distance from points, shape (n, 3), to one part [m], shape (n,); it is negative inside the part.
+    """Return the distance from points, shape (n, 3), to one part [m], shape (n,), which is negative inside the part.
 
     The distance is exact for round parts; for polyhedra, it is the largest distance to a face plane.
     """

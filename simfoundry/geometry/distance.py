@@ -281,7 +281,7 @@ def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> I
 
 
 class FromBox(NamedTuple):
-    """The hull of a link in n states, expressed in the frame of the other link in the pair, which is a single box.
+    """The hull of one link in n states, expressed in the frame of a second link that is a single box.
 
     Attributes:
         field: Distance field of the box.

@@ -84,7 +84,7 @@ class Hulls:
         return replace(self, corners=self.corners * mirror, normals=self.normals * mirror)
 
     def of_link(self, link: int) -> Hulls:
-        """Return only the parts of one link; the other parts keep their indices but have no corners."""
+        """Return a copy that contains only the parts of one link, without renumbering the parts."""
         kept = self.link[self.part] == link
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))

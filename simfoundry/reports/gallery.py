@@ -19,7 +19,7 @@ PICTURES = "pictures"
 
 
 def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write the page, and render missing images for at most ``most`` cousins."""
+    """Write the page, rendering missing images for at most ``most`` cousins."""
     with Reader() as reader:
         places = islice((place for place in ledger.counted() if place.accepted), most)
         shown = [reader.candidate(place) for place in places]

@@ -36,19 +36,19 @@ GROUPS: Mapping[str, str] = {
 
 
 class UnknownExtensionError(SimfoundryError):
-    """Raised for an unknown extension; the message lists the available names."""
+    """Raised for an unknown extension. The message lists the available names."""
 
 
 class PluginError(SimfoundryError):
-    """Raised for a plug-in that cannot be loaded; the message states its package and the cause."""
+    """Raised for a plug-in that cannot be loaded. The message states its package and the cause."""
 
 
 @dataclass(frozen=True)
 class Plugin:
     """An extension provided by an installed package.
 
-    ``value`` is the entry point, and ``distribution`` is the name and version of the package. ``rival`` is another
-    package that provides an extension with the same name, if any; in that case, neither can be used.
+    ``value`` is the entry point, and ``distribution`` is the name and version of the package. If another package
+    provides an extension with the same name, ``rival`` is that package, and neither extension can be used.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Plugin:
             raise self.error(f"{type(error).__name__}: {error}") from error
 
     def folder(self) -> Path:
-        """Return the folder of the package that the entry point refers to; targets and robots require a folder."""
+        """Return the folder of the package that the entry point refers to. Targets and robots require a folder."""
         self._check_unique()
         try:
             spec = find_spec(self.value)
@@ -95,7 +95,7 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Registry(Generic[T]):
-    """A registry of all extensions of one kind; an extension is not imported until it is used.
+    """A registry of all extensions of one kind. An extension is not imported until it is used.
 
     ``built_in`` maps names to ``module:attribute``. A plug-in cannot replace a built-in extension, so installing a
     package never changes the meaning of an existing document. Installed packages are not even searched if the name is
@@ -107,7 +107,7 @@ class Registry(Generic[T]):
     kind: type[T] | None = field(default=None, compare=False)
 
     def names(self) -> list[str]:
-        """Return all names: the built-in names in the order of definition, then the sorted names of plug-ins."""
+        """Return all names: first the built-in names in the order of definition, then the sorted names of plug-ins."""
         return [*self.built_in, *(name for name in plugins(self.group) if name not in self.built_in)]
 
     def __contains__(self, name: object) -> bool:
@@ -121,8 +121,8 @@ class Registry(Generic[T]):
         """Import and return the extension called ``name``.
 
         Raises:
-            UnknownExtensionError: The name is unknown; the message lists the available names.
-            PluginError: The plug-in cannot be loaded.
+            UnknownExtensionError: If the name is unknown; the message lists the available names.
+            PluginError: If the plug-in cannot be loaded.
         """
         if name in self.built_in:
             return cast(T, resolve_name(self.built_in[name]))
@@ -147,7 +147,7 @@ def plugins(group: str) -> Mapping[str, Plugin]:
 
 @lru_cache(maxsize=64)
 def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: ARG001 - used only as a cache key
-    """Read the metadata of every package on ``path``; this takes 2 ms per 100 packages, plus 20 ms for the import."""
+    """Read the metadata of every package on ``path``. This takes 2 ms per 100 packages, plus 20 ms for the import."""
     from importlib.metadata import entry_points
 
     found: dict[str, Plugin] = {}
@@ -159,7 +159,7 @@ def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: A
 
 
 def import_file(path: Path, place: Path | None = None) -> ModuleType:
-    """Execute a file as a module without adding it to ``sys.modules``; ``place`` overrides its apparent location."""
+    """Execute a file as a module without adding it to ``sys.modules``. ``place`` overrides its apparent location."""
     spec = spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is not a Python file")

@@ -307,7 +307,7 @@ def camera(name: str, spec: CameraSpec) -> Camera:
 
 
 def _light(name: str, spec: LightSpec) -> Light:
-    """Convert a light; it shines along -z of its frame."""
+    """Convert a light, which shines along -z of its frame."""
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))

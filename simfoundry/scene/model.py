@@ -7,10 +7,12 @@ capsules are aligned with their local z axis. Camera frames use OpenCV axes (x r
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -21,6 +23,15 @@ from simfoundry.geometry.shapes import Geometry
 
 if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
+
+
+def read_only(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a read-only view of a mapping."""
+    return MappingProxyType(mapping)
+
+
+# Scenes and states contain read-only mappings, which Python cannot pickle or copy by default.
+copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +277,7 @@ class LightType(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or everywhere (dome).
+    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or from all sides (dome).
 
     ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
     [0, 1], shape (3,).

@@ -67,7 +67,7 @@ class Gripper:
 class Attached:
     """A model that is mounted on a link of another model, with all of its names prefixed with ``name.``.
 
-    ``X_LB`` is the pose of the base of the mounted model in the frame of the ``to`` link.
+    ``X_LB`` is the mounted model's base pose in the frame of the ``to`` link.
     """
 
     name: str

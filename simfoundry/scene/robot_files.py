@@ -164,7 +164,9 @@ def _menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
         cache = mujoco_menagerie.Cache()
         if cache.root is None and not cache.is_cached(robot) and not fetch:
             command = f"python -m mujoco_menagerie prefetch {name}"
-            raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
+            raise NoModelError(
+                f"the model has not been downloaded; run `{command}`, or use the robot once while online"
+            )
         folder = _fetch(name, str(cache.dir), str(cache.root or ""))
         if isinstance(folder, Exception):
             raise folder
@@ -234,7 +236,7 @@ def _need_cloned(name: str) -> None:
     folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
     if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
         command = f"{_DESCRIPTIONS} pull {name}"
-        raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
+        raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once while online")
 
 
 @contextmanager

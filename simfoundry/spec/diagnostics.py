@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from simfoundry.errors import PicklableError
+
 # Maximum displayed length of a source line [columns], which is the width of a wide terminal.
 SHOWN = 160
 
@@ -22,10 +24,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
+    """A finding at a location.
 
-    ``about`` contains names that the finding concerns in addition to those in ``path``. Like those, they can be used in
-    ``allow`` to silence the finding.
+    ``line`` and ``column`` count from 1, and 0 means the whole file. ``about`` contains names that the finding concerns
+    in addition to those in ``path``. Like the names in ``path``, they can be used in ``allow`` to silence the finding.
     """
 
     code: str
@@ -48,8 +50,8 @@ class Diagnostic:
         return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
-class SpecError(Exception):
-    """Raised if findings prevent further processing; the message contains all of the findings."""
+class SpecError(PicklableError):
+    """Raised if findings prevent further processing. The message contains all of the findings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)

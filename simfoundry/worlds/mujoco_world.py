@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.backends.mjcf.contact_rules import exact_model
+from simfoundry.backends.mjcf.contacts import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer

@@ -23,6 +23,8 @@ def load() -> tuple[mjx.Model, mjx.Data]:
     model = mujoco.MjModel.from_xml_path(str(HERE / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("initial").id)
+    for start in model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]:  # they start at the pose of the body
+        data.qpos[start : start + 7] = model.qpos0[start : start + 7]
     mujoco.mj_forward(model, data)
     return mjx.put_model(model), mjx.put_data(model, data)
 

@@ -151,7 +151,7 @@ def test_any_single_edit_of_a_scene_leaves_all_other_lines_as_they_are(path: Pat
     random, places = Random(path.stem), list(_numbers(document()._data))
     for place in random.sample(places, min(len(places), 12)):
         edited = document()
-        edited._set(place, round(edited._get(place) * 0.99, 6))
+        edited._edit({place: round(edited._get(place) * 0.99, 6)})
         changed = _changed(text, edited.text)
         assert changed and len([line for line in changed if line[0] == "-"]) <= 1, (place, changed)
     for name in document().objects:

@@ -31,7 +31,10 @@ _BOM = "\ufeff"
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
     """Edit ``text`` so that it contains ``data``, leaving all unaffected bytes unchanged.
 
-    The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` could not be parsed.
+    The order of keys in ``data`` is ignored.
+
+    Raises:
+        YamlError: If ``text`` could not be parsed.
     """
     body = text.removeprefix(_BOM)
     mark = text.removesuffix(body)
@@ -260,9 +263,9 @@ class _Round:
         return self._entry(path)
 
     def _entry(self, path: Path_) -> Splice | None:
-        """Return the edit that rewrites the nearest block mapping entry at or above a path in canonical form.
+        """Return the edit that rewrites a block mapping entry in canonical form, keeping the comments of the entry.
 
-        The comments of the entry are kept.
+        If ``path`` does not refer to such an entry, the nearest entry above it is rewritten.
         """
         while path:
             steps = self._steps(path)

@@ -46,7 +46,7 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 hex digest of a flattened text, which does not depend on the document's formatting."""
+    """Return the SHA-256 hex digest of a flattened text. The digest does not depend on the document's formatting."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -93,7 +93,7 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
 
 
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """Return the data with the file references at ``pattern`` relative to another folder."""
+    """Return the data with the file references at ``pattern`` rewritten relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)

@@ -254,7 +254,7 @@ class SceneNames:
             self.check_call(c, text, (*path, *below))
 
     def check_part(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object, a link, or a joint, which stands for the link that it moves."""
+        """Check the name of an object, a link, or a joint. A joint stands for the link that it moves."""
         name, _, part = argument.partition(".")
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)

@@ -89,7 +89,7 @@ def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: floa
 
 
 class LinkSpec(BodySpec):
-    """A rigid body of the asset, made of parts; a link without parts needs an `inertial`."""
+    """A rigid body of the asset, made of parts. A link without parts needs an `inertial`."""
 
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")

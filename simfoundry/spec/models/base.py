@@ -91,7 +91,7 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Records the former key of a field; `check` suggests the current key, and `migrate` renames the former one."""
+    """A record of the former key of a field. `check` suggests the current key, and `migrate` renames the former one."""
 
     key: str
 
@@ -121,7 +121,7 @@ class Model(BaseModel):
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error that is reported as finding ``code`` at the model's key ``at``."""
+    """Return a validation error, which is reported as a finding with the code ``code`` at the model's key ``at``."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 
@@ -367,7 +367,7 @@ class BodySpec(Model):
 
 
 class Conflict(Model):
-    """Two conflicting edits to a value; the document keeps our version until the conflict is resolved."""
+    """Two conflicting edits to a value. The document keeps our version until the conflict is resolved."""
 
     base: Any = Field(None, description="Value before either edit.")
     ours: Any = Field(None, description="Value on our side, which the document contains.")

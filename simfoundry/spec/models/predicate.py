@@ -65,8 +65,8 @@ class Predicate:
         aliases: Names of the predicate in other formats.
         robot_first: Aliases whose arguments list the robot before the object.
         before_motion: Value before any robot has moved, or None if it depends on the scene.
-        contact: True if the predicate is false unless its two objects, or its object and the robot, touch or overlap.
-            Rollouts then skip the rule while they are far apart.
+        contact: True if the predicate can hold only when its two objects, or its object and the robot, touch or
+            overlap. Rollouts then skip the rule while they are far apart.
     """
 
     name: str
@@ -119,7 +119,7 @@ PREDICATES = Registry(
 def built_in_predicates() -> dict[str, Predicate]:
     """Return the built-in predicates by name.
 
-    Schemas and documentation use these, because they must not depend on the installed plug-ins.
+    Schemas and documentation use these predicates because they must not depend on the installed plug-ins.
     """
     return {name: PREDICATES.load(name) for name in PREDICATES.built_in}
 
@@ -159,7 +159,10 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 
 
 class ExpressionError(ValueError):
-    """Raised if a text is not a valid predicate; ``word`` is the invalid part, and ``choices`` are the valid values."""
+    """Raised if a text is not a valid predicate.
+
+    ``word`` is the invalid part of the text, and ``choices`` are the valid values.
+    """
 
     def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -192,7 +195,7 @@ def parse_call(text: str) -> Call:
     """Parse a predicate given by its name or an alias.
 
     Raises:
-        ExpressionError: The text is not a valid predicate.
+        ExpressionError: If the text is not a valid predicate.
     """
     match = _CALL.match(text)
     if match is None:
@@ -258,7 +261,10 @@ else:
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """Split a condition (a model or plain data) into its kind, ``text``, ``all``, ``any`` or ``not``, and operands."""
+    """Split a condition (a model or plain data) into its kind and its operands.
+
+    The kind is ``text``, ``all``, ``any`` or ``not``.
+    """
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)

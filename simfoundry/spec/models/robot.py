@@ -78,7 +78,7 @@ class RobotSpec(Model):
     def known(self) -> KnownRobot | None:
         """Return the known robot with this name.
 
-        Returns None if the robot is unknown or its file is invalid; `check` reports invalid files.
+        Returns None if the robot is unknown or its file is invalid. `check` reports invalid files.
         """
         from simfoundry.spec.models.robot_file import find_robot
 

@@ -279,8 +279,11 @@ OF_GEOMETRY = ("scale", "visual")
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
     """Return the variant ``name`` of an object as an object without variants.
 
-    ``default`` is the object without any overrides. Raises :class:`pydantic.ValidationError` if the object and the
-    variant are incompatible, for example if the variant sets `scale` for a primitive.
+    ``default`` is the object without any overrides.
+
+    Raises:
+        pydantic.ValidationError: If the object and the variant are incompatible, for example if the variant sets
+            `scale` for a primitive.
     """
     from simfoundry.spec.models.types import RIVALS  # reads a file, which checking a scene without variants can skip
 
@@ -298,5 +301,8 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
 
 
 def variant_names(item: ObjectSpec) -> list[str]:
-    """Return the names of an object's variants, starting with ``default``; the list is empty if it has no variants."""
+    """Return the names of an object's variants, starting with ``default``.
+
+    The list is empty if the object has no variants.
+    """
     return [DEFAULT_VARIANT, *item.variants] if item.variants else []

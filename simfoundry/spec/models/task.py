@@ -99,7 +99,7 @@ class TaskSpec(DocumentSpec):
 
 
 def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
-    """Return the scene with the initial states in ``starts`` applied; later entries override earlier ones."""
+    """Return the scene with the initial states in ``starts`` applied. Later entries override earlier ones."""
     objects = dict(spec.objects)
     for start in starts:
         for name, place in start.place.items():

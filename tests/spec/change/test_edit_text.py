@@ -147,7 +147,7 @@ def test_any_edit_of_any_spec_gives_the_data_that_is_wanted(path: Path, seed: in
         if random.random() < 0.3 and len(place) > 1 and key in place:
             del place[key]
         else:
-            place[key] = random.choice(VALUES)
+            place[key] = copied(random.choice(VALUES))
     edited = edit_text(text, data, model_of(data["simfoundry"]))
     assert parse(edited).data == {**parse(edited).data, **data}
     assert edited == edit_text(edited, data, model_of(data["simfoundry"]))

@@ -22,7 +22,7 @@ _XY = {"xy", "local_xy"}
 
 
 class Verbs(list[str]):
-    """Phrases that follow a member's name; ``moved`` is True if one of them describes motion."""
+    """Phrases that follow a member's name. ``moved`` is True if one of the phrases describes motion."""
 
     moved = False
 
@@ -161,7 +161,10 @@ class Describing:
         return f"{label} {left} removed" if new is ABSENT and not right else f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, document: Mapping[str, Any], unit: str) -> str:
-        """Format a value with its unit, followed by the source of the value if the document does not set it."""
+        """Format a value with its unit.
+
+        If the document does not set the value, the source of the value is appended.
+        """
         key = path[-1]
         if item is not ABSENT:
             return values.with_unit(values.value(key, item), unit)
@@ -199,7 +202,7 @@ def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, 
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Describe a change to which limit counts as the closed end of a joint."""
+    """Describe a change in the limit at which a joint is considered closed."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
@@ -278,12 +281,15 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with each name replaced by ``*``, because a field has the same properties in every member."""
+    """Return the path with each name replaced by ``*``.
+
+    The result is used to look up the properties of a field, which are the same for every member.
+    """
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 
 def _label(path: Path_) -> str:
-    """Return the label of a field, which is its path below the member, such as ``part left color``."""
+    """Return the label of a field, such as ``part left color``. It is the path of the field below its member."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
     for k in range(len(parts) - 1):

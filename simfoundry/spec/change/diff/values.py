@@ -123,7 +123,7 @@ def place(item: dict[str, Any]) -> str:
 
 
 def shortened(text: str) -> str:
-    """Shorten a text so that it fits on a line."""
+    """Shorten a text to fit on one line."""
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
