@@ -71,7 +71,7 @@ class DocumentEntry:
             return f"<{'.'.join(self._at)}, which was removed or renamed>"
 
     def _check_field(self, name: str, error: type[Exception] = UnknownNameError) -> None:
-        """Raise an error if there is no field called ``name`` that can be edited."""
+        """Check that there is a field called ``name`` that can be edited, and raise an error otherwise."""
         fields = {n: getattr(type(self), n, None) for n in self._model.model_fields}
         if isinstance(fields.get(name), FixedField):
             raise error(f"`{name}` cannot be changed in Python; edit it in {self._document.path}")
@@ -139,11 +139,11 @@ class ValueField(_Field[Given], Generic[Got, Given]):
 
 
 class FixedField(ValueField[Got, Never]):
-    """A field that can be read, but not edited: changing it would change what the rest of the document means."""
+    """A field that can be read but not edited. Changing it would change the meaning of the rest of the document."""
 
 
 class ReadOnlyDict(dict[str, Any]):
-    """A mapping in a value that was read from a document; editing it would not change the document."""
+    """A read-only mapping in a value that was read from a document. Edits to it would not change the document."""
 
     def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise TypeError("this mapping is read-only; assign a new value to its field: `x.y = {**x.y, name: value}`")
@@ -187,7 +187,7 @@ class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[Vie
 
 
 def section(kind: type[E]) -> EntryField[EntryMapping[E]]:
-    """Declare a section of a document, such as its objects by name."""
+    """Declare a section of a document, such as the objects of a scene by name."""
     return EntryField(lambda document, path: EntryMapping(document, path, kind))
 
 
@@ -226,15 +226,19 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def pop(self, name: str, /, *default: Any) -> E | Any:
-        """Remove a member and return it as an entry in a copy of the document."""
+        """Remove a member, and return it as an entry in a copy of the document."""
         before = EntryMapping(copy(self._document), self._at, self._kind)
         super().pop(name, *default)
         return before.get(name, *default)
 
     def popitem(self) -> tuple[str, E]:
-        """Remove the first member and return its name, and the member as an entry in a copy of the document."""
+        """Remove the first member, and return its name and an entry in a copy of the document."""
         name = next(iter(self), "")
         return name, self.pop(name)
+
+    def update(self, members: Any = (), /, **more: Any) -> None:
+        """Set several members at once. If an error is raised, no member is changed."""
+        self._document._edit({(*self._at, str(name)): value for name, value in {**dict(members), **more}.items()})
 
     def clear(self) -> None:
         """Remove all members."""
@@ -307,7 +311,7 @@ class ExpressionList(MutableSequence[str]):
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a value to plain data: mappings without values of None, tuples and scalars."""
+    """Convert a value to plain data, which consists of mappings, tuples and scalars. Mappings omit values of None."""
     if isinstance(value, Model):
         return to_data(value)
     if hasattr(value, "tolist"):  # numpy arrays and numbers

@@ -198,7 +198,7 @@ def write_in_place(path: Path, text: str) -> None:
 
 
 def plural(count: int, noun: str) -> str:
-    """Format a count with its noun, such as ``no conflicts`` or ``1 conflict``."""
+    """Format a count with its noun, as in ``no conflicts`` or ``1 conflict``."""
     return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"
 
 

@@ -164,7 +164,7 @@ NEEDS_TOUCH = ("OnTop", "Inside", "Touching")
 
 
 class StartJudge:
-    """Evaluates conditions in the initial state of a scene, before any robot has moved."""
+    """A judge of conditions in the initial state of a scene, before any robot has moved."""
 
     def __init__(self, draft: DraftScene) -> None:
         self._draft = draft

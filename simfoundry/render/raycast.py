@@ -54,8 +54,8 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
         scene: The scene to render.
         camera: The camera.
         state: The state of the scene; defaults to the state described by the scene.
-        samples: The number of rays along each side of a pixel; the color of the pixel is their mean. With 1, shadows
-            are hard and there is no ambient occlusion; larger values darken corners and soften shadows.
+        samples: The number of rays along each side of a pixel, whose color is the mean over all rays. With a value of
+            1, shadows are hard and there is no ambient occlusion. Larger values darken corners and soften shadows.
     """
     if samples < 1:
         raise ValueError(f"samples must be at least 1, not {samples}")

@@ -63,7 +63,7 @@ def page(
         shown: The cousins to show.
         pictures: Image paths by cousin index.
         reasons: One example for each rejection reason.
-        variants: A text with the variant results for each object.
+        variants: A text that describes the variant results for each object.
     """
     return render(
         "gallery.html.j2",

@@ -93,7 +93,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """Normalize a name: lower case, without underscores."""
+    """Normalize a name by converting it to lower case and removing underscores."""
     return name.casefold().replace("_", "")
 
 

@@ -34,9 +34,9 @@ MANIFEST = "manifest.json"
 
 
 class TargetsError(SimfoundryError):
-    """Raised if some targets could not be compiled; all other targets have been written.
+    """Raised if some targets could not be compiled. All other targets have been written.
 
-    ``artifacts`` contains the artifacts that were written; ``failures`` maps each failed target to the reason.
+    ``artifacts`` contains the artifacts that were written, and ``failures`` maps each failed target to the reason.
     """
 
     def __init__(self, artifacts: list[Artifact], failures: Mapping[str, str]) -> None:
@@ -86,7 +86,7 @@ def build(
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that compile, and the reasons why the others fail, by name."""
+    """Return the artifacts of the targets that can be compiled, and the reasons why the other targets fail, by name."""
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
@@ -132,7 +132,11 @@ def _json(data: object) -> bytes:
 
 
 def _ensure_ours(folder: Path) -> None:
-    """Raise :class:`OutputError` if ``folder`` contains edited files or files that are not in its manifest."""
+    """Check that ``folder`` contains only unedited files from its manifest.
+
+    Raises:
+        OutputError: If the folder contains edited files or files that are not in the manifest.
+    """
     try:
         entry = folder / str(json.loads((folder / MANIFEST).read_bytes())["entry"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -143,7 +147,7 @@ def _ensure_ours(folder: Path) -> None:
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
-    """Return the content of ``loss.json`` by target.
+    """Return the content of ``loss.json``, keyed by target.
 
     For each feature used in the scene, ``features`` counts the elements for which the feature is kept, approximated or
     dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
@@ -181,7 +185,10 @@ def _mark(found: Mapping[str, int]) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], align: str = "<") -> list[str]:
-    """Format the rows of a table as lines; ``align`` is ``<`` or ``>`` and applies to all columns except the first."""
+    """Format the rows of a table as lines.
+
+    ``align`` is ``<`` or ``>`` and applies to all columns except the first.
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     forms = ["<", *align * (len(widths) - 1)]
     return ["  ".join(map("{:{}{}}".format, row, forms, widths)).rstrip() for row in rows]

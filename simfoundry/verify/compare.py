@@ -152,7 +152,7 @@ def _gap_reason(engine: VerifyEngine, difference: Difference) -> str:
 
 
 class _Checker:
-    """Compares two read-backs and collects the differences, with the keys of losses that could explain them."""
+    """A comparison of two read-backs, which collects the differences and the keys of losses that could explain them."""
 
     def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
         self.expected, self.got, self.static, self.engine = expected, got, static, engine

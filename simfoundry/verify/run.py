@@ -161,7 +161,7 @@ def measure_behaviors(
 
 
 class _Bench:
-    """Runs the measurements in one engine; concurrent trials share a process."""
+    """A bench that runs the measurements in one engine. Concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout

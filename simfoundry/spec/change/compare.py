@@ -167,7 +167,7 @@ def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
 
 
 def _content(side: Side | None) -> str:
-    """Summarize a document in one line: ``7 objects (desk, cereal, …), 1 camera (view)``."""
+    """Summarize a document in one line, as in ``7 objects (desk, cereal, …), 1 camera (view)``."""
     parts = []
     for section, members in (side.data if side is not None else {}).items():
         if isinstance(members, dict) and members and all(isinstance(m, dict) for m in members.values()):

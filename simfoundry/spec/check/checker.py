@@ -35,9 +35,9 @@ Use = Callable[[Path, tuple[str, ...]], Loaded | None]
 
 
 class Checker:
-    """Collects the findings of one document, except for type errors.
+    """A collector of all findings in a document except type errors.
 
-    If ``whole`` is False, the spec contains only the valid members; the names of invalid members still count as
+    If ``whole`` is False, the spec contains only the valid members. The names of invalid members still count as
     defined.
     """
 

@@ -117,7 +117,7 @@ def _relative(target: Path, path: Path) -> str:
 
 
 def _named(source: Path, path: Path) -> dict[str, str]:
-    """Return the relative path of another document as a YAML value and as the text of a comment."""
+    """Return the relative path of another document, both as a YAML value and as the text of a comment."""
     relative = _relative(source, path)
     return {"quoted": json.dumps(relative), "source": _comment(relative)}
 

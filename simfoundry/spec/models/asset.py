@@ -104,7 +104,10 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """Return True if the mass, center of mass and inertia are specified, so the parts do not need a mass."""
+        """Return True if the mass, center of mass and inertia are specified.
+
+        In this case, the parts do not need a mass.
+        """
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -112,7 +115,7 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """Coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
+    """The coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
 
     joint: Name = Field(description="The leader joint.")
     multiplier: Number = Field(1.0, description="Ratio of this joint's motion to the leader's motion.")

@@ -125,7 +125,7 @@ def built_in_predicates() -> dict[str, Predicate]:
 
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    """Resolve aliases and return the canonical name and arguments; unknown names are returned unchanged."""
+    """Resolve aliases, and return the canonical name and arguments. Unknown names are returned unchanged."""
     if name in PREDICATES.built_in:
         return name, arguments
     found = _by_alias(tuple(PREDICATES.built_in)).get(name)

@@ -33,7 +33,7 @@ class KnownRobot:
 
 
 class RobotFiles(Model):
-    """A custom robot, with its model in one or more formats; each target prefers its native format.
+    """A custom robot, with its model in one or more formats. Each target prefers its native format.
 
     Rollouts require the definitions of the hand and the gripper (if any), which only a robot ``file`` can contain.
     """

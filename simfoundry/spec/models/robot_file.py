@@ -38,7 +38,7 @@ class FrameSpec(Model):
 
 
 class FollowSpec(Model):
-    """Coupling of a joint to a leader ``joint``.
+    """The coupling of a joint to a leader ``joint``.
 
     The position is ``multiplier`` times the leader's position plus ``offset``.
     """

@@ -92,7 +92,7 @@ class _Open:
 
 
 class Composer:
-    """Builds :class:`Node` trees from parser events without recursion, so that nesting cannot exhaust the stack."""
+    """A builder of :class:`Node` trees from parser events. It is not recursive, so nesting cannot exhaust the stack."""
 
     def __init__(self, file: str) -> None:
         self.file = file

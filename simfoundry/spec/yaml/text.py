@@ -29,7 +29,7 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Document:
-    """A parsed text: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
+    """A parsed text, which consists of plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
 
     file: str
     text: str

@@ -61,7 +61,7 @@ def _rounded(data: Any) -> Any:
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     """Return the canonical text of a document with its comments.
 
-    Keys of ``model`` are written in its order, followed by other keys; names keep their order. Numbers are exact:
+    Keys of ``model`` are written in its order, followed by other keys. Names keep their order. Numbers are exact, so
     reading the text returns the tree's data, except for the spelling of predicates.
     """
     tree = _spelled(tree, False)
@@ -79,7 +79,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
 def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
     """Return the lines of one entry of a block mapping, indented by ``indent`` columns.
 
-    Comments above the entry are omitted; trailing comments and comments inside the entry are included.
+    Comments above the entry are omitted. Trailing comments and comments inside the entry are included.
     """
     spelled = _spelled(tree, path[-1] in _PREDICATES)
     depth = 2 * (len(path) - 1)
@@ -113,11 +113,11 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 
 
 class _Writer:
-    """Writes mappings and lists.
+    """A writer of mappings and lists.
 
     ``blocks`` contains the identities of trees that cannot be written on one line because they contain a comment, a
-    long text, or a predicate. Predicates are included because editors and other YAML readers split
-    ``OnTop(cup, desk)`` at the comma inside brackets.
+    long text, or a predicate. Predicates are included because editors and other YAML readers split ``OnTop(cup, desk)``
+    at the comma inside brackets.
     """
 
     def __init__(self, tree: YamlTree) -> None:

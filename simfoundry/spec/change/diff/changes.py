@@ -191,7 +191,7 @@ def renamed(data: Any, renames: Iterable[Rename]) -> Any:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return True if two values are equal, including key order; ``1`` equals ``1.0`` but not ``true``."""
+    """Return True if two values are equal, including key order. ``1`` equals ``1.0`` but not ``true``."""
     if isinstance(a, dict):
         return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list):
@@ -318,7 +318,7 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """Return the new names of keys in a mapping, leaving out renames that would make two keys equal."""
+    """Return the new names of keys in a mapping, omitting renames that would give two keys the same name."""
     kept = {key: names[key] for key in mapping if key in names}
     while True:
         count = Counter(kept.get(key, key) for key in mapping) if kept else {}

@@ -35,7 +35,7 @@ class Verbs(list[str]):
 
 @dataclass
 class Describing:
-    """Describes the changes from document ``a`` to document ``b``, both of which use the new names.
+    """The state for describing the changes from document ``a`` to document ``b``, both of which use the new names.
 
     Methods that take an old and a new value accept :data:`ABSENT` for a value that one document does not contain.
     """
@@ -103,7 +103,7 @@ class Describing:
     # -- position ---------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Describe a change of position, and return the keys that the description covers."""
+        """Describe a change in position, and return the keys that the description covers."""
         if "place" in old or "place" in new:
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
@@ -194,7 +194,7 @@ class Describing:
 
 
 def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield each key whose values differ, with its old and new value."""
+    """Yield each key whose values differ, with the old and new values."""
     for key in dict.fromkeys((*old, *new)):
         before, after = old.get(key, ABSENT), new.get(key, ABSENT)
         if not same(before, after):

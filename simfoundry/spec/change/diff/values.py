@@ -31,7 +31,7 @@ _TIMES = ("size", "grid", "box")
 
 
 def joined(items: Iterable[str]) -> str:
-    """Join items as ``(a, b, c)``."""
+    """Join items into a text such as ``(a, b, c)``."""
     return f"({', '.join(items)})"
 
 
@@ -237,8 +237,8 @@ def _rotation(pose: Mapping[str, Any]) -> Quaternion:
 def _view_angles(direction: Vector) -> Vector:
     """Return the roll, pitch and yaw [deg] of an upright camera that looks along ``direction``.
 
-    The camera axes are x right, y down, z forward. If the camera looks straight up, its x axis points along -x; if it
-    looks straight down, its x axis points along +x.
+    The x axis of the camera points right, its y axis down and its z axis forward. If the camera looks straight up, its
+    x axis points along the parent's -x axis. If it looks straight down, its x axis points along +x.
     """
     x, y, z = direction
     level = math.hypot(x, y)

@@ -213,12 +213,16 @@ class HistoryEntry:
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document, latest first; ``path`` is relative to the repository ``root``.
+    """Yield the commits that changed a document, newest first.
 
-    Each commit is compared with its first parent, and both versions are merged with the documents that they extended
-    at that time. Merge commits are included only if they differ from all of their parents. The history follows renames
-    of the document. ``revisions`` are arguments for `git rev-list`: the commits to start from, and commits prefixed
-    with ``^`` at which to stop.
+    Each commit is compared with its first parent, and both versions are merged with the documents that they extended at
+    that time. Merge commits are included only if they differ from all of their parents. The history follows renames of
+    the document.
+
+    Args:
+        path: The path of the document, relative to the repository root.
+        revisions: The arguments for `git rev-list`: the commits to start from, and commits prefixed with ``^`` at which
+            to stop.
     """
     names, commits = _trace(root, revisions, path)
     for each in commits:
@@ -262,7 +266,7 @@ def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], 
 
 
 def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
-    """Yield the commits that change one of the paths, latest first."""
+    """Yield the commits that change one of the paths, newest first."""
     options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
     found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
     for line in found.decode(errors="replace").splitlines():

@@ -1,6 +1,6 @@
 """Semantic three-way merge of document trees.
 
-Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals are merged as sets; all other values
+Mappings are merged key by key. ``relations``, ``no_contact`` and lists of goals are merged as sets. All other values
 are merged as a unit. Edits to different values never conflict, and identical edits are merged into one. Incompatible
 edits result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if one side removed the
 value) and records all three values under ``conflicts``.
