@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
@@ -208,7 +208,7 @@ class EditableDocument(DocumentEntry):
             before = self._get(path if value is ABSENT else path[:-1])
             if value is not ABSENT or before is not ABSENT:
                 data = _replaced(self._model, data, path, value)
-        with self._replacing(data):
+        with self._replacing(data, given):
             for path, value in given.items():
                 if value is not ABSENT:
                     _judge(self._model, path, value)
@@ -216,22 +216,24 @@ class EditableDocument(DocumentEntry):
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
         (sections,) = (field_type(owner, section[-1]) for owner in models_at(self._model, section[:-1]))
-        with self._replacing(renamed(self._data, [Rename(section, old, new)])):
+        with self._replacing(renamed(self._data, [Rename(section, old, new)]), [(*section, new)]):
             TypeAdapter(get_args(sections)[0]).validate_python(new, strict=True)
 
     @contextmanager
-    def _replacing(self, data: dict[str, Any]) -> Iterator[None]:
+    def _replacing(self, data: dict[str, Any], paths: Iterable[DataPath]) -> Iterator[None]:
         """Replace the data of the document after the body of the ``with`` statement has validated it.
 
         Raises:
-            SpecError: If the data is invalid.
+            SpecError: If the data is invalid. The exception contains the findings at or below ``paths``.
         """
         try:
             yield
         except (ValidationError, ExpressionError) as error:
             edited = copy(self)
             edited._data = data
-            findings = [d for d in edited._load().findings if d.severity is Severity.ERROR]
+            starts = tuple(f"{'.'.join(path)}." for path in paths)
+            errors = (d for d in edited._load().findings if d.severity is Severity.ERROR)
+            findings = [d for d in errors if f"{d.path}.".startswith(starts)]
             code = "SF202" if isinstance(error, ExpressionError) else "SF103"
             # Text does not distinguish some values, such as 5.0 and 5, and therefore has no error for them.
             reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
@@ -247,8 +249,8 @@ def _is_member(model: type[Model], path: DataPath) -> bool:
 def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
     """Return a copy of ``data`` with a new value at a path. The original data is not modified.
 
-    If the value is :data:`ABSENT`, it is removed, along with the fields and sections that become empty as a result, but
-    not with named members.
+    If the value is :data:`ABSENT`, the key is removed, and so are fields and sections that become empty as a result.
+    Named members, such as objects, are kept even if they become empty.
     """
     part, new = path[depth - 1], value
     if depth < len(path):

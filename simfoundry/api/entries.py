@@ -235,6 +235,10 @@ class EntryMapping(MutableMapping[str, E]):
         name = next(iter(self), "")
         return name, self.pop(name)
 
+    def update(self, members: Any = (), /, **more: Any) -> None:
+        """Set several members at once. If an error is raised, no member is changed."""
+        self._document._edit({(*self._at, str(name)): value for name, value in {**dict(members), **more}.items()})
+
     def clear(self) -> None:
         """Remove all members."""
         self._document._edit({self._at: ABSENT})

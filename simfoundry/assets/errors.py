@@ -18,7 +18,7 @@ LEAST_VOLUME = 1e-10
 
 
 class MeshError(PicklableError):
-    """Raised for an unusable mesh, with a diagnostic code, a message, and a hint."""
+    """Raised if a mesh is unusable. The error has a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)

@@ -38,7 +38,10 @@ EXAMPLE = (
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
-    """The result of a capture: the scene document and a report on how well the scene fits and settles."""
+    """The result of a capture.
+
+    It consists of the scene document and a report that describes how well the scene fits and settles.
+    """
 
     document: Loaded
     scene_file: Path
@@ -55,13 +58,13 @@ def run_capture(
     cache: Cache | None = None,
     force: bool = False,
 ) -> CaptureRun:
-    """Reconstruct one frame of a capture and write the result to the folder ``out``.
+    """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
     ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
-    end; a failed run leaves it unchanged. Identical inputs produce identical bytes.
+    end, so a failed run leaves it unchanged. Identical inputs produce identical bytes.
 
     Raises:
-        SpecError: The capture is unusable; the error contains every finding.
+        SpecError: The capture is unusable. The error contains all findings.
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
@@ -114,7 +117,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 hash of every file in a folder except the report, keyed by relative POSIX path."""
+    """Return the SHA-256 hashes of all files in a folder except the report, keyed by relative POSIX path."""
     files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
@@ -122,11 +125,12 @@ def _hashes(folder: Path) -> dict[str, str]:
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
 ) -> tuple[Reconstruction, Scene, SettleResult]:
-    """Settle the scene, and write its meshes and, to ``scene_file``, the spec with the settled poses and relations.
+    """Settle a scene and write it.
 
-    If an object's fitted solid does not come to rest, the object is left out and the others are settled again. The same
-    applies to an object that moves away from the pose that was written, because rounding by 0.1 mm may tip over an
-    object that is balanced on the edge of its base.
+    The meshes are written along with the spec, which is written to ``scene_file`` with the settled poses and relations.
+    If an object's fitted solid does not come to rest, the object is left out and the other objects are settled again.
+    The same applies to an object that moves away from the pose that was written. Rounding by 0.1 mm, for example, may
+    tip over an object that is balanced on the edge of its base.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -151,9 +155,9 @@ def _settled(
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """Return a tuple with the name of the object that moves farthest from its pose in ``spec`` within two seconds.
+    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
 
-    The tuple is empty if no object moves.
+    The result is a tuple, which is empty if no object moves.
     """
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]

@@ -51,12 +51,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     - ``success``: True if the goal has held
     - ``subtasks``: the step at which each sub-task was completed, counted from 1, or 0 if it was not completed
     - ``start``: the index of the initial state
-    - ``trouble``: the reason why the simulation diverged, or an empty string; divergence also truncates the episode
+    - ``trouble``: the reason why the simulation diverged, or an empty string (divergence also truncates the episode)
 
-    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects initial
-    state k instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+    ``reset`` uses its seed to draw one of ``starts`` initial states. ``options={"start": k}`` selects initial state k
+    instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
-    ``cameras`` maps names of cameras in the scene to (width, height); if it is empty, nothing is rendered.
+    ``cameras`` maps names of cameras in the scene to (width, height). If it is empty, nothing is rendered.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it

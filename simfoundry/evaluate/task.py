@@ -85,7 +85,7 @@ class TaskSetup:
         """Lower the scene in the task's initial state.
 
         Raises:
-            SpecError: If the scene is invalid; errors caused by the task's start refer to locations in the task.
+            SpecError: If the scene is invalid. Errors caused by the task's start refer to locations in the task.
         """
         try:
             return lower(replace(self.scene, spec=self.started), self.cache)
@@ -274,7 +274,7 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
         cache: A cache that stores convex decompositions between runs.
 
     Raises:
-        SpecError: If the task or its scene is invalid; the error contains all findings.
+        SpecError: If the task or its scene is invalid. The error contains all findings.
     """
     loaded = load_kind(path, "task/1")
     spec = loaded.spec

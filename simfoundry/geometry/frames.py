@@ -1,6 +1,6 @@
 """Rigid transforms (single poses and batches), and the project's only conversion between quaternion orders.
 
-``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
+``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project.
 :func:`to_xyzw` and :func:`from_xyzw` convert to and from formats that use the ``xyzw`` order (PyBullet, numpy views of
 USD quaternions).
 """
@@ -30,14 +30,19 @@ def frozen_array(values: object, shape: tuple[int, ...] | None = None) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A rigid transform ``X_AB``: translation ``p`` [m], shape (3,), and unit quaternion ``q`` (wxyz), shape (4,)."""
+    """A rigid transform ``X_AB``.
+
+    Attributes:
+        p: Translation [m], shape (3,).
+        q: Unit quaternion (wxyz), shape (4,).
+    """
 
     p: Array
     q: Array
 
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
-        """Build a pose from any position and any nonzero quaternion, which is normalized, with ``w >= 0``."""
+        """Build a pose from any position and any nonzero quaternion, which is normalized so that ``w >= 0``."""
         w, x, y, z = map(float, q)  # for four numbers, plain Python is faster than numpy arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
@@ -55,12 +60,12 @@ class Pose:
 
     @classmethod
     def about(cls, axis: Array, angle: float) -> Pose:
-        """Build a rotation by ``angle`` [rad] about a unit axis, shape (3,)."""
+        """Build a rotation by ``angle`` [rad] about a unit axis, which is an array of shape (3,)."""
         return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
 
     @property
     def matrix(self) -> Array:
-        """The homogeneous matrix, shape (4, 4)."""
+        """The homogeneous matrix of the transform, shape (4, 4)."""
         out = np.eye(4)
         out[:3, :3] = self.rotation
         out[:3, 3] = self.p
@@ -68,7 +73,7 @@ class Pose:
 
     @cached_property
     def rotation(self) -> Array:
-        """The rotation matrix, shape (3, 3)."""
+        """The rotation matrix of the transform, shape (3, 3)."""
         return frozen_array(matrix_from_quat(self.q))
 
     @cached_property
@@ -92,7 +97,10 @@ class Pose:
         return np.asarray(points) @ self.rotation.T + self.p
 
     def angle_about(self, axis: Array) -> float:
-        """Return the twist angle of the rotation about a unit axis, shape (3,), in the range [-pi, pi] rad."""
+        """Return the twist angle of the rotation about a unit axis, in the range [-pi, pi] rad.
+
+        The axis is an array of shape (3,).
+        """
         return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
@@ -116,7 +124,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 
 def matrix_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to a rotation matrix, shape (3, 3)."""
+    """Convert a unit wxyz quaternion to a rotation matrix of shape (3, 3)."""
     return np.array(_rotation_rows(*map(float, q)))  # numpy scalars are slower than Python floats
 
 
@@ -164,7 +172,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def rpy_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad], shape (3,)."""
+    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad], as an array of shape (3,)."""
     r = matrix_from_quat(q).tolist()
     level = math.hypot(r[0][0], r[1][0])
     pitch = math.atan2(-r[2][0], level)
@@ -194,7 +202,7 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return cross products along the last axis; for a few vectors, this is five times as fast as ``np.cross``.
+    """Return cross products along the last axis. For a few vectors, this is five times as fast as ``np.cross``.
 
     Swapping the arguments changes only the sign, so two triangles compute the same values for a shared edge.
     """
@@ -206,7 +214,7 @@ def cross(a: Array, b: Array) -> Array:
 def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
     """Return the pose ``X_WC`` of a camera at ``eye`` that looks at ``target``.
 
-    The camera frame uses OpenCV axes: x right, y down, z forward.
+    The camera frame uses OpenCV axes: x points right, y points down, and z points forward.
     """
     forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
     norm = float(np.linalg.norm(forward))
@@ -234,7 +242,12 @@ Index = NDArray[np.int64]
 
 
 class Poses(NamedTuple):
-    """A batch of n poses ``X_AB``: positions ``p`` [m], shape (n, 3), and rotation matrices ``R``, shape (n, 3, 3)."""
+    """A batch of n poses ``X_AB``.
+
+    Attributes:
+        p: Positions [m], shape (n, 3).
+        R: Rotation matrices, shape (n, 3, 3).
+    """
 
     p: Array
     R: Array
@@ -283,7 +296,7 @@ def rotations(q: Array) -> Array:
 
 
 class Turn:
-    """Rotations about a fixed unit axis, shape (3,)."""
+    """Rotations about a fixed unit axis."""
 
     def __init__(self, axis: Array) -> None:
         x, y, z = axis

@@ -27,7 +27,7 @@ _CHUNK = 1_000_000
 class Grid:
     """A grid of cells on the plane z = 1.
 
-    Column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide; row ``r`` starts at ``y0 + r * dy`` and is ``wy`` high.
+    Column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide. Row ``r`` starts at ``y0 + r * dy`` and is ``wy`` high.
     """
 
     x0: float
@@ -79,12 +79,16 @@ class Hits:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Return the row-wise dot products, shape (n,), of ``a`` and ``b``, which are broadcast to shape (n, 3)."""
+    """Return the row-wise dot products of ``a`` and ``b``, which are broadcast to shape (n, 3).
+
+    Returns:
+        Dot products, shape (n,).
+    """
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def unit(a: Array) -> Array:
-    """Normalize the rows of ``a``, shape (..., 3); rows of zeros are left unchanged."""
+    """Normalize the rows of ``a``, shape (..., 3). Rows of zeros are left unchanged."""
     return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
 
 
@@ -104,9 +108,12 @@ def blend(corners: Array, weights: Array) -> Array:
 
 
 def area_normals(corners: Array) -> Array:
-    """Return the normals, shape (m, 3), of triangles with the given ``corners``, shape (m, 3, 3).
+    """Return the area normals of triangles with the given ``corners``, shape (m, 3, 3).
 
     Corners are counterclockwise as seen from outside. The length of a normal is twice the area of its triangle.
+
+    Returns:
+        Normals, shape (m, 3).
     """
     return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -177,7 +184,7 @@ def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:
-    """Return the minimum and maximum (x, y) of each triangle projected onto the plane z = 1, shape (m, 2) each.
+    """Return the minimum and maximum (x, y) of each triangle projected onto the plane z = 1, as arrays of shape (m, 2).
 
     The part of a triangle in front of the near clipping plane (:data:`NEAREST`) is cut off.
     """
@@ -202,7 +209,7 @@ def _bounds(triangles: Array) -> tuple[Array, Array]:
 
 
 def _cells(low: Array, high: Array, origin: float, step: float, width: float, count: int) -> tuple[Index, Index]:
-    """Return the first and last cell that an interval may touch along one axis.
+    """Return the first and last cells that an interval may touch along one axis.
 
     If the last cell precedes the first, the interval does not touch any cell.
     """

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
 
 
-def read_only(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+def _read_only(mapping: Mapping[str, Any]) -> MappingProxyType[str, Any]:
     """Return a read-only view of a mapping."""
     return MappingProxyType(mapping)
 
 
 # Scenes and states contain read-only mappings, which Python cannot pickle or copy by default.
-copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 @dataclass(frozen=True, eq=False)

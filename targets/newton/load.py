@@ -36,7 +36,10 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
-    """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions."""
+    """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions.
+
+    Free bodies stay at the pose of their ``body``.
+    """
     ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
     q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
     for kind, child, start, end in zip(
@@ -49,10 +52,10 @@ def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
         if at + count > len(qpos):
             raise ValueError(f"the keyframe has {len(qpos)} positions, fewer than the model")
         values = np.array(qpos[at : at + count])
-        if kind in (newton.JointType.FREE, newton.JointType.BALL):
-            values[-4:] = values[[-3, -2, -1, -4]]
-        q[start:end] = values
         at += count
+        if kind == newton.JointType.FREE:
+            continue
+        q[start:end] = values[[1, 2, 3, 0]] if kind == newton.JointType.BALL else values
     if at != len(qpos):
         raise ValueError(f"the keyframe has {len(qpos)} positions, but the model has {at}")
     builder.joint_q = q.tolist()

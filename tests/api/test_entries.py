@@ -192,6 +192,7 @@ def test_lowered_scenes_and_states_can_be_pickled(scene: sf.SceneDocument) -> No
 
 REFUSED = [
     (lambda s: s.objects["mug"].update(place=None, pose={"xyz": [0, 0, "x"]}), sf.SpecError, "expected a number"),
+    (lambda s: s.objects.update(cup={"shape": {"sphere": 1}}, b={"shape": {"sphere": -1}}), sf.SpecError, "SF104"),
     (lambda s: s.objects["mug"].update(mass=1, mas=2), sf.UnknownNameError, "no field `mas`"),
     (lambda s: s.update({5: 1}), sf.UnknownNameError, "no field `5`"),
     (
@@ -267,6 +268,20 @@ def test_what_depends_on_the_rest_of_the_document_waits_for_the_check(scene: sf.
     assert [d.code for d in scene.check(lints=False)] == ["SF201"]
     scene.objects.add("cup", shape={"sphere": 0.03}, mass=0.1, place={"on": "table", "xy": [0.2, 0]})
     assert not scene.check(lints=False)
+
+
+def test_a_refused_edit_reports_only_its_own_errors(scene: sf.SceneDocument) -> None:
+    scene.objects["mug"].update(mass=0.2, density=500.0)
+    with pytest.raises(sf.SpecError) as caught:
+        scene.objects["table"].friction = -1
+    assert [d.path for d in caught.value.diagnostics] == ["objects.table.friction"]
+
+
+def test_several_members_can_be_set_at_once(scene: sf.SceneDocument) -> None:
+    cup = {"shape": {"sphere": 0.03}, "mass": 0.1}
+    scene.objects.update({"cup": cup}, mug=scene.objects["table"])
+    scene.objects.update([("bowl", cup)])
+    assert list(scene.objects) == ["table", "mug", "cup", "bowl"] and scene.objects["mug"].fixed
 
 
 def test_relations_can_be_assigned(scene: sf.SceneDocument) -> None:

@@ -36,7 +36,7 @@ class Examined:
     """The result of examining a layout.
 
     Attributes:
-        reasons: Reasons for rejection; empty if the layout was accepted.
+        reasons: Reasons for rejection. There are none if the layout was accepted.
         state: Settled state of all objects, or their initial state if an object is too far away for all arms.
         unchecked: Checks that could not be performed.
     """

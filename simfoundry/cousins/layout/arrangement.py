@@ -154,7 +154,7 @@ class Arrangement:
         """Place objects anywhere on a support, one after another.
 
         Returns:
-            None if all objects were placed; otherwise, the first object that could not be placed and its search result.
+            None if all objects were placed, otherwise the first object that could not be placed and its search result.
         """
         self._stand_on(support)
         for first in range(0, len(things), TOGETHER):

@@ -352,6 +352,7 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
     """Return a lower bound on the total shadow area [m^2] of ``count`` distractors chosen from ``items``.
 
     All items are used before any item is repeated. If the bounding rectangles fit into the ``free`` area [m^2], the
+    exact shadows are not computed, and the result is 0.
     """
     if not count or _sum([item.size[0] * item.size[1] for item in items], count) <= free:
         return 0.0

@@ -47,7 +47,7 @@ class Layout:
     dropped: frozenset[str] = frozenset()
 
     def extended(self, table: Arrangement, asked: tuple[str, ...] = ()) -> Layout:
-        """Return this layout with the poses of the objects that were placed in an arrangement added."""
+        """Return a copy of this layout that includes the objects placed in an arrangement."""
         poses = MappingProxyType({**self.poses, **table.moved})
         return Layout((*self.asked, *asked), poses, self.dropped | table.dropped)
 
@@ -116,7 +116,7 @@ def _put_all(
     """Place objects on their chosen supports.
 
     Returns:
-        The number of objects not placed, and the reason if an object does not fit on any support.
+        The number of objects that were not placed, and a reason if an object does not fit on any support.
     """
     left, twin = len(names), table.twin
     for place in places:
@@ -135,7 +135,11 @@ def _put_all(
 
 
 def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: Rng) -> bool:
-    """Place an object on a support, and return True if it fits there."""
+    """Place an object on a support.
+
+    Returns:
+        True if the object fits there.
+    """
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
@@ -147,7 +151,11 @@ def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str],
 def _place(
     table: Arrangement, asks: PlacementConstraints, axis: SceneAxis, name: str, words: tuple[str, ...], rng: Rng
 ) -> Reason | None:
-    """Place an object, and return the reason if it cannot be placed."""
+    """Place an object.
+
+    Returns:
+        The reason why the object could not be placed, or None if it was placed.
+    """
     if set(words) & set(DROPPED):
         return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids

@@ -132,7 +132,7 @@ def rectangles_meet(
     Args:
         off: Vectors from the center of rectangle a to the center of rectangle b [m], as complex numbers.
         turn_a: Rotations of rectangle a as unit complex numbers.
-        half_a: Half extents of rectangle a [m]; the real part is along its first side.
+        half_a: Half extents of rectangle a [m]. The real part is along its first side.
         turn_b: Rotations of rectangle b.
         half_b: Half extents of rectangle b [m].
         gap: Required distance [m].

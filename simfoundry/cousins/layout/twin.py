@@ -44,7 +44,7 @@ UNDERFOOT = 0.3
 
 
 class TwinError(SimfoundryError):
-    """Raised for a scene from which cousins cannot be derived."""
+    """An error raised for a scene from which cousins cannot be derived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Twin:
         Args:
             scene: The scene.
             goal: Goal of the task, or None if there is no task.
-            robots: Names of the robots that act in the task; by default, all robots.
+            robots: Names of the robots that act in the task. By default, all robots act.
 
         Raises:
             TwinError: The scene does not come to rest.

@@ -49,7 +49,7 @@ class VisibleSurface:
         """Collect the surface of an object at its current joint positions.
 
         The surface consists of the visuals, or of the colliders for links without visuals. Transparent visuals are
-        ignored, because they do not occlude anything.
+        ignored because they do not occlude anything.
         """
         X_OL = link_poses(item)
         found = [np.zeros((0, 3, 3))]
@@ -117,6 +117,9 @@ def _before(other: VisibleSurface, X_CW: Pose, low: Array, high: Array, depth: f
         low: Lower bounds of the object's rectangle in the plane z = 1, shape (2,).
         high: Upper bounds of the rectangle, shape (2,).
         depth: Greatest depth of the object [m].
+
+    Returns:
+        Corners of the triangles in the camera frame [m], as an array of shape (m, 3, 3).
     """
     x, y, z = X_CW.apply(other.X_WS.apply(other.center))
     near = max(z - other.radius, CLOSEST)
@@ -159,9 +162,9 @@ def best_view(
     """Find the camera that sees the largest fraction of an object.
 
     Args:
-        cameras: The cameras; there must be at least one.
+        cameras: The cameras. There must be at least one.
         name: Name of the object.
-        surfaces: Surfaces of all objects by name; other objects may occlude this one.
+        surfaces: Surfaces of all objects by name. Other objects may occlude this one.
         enough: Sufficient fraction. The search stops at the first camera that sees at least this much.
 
     Returns:

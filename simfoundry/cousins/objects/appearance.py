@@ -177,7 +177,7 @@ def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """If all parts of a link have the same color, assign that color to the link instead."""
+    """Assign a color to a link instead of its parts if all parts of the link have that color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec

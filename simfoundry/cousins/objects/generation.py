@@ -277,7 +277,7 @@ class SourceSetup:
     """The settings of a run for the sources of variants.
 
     Attributes:
-        scene: Document of the twin's scene; an image of the scene is shown to the models.
+        scene: Document of the twin's scene. An image of the scene is shown to the models.
         library: Folder of the library, or None.
         vlm: Name of the vision-language model for recipes that do not specify a model.
     """

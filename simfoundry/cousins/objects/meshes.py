@@ -190,7 +190,7 @@ def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, di
 
     Args:
         spec: The asset.
-        only: Names of the components that may change; empty to allow all components.
+        only: Names of the components that may change. If it is empty, all components may change.
         rng: Random generator.
 
     Returns:

@@ -71,7 +71,7 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
     Args:
         item: The twin's object.
         changes: Dimensions in which the candidate may differ.
-        only: Names of the components that may change; empty to allow all components.
+        only: Names of the components that may change. If it is empty, all components may change.
         rng: Random generator.
     """
     spec, said = item.spec, list[str]()

@@ -37,8 +37,8 @@ FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
 class Profile:
     """The profile of a solid of revolution as two chains of points (radius, height) [m].
 
-    ``outer`` runs from the axis at the foot up to the rim, shape (k, 2). ``inner`` runs from the rim down to the axis,
-    shape (m, 2). For a solid body, ``inner`` is the flat or domed top.
+    ``outer`` is an array of shape (k, 2) that runs from the axis at the foot up to the rim. ``inner`` is an array of
+    shape (m, 2) that runs from the rim down to the axis. For a solid body, ``inner`` is the flat or domed top.
     """
 
     outer: Array

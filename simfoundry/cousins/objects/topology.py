@@ -27,7 +27,7 @@ SHALLOW = 0.6
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """Remove a divider, band or stem.
 
-    Handles are not removed because a mug without a handle would be a cup.
+    Handles are not removed. A mug without a handle, for example, would be a cup.
     """
     return with_added(spec, component.link, {}, component.parts), f"without its {component.name}"
 

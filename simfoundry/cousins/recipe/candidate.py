@@ -37,7 +37,10 @@ class Rejected:
 
 
 class ImpossibleError(SimfoundryError):
-    """An error raised before sampling if a request cannot be satisfied; ``reasons`` contains all reasons."""
+    """An error raised before sampling if a request cannot be satisfied.
+
+    ``reasons`` contains all reasons for this.
+    """
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -50,11 +53,11 @@ class Candidate:
 
     Attributes:
         index: 1-based index.
-        documents: Document texts by kind (``scene``, ``task``); empty if the candidate was rejected.
+        documents: Document texts by kind (``scene``, ``task``). There are none if the candidate was rejected.
         asked: Predicates that were requested for the layout.
         goal: Goal of the candidate's own task, or an empty string.
         unchecked: Checks that could not be performed.
-        reasons: Reasons for rejection; empty if the candidate was accepted.
+        reasons: Reasons for rejection. There are none if the candidate was accepted.
     """
 
     index: int

@@ -206,7 +206,7 @@ def scene_overlay(
 
     Args:
         recipe: The recipe.
-        out: Folder that the document will be written to.
+        out: Folder to which the document will be written.
         index: Index of the candidate.
         changes: Changed object fields other than poses and joints, by object name, including new objects.
         poses: Poses X_WO to write, by object name.
@@ -250,7 +250,7 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
 
     If ``own_scene`` is set, the task uses the scene cousin with the same index, and otherwise the twin's scene. The
     task inherits the twin's start conditions, except those for ``moved`` objects. A task with its own scene has no
-    start regions, because these are guaranteed to be free only in the twin's layout.
+    start regions because the twin's start regions are guaranteed to be free only in the twin's layout.
     """
     data = to_data(spec)
     if recipe.task_spec is not None:

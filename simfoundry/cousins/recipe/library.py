@@ -1,7 +1,7 @@
 """Distractor libraries: folders of assets and meshes, with the measured mass, volume and density of each object.
 
-An object's mass is the mass of the lowered asset. Its volume is the total volume of its convex parts; for a cup, this
-is the volume of the wall. Both are measured once and cached.
+An object's mass is the mass of the lowered asset. Its volume is the total volume of its convex parts. For a cup, for
+example, this is the volume of the wall. Both are measured once and cached.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LibraryItem:
 
     Attributes:
         name: Unique name in the library.
-        category: Category from the asset document, or derived from the file name.
+        category: Category, taken from the asset document or derived from the file name.
         file: Asset document or mesh file.
         mass: Mass [kg].
         volume: Total volume of the convex parts [m^3].
@@ -98,7 +98,7 @@ def default_folder() -> Path:
 def read_library(folder: Path, cache: Cache | None = None) -> Library:
     """Read all objects in a folder and its subfolders.
 
-    The objects are all asset documents, plus all meshes that no asset document refers to.
+    The objects are all asset documents, plus all meshes to which no asset document refers.
 
     Raises:
         SimfoundryError: If the folder does not exist.

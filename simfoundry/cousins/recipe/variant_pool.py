@@ -66,7 +66,7 @@ class VariantPool:
     Attributes:
         choices: Replacements for each object that varies.
         references: Path to each distractor as written in cousins, keyed by distractor name.
-        tasks: Tasks to choose from; empty if the task does not vary.
+        tasks: Tasks to choose from. There are none if the task does not vary.
         most: Number of distinct candidates, or None if it is unbounded.
     """
 
@@ -337,7 +337,7 @@ def _key(
 ) -> str:
     """Return the cache key for an object's variants.
 
-    For models, the key depends only on their names in the recipe, because responses differ from call to call.
+    For models, the key depends only on their names in the recipe because responses differ from call to call.
     """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])

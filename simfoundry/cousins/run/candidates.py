@@ -47,7 +47,10 @@ KEPT_TWINS = 16
 
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
-    """A sampler for a recipe's candidates in one process; all candidates share the twin and the variant pool."""
+    """A sampler for a recipe's candidates in one process.
+
+    All candidates share the twin and the variant pool.
+    """
 
     recipe: Recipe
     out: Path
@@ -70,7 +73,11 @@ class CandidateSampler:
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
 
     def require_possible(self) -> None:
-        """Raise :class:`ImpossibleError` if no candidate can satisfy the recipe."""
+        """Check that the recipe can be satisfied by at least one candidate.
+
+        Raises:
+            ImpossibleError: If no candidate can satisfy the recipe.
+        """
         twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
         asks = placement_constraints(twin, axis) if axis is not None else None
         places = twin.places if distractors is not None else ()

@@ -48,7 +48,7 @@ class Ledger:
     Attributes:
         wanted: Number of candidates to accept.
         first: Index of the first candidate.
-        step: Difference between consecutive indices; greater than 1 for a shard.
+        step: Difference between consecutive indices, which is greater than 1 for a shard.
         most: Highest existing index, or None if the number of candidates is unbounded.
         known: Log entries of all examined candidates by index.
         accepted: Indices of the counted candidates that were accepted.
@@ -153,7 +153,7 @@ class RunPlan:
         wanted: Number of cousins to generate.
         about: Fingerprint of the run. Runs with the same fingerprint produce identical bytes.
         shard: Pair (i, n) to examine only every n-th candidate, starting with candidate i (counted from 1), without
-            writing any cousins; None for a full run.
+            writing any cousins. The value is None for a full run.
         most: Number of candidates, or None if it is unbounded.
         variants: Variant counts of each object that varies.
     """
@@ -243,7 +243,11 @@ def run(
 
 
 def _require_none_beyond(plan: RunPlan, ledger: Ledger) -> None:
-    """Raise :class:`OutputError` if the output folder contains more cousins than requested."""
+    """Check that the output folder contains no more cousins than requested.
+
+    Raises:
+        OutputError: If it contains more cousins.
+    """
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         text = f"{plan.out} contains {len(beyond)} documents of cousins beyond the {plan.wanted} requested; choose "

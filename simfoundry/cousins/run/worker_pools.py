@@ -42,7 +42,7 @@ _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
 
 
 def line_of(work: Work, index: int) -> str:
-    """Examine a candidate and return it as a single line of text, the format used between processes."""
+    """Examine a candidate and return it as a single line of text. This format is used between processes."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()

@@ -45,7 +45,8 @@ def accept(
 ) -> AcceptedTask | tuple[Reason, ...]:
     """Accept or reject a task or a bare goal.
 
-    A task is also rejected if a ``known`` task has the same goal or ends in a state in which the task's goal holds too.
+    A task is also rejected if a ``known`` task has the same goal or ends in a state in which the task's goal also
+    holds.
 
     Returns:
         The accepted task with a state in which its goal holds, or the reasons for rejection.

@@ -50,7 +50,7 @@ def task(
         instruction: Instruction for a policy.
         goal: The goal.
         steps: Subtasks by name.
-        note: Origin of the task; truncated to 200 characters.
+        note: Origin of the task, which is truncated to 200 characters.
     """
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))

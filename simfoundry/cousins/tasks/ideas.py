@@ -33,7 +33,8 @@ BROAD = 0.1
 class IdeaStep:
     """A step of a task.
 
-    ``words`` is the instruction for the step. ``thing`` is the object to move, or empty if the step moves a joint.
+    ``words`` is the instruction for the step. ``thing`` is the object to move, or an empty string if the step moves a
+    joint.
     """
 
     name: str

@@ -51,7 +51,7 @@ def dropped(
     Args:
         setting: Context of the task.
         name: Name of the object.
-        target: Object or part to place it on or in.
+        target: Object or part on or in which the object is placed.
         inside: True to place it inside the target.
         xy: Position of the object's center [m].
         q: Orientation of the object (wxyz).

@@ -65,7 +65,7 @@ class _Attempt:
         state: Current state.
         held: Link that supports each placed object, as ``owner.link``, keyed by object name.
         opened: Names of opened joints.
-        barred: Negated conditions in the goal, each with the object that it concerns.
+        barred: Negated conditions in the goal, along with the object that each condition concerns.
     """
 
     state: SceneState
@@ -329,7 +329,8 @@ def _settled(
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
     """Yield functions that compute candidate poses.
 
-    In the first pose, the object touches the target from above. In the others, it stands on one of the level surfaces.
+    In the first poses, the object touches the target from above. In the remaining poses, it stands on one of the
+    target's level surfaces.
     """
     target, within = _carrier(setting, name, calls)
     every = turns(setting, name)
@@ -342,7 +343,10 @@ def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Ca
 
 
 def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:
-    """Return the support on which to place an object. A flag is True if the object must be inside the support."""
+    """Return the support on which to place an object.
+
+    A flag is also returned. It is True if the object must be inside the support.
+    """
     first = calls[0]
     if first.predicate in ON:
         return first.args[1], first.predicate == "Inside"

@@ -74,7 +74,7 @@ def _joint_of(item: SceneObject, name: str) -> Joint:
 
 @dataclass(frozen=True, eq=False)
 class _Handle:
-    """The handle that moves a joint of an object, in a given state."""
+    """The handle that moves a joint of an object in a given state."""
 
     item: SceneObject
     state: SceneState

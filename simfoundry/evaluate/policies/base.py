@@ -83,7 +83,7 @@ class Policy(Protocol):
     An action lists the values for each robot, in the order of the task: the arm's joint values, followed by the gripper
     position from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s],
     depending on ``action_space``. ``name`` is used in reports. ``cameras`` maps the cameras that the policy uses to the
-    size of their images; no other cameras are rendered.
+    size of their images. No other cameras are rendered.
     """
 
     name: str
@@ -91,7 +91,10 @@ class Policy(Protocol):
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout; all randomness in the policy must derive from ``seed``."""
+        """Start a rollout.
+
+        All randomness in the policy must derive from ``seed``.
+        """
 
     @abstractmethod
     def infer(self, observation: Observation) -> Array:

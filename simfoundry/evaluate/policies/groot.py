@@ -109,7 +109,7 @@ class Requests(ServerConnection):
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
         """Return the response from an endpoint.
 
-        A request is never repeated because the server's rollout state would then differ from the actual rollout.
+        Requests are never repeated. Otherwise, the server's rollout state would differ from the actual rollout.
 
         Raises:
             PolicyError: If there is no valid response.

@@ -113,7 +113,7 @@ class PythonPolicy:
     def close(self) -> None:
         """Close the instance.
 
-        Exceptions are only printed because the results are already complete.
+        Exceptions are printed rather than raised, since the results are already complete.
         """
         close = getattr(self._policy, "close", None)
         if callable(close):

@@ -63,7 +63,7 @@ class Connection(ServerConnection):
 
         Args:
             message: The request.
-            again: If true, the request is repeated if the connection is lost. Otherwise, the rollout counts as missing
+            again: True to repeat the request after a lost connection. If it is False, the rollout counts as missing
                 because the server has lost its rollout state.
             expect_text: The only text message that is not treated as an error.
 

@@ -69,8 +69,8 @@ def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
     """Return Wilson's score interval for a success rate at ``z`` standard deviations.
 
-    The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927). Without
-    rollouts, it is (0, 1).
+    The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927). If
+    there are no rollouts, it is (0, 1).
     """
     if not 0 <= successes <= rollouts:
         raise ValueError(f"{successes} successes in {rollouts} rollouts")
@@ -89,7 +89,7 @@ def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Rate:
-    """A success rate: ``done`` successes in ``of`` rollouts."""
+    """A success rate of ``done`` successes in ``of`` rollouts."""
 
     done: int
     of: int
@@ -98,7 +98,7 @@ class Rate:
     def share(self) -> float:
         """The rate as a number from 0 to 1.
 
-        The value is 0 without rollouts.
+        The value is 0 if there are no rollouts.
         """
         return self.done / self.of if self.of else 0.0
 
@@ -118,7 +118,7 @@ def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[floa
     The variance of the mean is the sum of p(1-p)/n over the strata, divided by the squared number of strata. With a
     single rollout in a stratum, p(1-p) cannot be estimated, so the value for the mean rate is used for all strata.
     Because p(1-p) is concave, this never makes the interval too narrow. The interval is Wilson's interval for S^2 /
-    sum(1/n) rollouts, with S strata of n rollouts each; if all n are equal, this is the interval of the pooled
+    sum(1/n) rollouts, with S strata of n rollouts each. If all n are equal, this is the interval of the pooled
     rollouts.
 
     Args:
@@ -136,7 +136,7 @@ def mcnemar(first_only: int, second_only: int) -> float:
     """Return the two-sided p-value of the exact McNemar test on paired successes (McNemar, 1947).
 
     The exact test is a binomial test with probability 1/2. The arguments count the pairs in which only the first or
-    only the second member succeeded; other pairs carry no information. Without any such pair, the p-value is 1.
+    only the second member succeeded. All other pairs carry no information. If there is no such pair, the p-value is 1.
     """
     n, least = first_only + second_only, min(first_only, second_only)
     tail: int = sum(math.comb(n, k) for k in range(least + 1))

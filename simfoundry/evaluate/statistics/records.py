@@ -3,7 +3,7 @@
 There is one file per rollout, so an interrupted evaluation can be resumed. ``rollouts/TASK/POLICY/ENGINE/007.json``
 contains the result of a rollout, ``007.npz`` its actions (for ``--policy replay:…``), and ``007.webm`` its video. A
 rollout whose policy did not respond is recorded as ``007.missing.json``. It has no result and is tried again. A rollout
-with an invalid response has a result, which is that it failed.
+with an invalid response has a result and counts as a failure.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def check_layout(folder: Path) -> None:
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Yield every rollout of an evaluation, along with its file, ordered by file name.
 
-    Missing rollouts are included; their ``end`` identifies them.
+    Missing rollouts are included. They are identified by their ``end``.
 
     Raises:
         OutputError: If a file is not a record, or if the folder has the layout of an earlier version.
