@@ -104,7 +104,7 @@ class World(Protocol):
         """
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
 
     def halt(self) -> None:
         """Set all velocities to zero without changing poses or positions."""

@@ -100,7 +100,7 @@ class MujocoWorld(World):
         self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
         if n > 0:
             self._mujoco.mj_step(self.model, self.data, nstep=n)
 

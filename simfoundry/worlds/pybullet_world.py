@@ -125,7 +125,7 @@ class PybulletWorld(World):
         return self._robots[name]
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
         for _ in range(n):
             for robot in self._robots.values():
                 robot.press()

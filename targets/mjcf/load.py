@@ -1,9 +1,9 @@
-"""Load this world: ``load()`` returns a MuJoCo model and its data; ``python load.py`` opens the viewer.
+"""Load this world into MuJoCo.
 
-``load()`` makes all contacts exact, based on the current surface values in ``scene.xml``. If you change a friction, run
-``python load.py --contacts`` to update ``contacts.xml`` for programs that open ``scene.xml`` directly.
+``load()`` returns a MuJoCo model and its data, and ``python load.py`` opens the viewer.
 
-Free bodies start at the pose of their ``body``, and all other joints at their positions in the keyframe ``initial``.
+``load()`` makes all contacts exact, based on the current surface values in ``scene.xml``. If you change a friction
+coefficient, run ``python load.py --contacts`` to update ``contacts.xml`` for programs that open ``scene.xml`` directly.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def read_rules() -> ModuleType:
 
 
 def load() -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Return the model, and its data in the scene's initial state."""
+    """Return the model, along with its data in the scene's initial state."""
     rules = read_rules()
     spec = read_scene(rules)
     if is_exact(rules):
@@ -80,7 +80,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Open the viewer; without a display, print a summary."""
+    """Open the viewer. Without a display, print a summary."""
     if "--contacts" in sys.argv[1:]:
         write_contacts()
         return

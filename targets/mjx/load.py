@@ -1,4 +1,6 @@
-"""Load this world into MJX: ``load()`` returns a model and data on a JAX device; ``python load.py`` prints a summary.
+"""Load this world into MJX.
+
+``load()`` returns a model and data on a JAX device, and ``python load.py`` prints a summary:
 
     model, data = load()
     step = jax.jit(mjx.step)
@@ -19,7 +21,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def load() -> tuple[mjx.Model, mjx.Data]:
-    """Return the model, and its data in the scene's initial state."""
+    """Return the model, along with its data in the scene's initial state."""
     model = mujoco.MjModel.from_xml_path(str(HERE / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("initial").id)

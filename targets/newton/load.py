@@ -1,4 +1,6 @@
-"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes one step and prints a summary.
+"""Load this world into Newton.
+
+``load()`` returns a model, and ``python load.py`` takes one step and prints a summary:
 
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
@@ -22,7 +24,7 @@ TIMESTEP = 1 / 500
 
 
 def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
-    """Return the model on a Warp device, in the keyframe's state."""
+    """Return the model on a Warp device, in the state of the keyframe."""
     root = ET.parse(scene).getroot()
     builder = newton.ModelBuilder()
     builder.add_mjcf(str(scene))
@@ -36,10 +38,7 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
-    """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions.
-
-    Free bodies stay at the pose of their ``body``.
-    """
+    """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions."""
     ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
     q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
     for kind, child, start, end in zip(
