@@ -226,13 +226,13 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def pop(self, name: str, /, *default: Any) -> E | Any:
-        """Remove a member, and return it as an entry in a copy of the document."""
+        """Remove a member and return its entry, which belongs to a copy of the document."""
         before = EntryMapping(copy(self._document), self._at, self._kind)
         super().pop(name, *default)
         return before.get(name, *default)
 
     def popitem(self) -> tuple[str, E]:
-        """Remove the first member, and return its name and an entry in a copy of the document."""
+        """Remove the first member and return its name and its entry. The entry belongs to a copy of the document."""
         name = next(iter(self), "")
         return name, self.pop(name)
 

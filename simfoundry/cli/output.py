@@ -205,7 +205,7 @@ def plural(count: int, noun: str) -> str:
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     """Return the camera called ``name``.
 
-    By default, this is the camera at the scene's viewpoint or, if there is none, the first camera.
+    By default, this is the scene's viewpoint or, if the viewpoint is not a camera, the first camera.
     """
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:
