@@ -54,7 +54,7 @@ def parse_policy(text: str) -> Choice:
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
     - the path of a ``*.policy.yaml`` document
     - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses
-      DROID's cameras; the query accepts every policy document key whose value is a single word or number
+      DROID's cameras (the query accepts every policy document key whose value is a single word or number)
 
     Raises:
         PolicyError: If the text does not select a policy.

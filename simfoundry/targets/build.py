@@ -140,17 +140,13 @@ def _ensure_ours(folder: Path) -> None:
     Raises:
         OutputError: If the folder contains edited files or files that are not in the manifest.
     """
-    if not folder.is_dir():
-        return
     try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
-        written = {str(path): str(digest) for path, digest in manifest["files"].items()}
-        entry = folder / str(manifest["entry"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        written, entry = {}, folder
+        entry = folder / str(json.loads((folder / MANIFEST).read_bytes())["entry"])
+    except (OSError, ValueError, KeyError, TypeError):
+        entry = folder
     is_stage = entry.suffix in (".usd", ".usda", ".usdc")
     keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if is_stage else ""
-    ensure_folder_replaceable(folder, written, MANIFEST, keeps)
+    ensure_folder_replaceable(folder, MANIFEST, keeps)
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:

@@ -23,8 +23,8 @@ SURROUNDED = 14  # minimum number of directions, out of 16, in which there is a 
 def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int) -> Labels:
     """Assign unlabeled pixels to the objects to which they belong.
 
-    An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses,
-    unless the support is visible through the opening.
+    An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses.
+    Openings through which the support is visible are excluded.
     """
     out, measured, numbers = labels.copy(), np.isfinite(depth), range(1, int(labels.max()) + 1)
     for k in numbers:  # a pixel in the gaps of two objects goes to the lower number

@@ -295,9 +295,10 @@ def compatible(words: Iterable[str]) -> bool:
 
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
-    """Return the horizontal unit vector, shape (3,), toward the side that a predicate requests.
+    """Return the horizontal unit vector toward the side that a predicate requests.
 
-    The result is None if the predicate does not request a side.
+    Returns:
+        Array of shape (3,), or None if the predicate does not request a side.
     """
     if word not in AXES:
         return None

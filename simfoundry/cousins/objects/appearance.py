@@ -149,8 +149,8 @@ def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
     """Return the asset with a component recolored.
 
-    All parts of the link with the same color as the component's first part are also recolored, unless components of
-    this kind usually have a different color from the body.
+    All parts of the link with the same color as the component's first part are also recolored. This does not apply to
+    components of a kind that usually differs in color from the body.
     """
     old = color_of(spec, component.parts[0])
     parts = parts_of(spec)

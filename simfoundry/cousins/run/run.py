@@ -268,7 +268,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:
-    """Write a cousin's documents unless identical files already exist."""
+    """Write a cousin's documents, except if identical files already exist."""
     for kind, name in candidate.files().items():
         path, data = out / name, candidate.documents[kind].encode()
         if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):

@@ -222,10 +222,11 @@ def before(X_WH: Pose) -> Pose:
 
 
 def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
-    """Replan the path down to a placement, because the object may have slipped in the hand.
+    """Replan the path down to a placement.
 
-    If no such path is found, the planned path is cut off where the object reaches its release height. Otherwise, an
-    object that slipped toward the fingertips would be pushed into its support.
+    This is necessary because the object may have slipped in the hand. If no such path is found, the planned path is cut
+    off where the object reaches its release height. Otherwise, an object that slipped toward the fingertips would be
+    pushed into its support.
     """
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()

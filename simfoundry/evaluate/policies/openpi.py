@@ -25,7 +25,7 @@ class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
     Requests are independent of each other. If the connection is lost, the client therefore reconnects and repeats the
-    request. ``state_keys`` maps robot state keys to readings. It is used unless the policy document specifies a
+    request. ``state_keys`` maps robot state keys to readings. It is used if the policy document does not specify a
     mapping.
     """
 
