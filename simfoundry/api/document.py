@@ -11,13 +11,14 @@ from typing import Any, ClassVar, Self, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from simfoundry.api.entries import DataPath, DocumentEntry, FixedField, UnknownNameError, to_plain
-from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.change.diff.changes import Rename, renamed
-from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.changes import Rename, renamed, same
+from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import load, load_kind
+from simfoundry.spec.load import compose, load, load_kind
 from simfoundry.spec.models.base import Conflict, DocumentSpec, Model
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.types import field_adapter, field_type, file_patterns, models_at
@@ -41,12 +42,7 @@ class EditableDocument(DocumentEntry):
     def __init__(self, loaded: Loaded) -> None:
         assert isinstance(loaded.spec, self._model)
         super().__init__(self, ())
-        self._file = loaded.path
-        text = loaded.document.text if loaded.document is not None else ""
-        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
-        self._before: dict[str, Any] = to_data(loaded.spec)
-        self._data = self._before  # edits replace the mappings that contain them and leave others as they are
-        self._loaded = loaded
+        self._set_loaded(loaded)
         self._imported_from: Path | None = None
         self._mesh_folder: Path | None = None
         self._original = self  # a copy of an imported document uses files that exist as long as the original
@@ -77,14 +73,11 @@ class EditableDocument(DocumentEntry):
     @property
     def text(self) -> str:
         """The text of the document with all edits applied."""
-        if self._data == self._before:
+        if same(self._data, self._before):
             return self._source
-        from simfoundry.spec.yaml.text import parse, read
+        from simfoundry.spec.yaml.text import parse
 
-        base: Any = ABSENT
-        if self._loaded.bases:
-            base = (load(self._loaded.bases[0]).document or read(self._loaded.bases[0])).data
-        own = own_data(parse(self._source).data, self._before, self._data, base)
+        own = own_data(parse(self._source).data, self._before, self._data, self._base)
         return edit_text(self._source, own, self._model)
 
     @property
@@ -112,53 +105,70 @@ class EditableDocument(DocumentEntry):
 
         Raises:
             SpecError: If the edited document has errors. In this case, nothing is written.
+            OutputError: If the mesh folder of an imported document would replace files that SimFoundry did not write.
         """
-        from simfoundry.runtime.files import write_atomically
+        from simfoundry.runtime.files import write_in_place
 
         target = Path(path) if path is not None else self.path
         if path is None and self._imported_from is not None:
             raise SimfoundryError(
                 f"this document was imported from {self._imported_from}; save it elsewhere: `save('a.scene.yaml')`"
             )
-        if not target.name.endswith(".yaml"):
+        if target.suffix.lower() not in (".yaml", ".yml"):
             raise SimfoundryError(f"{target} is not a YAML file; specify one, such as `save('desk.scene.yaml')`")
-        if target.resolve().parent != self.path.resolve().parent and any(self._files()):
-            self._take_files(target)
         text = self.text
-        loaded = load(target, text=text)
-        if loaded.errors:
-            raise SpecError(loaded.errors)
-        write_atomically(target, text.encode())
-        self._file, self._source, self._before = target, text, self._data
+        with self._copied_files(target):
+            loaded = load(target, text=text)
+            if loaded.errors:
+                raise SpecError(loaded.errors)
+            write_in_place(target, text.encode())
+        self._set_loaded(loaded)
         self._imported_from = None
-        self._loaded = loaded
         return target
 
     def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
         """Record the source file of an imported document and the mesh folder to copy when the document is saved."""
         self._imported_from, self._mesh_folder = source, mesh_folder
 
-    def _take_files(self, target: Path) -> None:
-        """Copy the mesh folder of an imported document to the folder in which the document is saved."""
-        import shutil
+    @contextmanager
+    def _copied_files(self, target: Path) -> Iterator[None]:
+        """Copy the mesh folder of an imported document to the folder of ``target``. Undo this if the block fails."""
+        from simfoundry.runtime.files import copied_folder
 
-        folder = self._mesh_folder
-        if folder is None:
+        moved = target.parent.resolve() != self.path.parent.resolve() and any(self._files())
+        if moved and self._mesh_folder is None:
             raise SimfoundryError(
-                f"{target} cannot be written: the document refers to files relative to {self.path.resolve().parent}; "
+                f"{target} cannot be written: the document refers to files relative to {self.path.parent.resolve()}; "
                 "save it in that folder"
             )
-        if (target.parent / folder.name).exists():
-            raise OutputError(f"{target.parent / folder.name} already exists; save to a different folder")
-        shutil.copytree(folder, target.parent / folder.name)
+        source = self._mesh_folder
+        if not moved or source is None or not source.is_dir():
+            yield
+            return
+        with copied_folder(source, target.parent / source.name, f"{target.stem}.files.json"):
+            yield
 
     def __repr__(self) -> str:
         edited = ", edited" if self._data != self._before else ""
         return f"<{type(self).__name__} {self._data.get('name')} of {self.path}{edited}>"
 
+    def _set_loaded(self, loaded: Loaded) -> None:
+        """Make a loaded document the current state, without edits."""
+        from simfoundry.spec.yaml.text import read
+
+        assert loaded.spec is not None and loaded.document is not None
+        text = loaded.document.text
+        self._file, self._loaded = loaded.path, loaded
+        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
+        # All values that the text states, including defaults, joined with the documents that it extends.
+        self._before: dict[str, Any] = loaded.document.data if text else to_data(loaded.spec)
+        self._data = self._before  # edits replace the mappings that contain them and leave others as they are
+        bases = loaded.bases[:1]
+        self._base = compose(read(bases[0]), self._kind, loaded.root)[0].data if bases else ABSENT
+
     def _load(self) -> Loaded:
         """Return the edited document, including any findings."""
-        return self._loaded if self._data == self._before else load(self.path, text=self.text)
+        return self._loaded if same(self._data, self._before) else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
         """Return the edited document.
@@ -235,7 +245,7 @@ class EditableDocument(DocumentEntry):
             errors = (d for d in edited._load().findings if d.severity is Severity.ERROR)
             findings = [d for d in errors if f"{d.path}.".startswith(starts)]
             code = "SF202" if isinstance(error, ExpressionError) else "SF103"
-            # Text does not distinguish some values, such as 5.0 and 5, and therefore has no error for them.
+            # Some values of other types have the same text as valid values, which therefore has no error for them.
             reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
             raise SpecError(findings or [Diagnostic(code, Severity.ERROR, reason, str(self.path))]) from None
         self._data = data

@@ -13,6 +13,7 @@ from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import field_adapter
+from simfoundry.spec.yaml.spelling import LARGE
 from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class DocumentEntry:
         object.__setattr__(self, "_at", path)
 
     def to_data(self) -> dict[str, Any]:
-        """Return the values that are set in the entry as plain data, without defaults."""
+        """Return the values that the document states for the entry as plain data."""
         found = self._document._get(self._at)
         return copied(found) if isinstance(found, dict) else {}
 
@@ -225,13 +226,13 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def pop(self, name: str, /, *default: Any) -> E | Any:
-        """Remove a member, and return it as an entry in a copy of the document."""
+        """Remove a member and return its entry, which belongs to a copy of the document."""
         before = EntryMapping(copy(self._document), self._at, self._kind)
         super().pop(name, *default)
         return before.get(name, *default)
 
     def popitem(self) -> tuple[str, E]:
-        """Remove the first member, and return its name and an entry in a copy of the document."""
+        """Remove the first member and return its name and its entry. The entry belongs to a copy of the document."""
         name = next(iter(self), "")
         return name, self.pop(name)
 
@@ -317,6 +318,8 @@ def to_plain(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, float) and abs(value) < LARGE and value.is_integer():
+        return int(value)  # as in the document's text, so that 77.0 is also accepted for an integer
     if isinstance(value, str | int | float | None):
         return value
     if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):

@@ -127,9 +127,13 @@ SLOW_FACES = 2000
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
-    """Return the convex hull of points [m], shape (n, 3).
+    """Return the convex hull of n points.
 
     The hull has at most ``limit`` vertices, and its triangles face outward.
+
+    Args:
+        points: Points [m], shape (n, 3).
+        limit: Maximum number of vertices.
 
     Raises:
         MeshError: If the points are coplanar.

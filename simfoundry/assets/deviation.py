@@ -59,7 +59,11 @@ def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, N
 
 
 def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
-    """Return the outward unit normals, shape (n, 3), and plane offsets [m], shape (n,), of a convex part's faces."""
+    """Return the planes of a convex part's faces.
+
+    Returns:
+        The outward unit normals, shape (n, 3), and the plane offsets [m], shape (n,).
+    """
     a, b, c = (corners[sides[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -93,7 +97,7 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
 
 
 def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
-    """Return the maximum distance [m] from points to triangles, shape (m, 3, 3), given samples on the triangles.
+    """Return the maximum distance [m] from points to triangles, given samples on the triangles.
 
     The nearest samples provide upper bounds. Exact distances are computed in descending order of these bounds, until
     the next bound does not exceed the maximum found so far.

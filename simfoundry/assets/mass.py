@@ -25,7 +25,12 @@ class SolidMoments:
     inertia: Array
 
     def moved(self, rotation: Array, translation: Array) -> SolidMoments:
-        """Return the moments after a rotation, shape (3, 3), followed by a translation [m], shape (3,)."""
+        """Return the moments after the solid is rotated and then translated.
+
+        Args:
+            rotation: Rotation matrix, shape (3, 3).
+            translation: Translation [m], shape (3,).
+        """
         return SolidMoments(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
 
 

@@ -43,9 +43,12 @@ class Primitive:
         return np.asarray(middle + radius * np.hypot(local[:, 0], local[:, 1]) + height / 2 * np.abs(local[:, 2]))
 
     def corners(self, sides: int = 64) -> Array:
-        """Return surface points [m], shape (n, 3), whose convex hull approximates the primitive.
+        """Return surface points whose convex hull approximates the primitive.
 
         For boxes, the hull is exact.
+
+        Returns:
+            Points [m], shape (n, 3).
         """
         if self.kind == "box":
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -60,7 +63,7 @@ class Primitive:
 
 
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
-    """Return the best-fitting primitive of each kind for the convex hull of points [m], shape (n, 3).
+    """Return the best-fitting primitive of each kind for the convex hull of n points.
 
     Primitives farther than ``within`` [m] from the hull are omitted. The metric is the Hausdorff distance, which, for
     convex bodies, is the maximum difference between their support functions.

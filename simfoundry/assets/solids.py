@@ -189,7 +189,9 @@ def _rotated(profile: Array, angles: Array) -> Array:
 
 
 def checked_outline(outline: Array) -> Array:
-    """Validate an outline [m], shape (n, 2), make it counterclockwise, and remove redundant corners.
+    """Validate an outline, make it counterclockwise, and remove redundant corners.
+
+    The outline is an array of points [m] of shape (n, 2).
 
     Raises:
         MeshError: If the outline crosses itself or has no area.
@@ -235,7 +237,11 @@ def convex_outlines(outline: Array) -> list[Array]:
 
 
 def _triangles(outline: Array) -> Faces:
-    """Triangulate an outline into counterclockwise triangles, which are returned as an array of shape (n - 2, 3)."""
+    """Triangulate an outline into counterclockwise triangles.
+
+    Returns:
+        Indices of the three corners of each triangle, shape (n - 2, 3).
+    """
     import mapbox_earcut
 
     rings = np.array([len(outline)], dtype=np.uint32)
@@ -274,5 +280,5 @@ def _without_straights(points: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the z components of the cross products of 2D vectors, shape (n, 2), as an array of shape (n,)."""
+    """Return the z components of the cross products of n pairs of 2D vectors."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

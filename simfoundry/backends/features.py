@@ -274,7 +274,7 @@ def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int
 
 
 def _users(scene: Scene) -> Mapping[str, list[str]]:
-    """Return the elements that use each feature in a scene; the result is cached because every target needs it."""
+    """Return the elements that use each feature in a scene. The result is cached because every target needs it."""
     if scene not in _USERS:
         _USERS[scene] = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
     return _USERS[scene]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
+from simfoundry.runtime.files import ensure_folder_replaceable, file_digests, staged, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
@@ -85,7 +84,7 @@ def run_capture(
             built, scene, settled = _settled(built, staging / scene_name, cache, progress)
             progress("pictures", 0.95)
             _pictures(built, frame, scene, settled, staging)
-            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
+            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": file_digests(staging)}
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
@@ -107,19 +106,8 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
     """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or the user's own files."""
     if document.resolve().is_relative_to(out):
         raise OutputError(f"{out} contains the capture itself; choose another output folder")
-    if force or not out.is_dir():
-        return
-    try:
-        written: dict[str, str] = dict(json.loads((out / "report.json").read_bytes())["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        written = {}
-    ensure_folder_replaceable(out, written, "report.json")
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 hashes of all files in a folder except the report, keyed by relative POSIX path."""
-    files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-    return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
+    if not force:
+        ensure_folder_replaceable(out, "report.json")
 
 
 def _settled(

@@ -204,11 +204,9 @@ def write_text(path: Path, text: str) -> None:
 
 def write_in_place(path: Path, text: str) -> None:
     """Write to a file while preserving its permissions. If the file is a symbolic link, write to the link's target."""
-    target = path.resolve()
-    mode = target.stat().st_mode if target.exists() else None
-    write_text(target, text)
-    if mode is not None:
-        target.chmod(mode)
+    from simfoundry.runtime.files import write_in_place
+
+    write_in_place(path, text.encode())
 
 
 def plural(count: int, noun: str) -> str:
@@ -219,7 +217,7 @@ def plural(count: int, noun: str) -> str:
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     """Return the camera called ``name``.
 
-    By default, this is the camera at the scene's viewpoint or, if there is none, the first camera.
+    By default, this is the scene's viewpoint or, if the viewpoint is not a camera, the first camera.
     """
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:

@@ -138,7 +138,7 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
         OutputError: If ``out`` contains files that were not written by a demo and ``force`` is not set.
     """
     if not force:
-        _ensure_replaceable(out)
+        ensure_folder_replaceable(out, REPORT)
     try:
         need_extra("expert", "its inverse kinematics")
     except MissingExtraError as error:
@@ -151,17 +151,6 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
         if done.success:
             break
     return done
-
-
-def _ensure_replaceable(out: Path) -> None:
-    """Raise :class:`OutputError` if replacing ``out`` would destroy a user's files."""
-    if not out.is_dir():
-        return
-    try:
-        written: dict[str, str] = dict(json.loads((out / REPORT).read_bytes())["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        written = {}
-    ensure_folder_replaceable(out, written, REPORT)
 
 
 def _mark(out: Path) -> None:

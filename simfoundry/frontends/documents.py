@@ -81,9 +81,9 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: tuple[float, ...]) -> tuple[float, ...]:
-    """Return an RGBA color as document data.
+    """Return an RGBA color as document data, omitting an alpha of 1.
 
-    An alpha of 1 is omitted, and values are rounded to four decimals to remove single-precision noise.
+    Values are rounded to four decimals to remove single-precision noise.
     """
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
@@ -104,10 +104,9 @@ PLAIN_INERTIA = 1e-6
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.asset.yaml from a draft that contains one body.
+    """Build NAME.asset.yaml for the ``base`` folder from a draft that contains one body.
 
-    ``base`` is the folder in which the document will be stored. Mesh files below ``root`` are referenced in place
-    instead of being copied.
+    Mesh files below ``root`` are referenced in place instead of being copied.
     """
     built = BuiltDocuments()
     shelf = FileShelf(base, f"{name}_files", root, built.files)
@@ -116,10 +115,9 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.scene.yaml, along with an asset document for each body that needs one.
+    """Build NAME.scene.yaml for the ``base`` folder, along with an asset document for each body that needs one.
 
-    ``base`` is the folder in which the scene will be stored. Mesh files below ``root`` are referenced in place instead
-    of being copied.
+    Mesh files below ``root`` are referenced in place instead of being copied.
     """
     return _SceneBuilder(draft, f"{name}_files", base, root).build(name)
 
@@ -283,16 +281,13 @@ def _mass_data(link: LinkDraft) -> Data:
 
 
 def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
-    """Return the contact parameters shared by all parts of a link.
-
-    Returns None if the parameters differ or require a material.
-    """
+    """Return the contact parameters shared by all parts of a link, or None if they differ or require a material."""
     first, *others = [_contact_data(part, link) for part in link.colliders] or [{}]
     return first if first.keys() <= LINK_KEYS and all(contact == first for contact in others) else None
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part; parameters that the part does not specify come from its link.
+    """Return the contact parameters of a part. Parameters that the part does not specify come from its link.
 
     Torsional and rolling friction are omitted if they are zero.
     """

@@ -172,7 +172,7 @@ class BoxField:
     half: NDArray[np.float32]
 
     def local(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Transform points, shape (..., 3), from the link frame to the box frame."""
+        """Transform points of shape (..., 3) from the link frame to the box frame."""
         return np.asarray((points - self.middle) @ self.axes)
 
     def lower(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:

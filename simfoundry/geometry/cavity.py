@@ -68,7 +68,7 @@ class Cavity:
     size: float
 
     def at(self, points: Array) -> Array:
-        """Interpolate the depth [m] at points in the link frame, shape (..., 3).
+        """Interpolate the depth [m] at points of shape (..., 3) in the link frame.
 
         Outside the grid, the depth decreases with distance.
         """
@@ -169,9 +169,14 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """Return the distance from points, shape (n, 3), to one part, which is negative inside the part.
+    """Return the distance from points to one part, which is negative inside the part.
 
     The distance is exact for round parts. For polyhedra, it is the largest distance to a face plane.
+
+    Args:
+        parts: Convex parts.
+        number: Index of the part.
+        points: Points [m], shape (n, 3).
 
     Returns:
         Distances [m], shape (n,).

@@ -199,7 +199,7 @@ def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str])
 
 
 def steepest_together(ways: Array) -> float:
-    """Return the largest cosine between the vertical and a nonnegative combination of unit vectors, shape (k, 3)."""
+    """Return the largest cosine between the vertical and a nonnegative combination of k unit vectors."""
     from scipy.optimize import nnls
 
     # The best combination is the projection of `UP` onto the cone spanned by the vectors; its length is the cosine.
@@ -354,7 +354,12 @@ def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
 
 
 def candidates(pair: LinkPair, most: Array) -> Candidates:
-    """Return the pairs of parts that may be closer than ``most`` [m], shape (n,), sorted by state and distance."""
+    """Return the pairs of parts that may be closer than a distance, sorted by state and distance.
+
+    Args:
+        pair: The two links.
+        most: The distance in each state [m], shape (n,).
+    """
     X_AB = pair.X_WA.inverse() @ pair.X_WB
     low_a, high_a, ball_a, size_a = pair.one.pieces
     low_b, high_b, ball_b, size_b = pair.other.pieces

@@ -63,19 +63,19 @@ class Form:
 
     @cached_property
     def low(self) -> Array:
-        """The lower extents along :data:`TURNED` [m], shape (5,)."""
+        """The lower extents [m] along the directions in :data:`TURNED`."""
         points, radius = self.support(1)
         return np.asarray((points @ TURNED.T - radius[:, None]).min(axis=0))
 
     @cached_property
     def high(self) -> Array:
-        """The upper extents along :data:`TURNED` [m], shape (5,)."""
+        """The upper extents [m] along the directions in :data:`TURNED`."""
         points, radius = self.support(1)
         return np.asarray((points @ TURNED.T + radius[:, None]).max(axis=0))
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
-        """The center [m], shape (3,), and the radius [m] of the bounding sphere."""
+        """The center [m] and the radius [m] of the bounding sphere."""
         middle = (self.low[:3] + self.high[:3]) / 2
         points, radius = self.support(1)
         return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())

@@ -60,12 +60,12 @@ class Pose:
 
     @classmethod
     def about(cls, axis: Array, angle: float) -> Pose:
-        """Build a rotation by ``angle`` [rad] about a unit axis, which is an array of shape (3,)."""
+        """Build a rotation by ``angle`` [rad] about a unit axis."""
         return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
 
     @property
     def matrix(self) -> Array:
-        """The homogeneous matrix of the transform, shape (4, 4)."""
+        """The homogeneous 4x4 matrix of the transform."""
         out = np.eye(4)
         out[:3, :3] = self.rotation
         out[:3, 3] = self.p
@@ -73,7 +73,7 @@ class Pose:
 
     @cached_property
     def rotation(self) -> Array:
-        """The rotation matrix of the transform, shape (3, 3)."""
+        """The 3x3 rotation matrix of the transform."""
         return frozen_array(matrix_from_quat(self.q))
 
     @cached_property
@@ -93,14 +93,11 @@ class Pose:
         return Pose.of(self.p + self.rotation @ other.p, quat_multiply(self.q, other.q))
 
     def apply(self, points: Array) -> Array:
-        """Transform points, shape (..., 3), from frame B to frame A."""
+        """Transform points of shape (..., 3) from frame B to frame A."""
         return np.asarray(points) @ self.rotation.T + self.p
 
     def angle_about(self, axis: Array) -> float:
-        """Return the twist angle of the rotation about a unit axis, in the range [-pi, pi] rad.
-
-        The axis is an array of shape (3,).
-        """
+        """Return the twist angle of the rotation about a unit axis, in the range [-pi, pi] rad."""
         return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
@@ -124,7 +121,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 
 def matrix_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to a rotation matrix of shape (3, 3)."""
+    """Convert a unit wxyz quaternion to a 3x3 rotation matrix."""
     return np.array(_rotation_rows(*map(float, q)))  # numpy scalars are slower than Python floats
 
 
@@ -172,7 +169,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def rpy_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad], as an array of shape (3,)."""
+    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad]."""
     r = matrix_from_quat(q).tolist()
     level = math.hypot(r[0][0], r[1][0])
     pitch = math.atan2(-r[2][0], level)
@@ -254,7 +251,7 @@ class Poses(NamedTuple):
 
     @classmethod
     def of(cls, p: Array, q: Array) -> Poses:
-        """Create poses from positions, shape (n, 3), and nonzero wxyz quaternions, shape (n, 4).
+        """Create poses from n positions and n nonzero wxyz quaternions.
 
         The quaternions do not need to be normalized.
         """
@@ -285,12 +282,20 @@ class Poses(NamedTuple):
 
 
 def rotate(turn: Array, v: Array) -> Array:
-    """Rotate each vector in ``v``, shape (n, 3), by the corresponding matrix in ``turn``, shape (n, 3, 3)."""
+    """Rotate each vector in ``v`` by the corresponding matrix in ``turn``.
+
+    Args:
+        turn: Rotation matrices, shape (n, 3, 3).
+        v: Vectors, shape (n, 3).
+
+    Returns:
+        Rotated vectors, shape (n, 3).
+    """
     return np.asarray((turn @ v[:, :, None])[:, :, 0])
 
 
 def rotations(q: Array) -> Array:
-    """Convert wxyz quaternions, shape (n, 4), to rotation matrices, shape (n, 3, 3)."""
+    """Convert wxyz quaternions of shape (n, 4) to rotation matrices of shape (n, 3, 3)."""
     rows = np.array(_rotation_rows(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T))
     return np.ascontiguousarray(np.moveaxis(rows, -1, 0))
 
@@ -304,6 +309,13 @@ class Turn:
         self._square = self._skew @ self._skew
 
     def by(self, angle: Array) -> Array:
-        """Return the rotation matrices, shape (n, 3, 3), for angles [rad], shape (n,)."""
+        """Return the rotation matrices for an array of angles.
+
+        Args:
+            angle: Angles [rad], shape (n,).
+
+        Returns:
+            Rotation matrices, shape (n, 3, 3).
+        """
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
         return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

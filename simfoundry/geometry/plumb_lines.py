@@ -146,7 +146,11 @@ def _faces(form: Form) -> _Faces:
 
 
 def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Intersect lines along ``up`` through ``points``, shape (m, 3) each, with parts.
+    """Intersect lines along ``up`` through ``points`` with parts.
+
+    Args:
+        points: A point on each line [m], shape (m, 3).
+        up: Unit vector along each line, shape (m, 3).
 
     Returns:
         The depth of each line inside the outline of its part [m], and the heights above the point at which the line

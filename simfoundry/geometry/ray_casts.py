@@ -88,12 +88,12 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def unit(a: Array) -> Array:
-    """Normalize the rows of ``a``, shape (..., 3). Rows of zeros are left unchanged."""
+    """Normalize the rows of an array of shape (..., 3). Rows of zeros are left unchanged."""
     return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
 
 
 def turned(R_AB: Array, vectors: Array) -> Array:
-    """Rotate ``vectors``, shape (..., 3), from frame B to frame A.
+    """Rotate ``vectors`` of shape (..., 3) from frame B to frame A.
 
     BLAS is not used, because the last bits of its results differ between machines.
     """
@@ -102,15 +102,23 @@ def turned(R_AB: Array, vectors: Array) -> Array:
 
 
 def blend(corners: Array, weights: Array) -> Array:
-    """Interpolate values at triangle corners, shape (n, 3, d), with barycentric ``weights``, shape (n, 3)."""
+    """Interpolate values that are given at the corners of triangles.
+
+    Args:
+        corners: Values at the corners, shape (n, 3, d).
+        weights: Barycentric coordinates, shape (n, 3).
+    """
     a, b, c = weights[:, 0, None], weights[:, 1, None], weights[:, 2, None]
     return np.asarray(a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2])
 
 
 def area_normals(corners: Array) -> Array:
-    """Return the area normals of triangles with the given ``corners``, shape (m, 3, 3).
+    """Return the area normals of triangles.
 
-    Corners are counterclockwise as seen from outside. The length of a normal is twice the area of its triangle.
+    The length of a normal is twice the area of its triangle.
+
+    Args:
+        corners: Corners of the triangles, counterclockwise as seen from outside, shape (m, 3, 3).
 
     Returns:
         Normals, shape (m, 3).

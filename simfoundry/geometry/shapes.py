@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, frozen_array
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box centered on its frame, with full extents ``size`` [m], shape (3,)."""
+    """A box centered on its frame, with the full extents ``size`` [m] along its three axes."""
 
     size: Array
 
@@ -142,7 +142,11 @@ def closed_mesh(
 
 
 def hull_mesh(points: Array) -> Mesh | None:
-    """Return the convex hull of points [m], shape (n, 3), with at most 64 vertices, or None if they are coplanar."""
+    """Return the convex hull of points with at most 64 vertices, or None if the points are coplanar.
+
+    Args:
+        points: Points [m], shape (n, 3).
+    """
     from simfoundry.assets.convex import hull
     from simfoundry.assets.errors import MeshError
 

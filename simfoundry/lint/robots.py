@@ -109,7 +109,7 @@ def _ground_distance(draft: DraftScene, hand: Hand, name: str) -> float:
 
 
 def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterator[Diagnostic]:
-    """Yield a finding for the corner of an object's reset region that is farthest out of reach, if any is."""
+    """Yield a finding for the corner of an object's reset region that is farthest out of reach, if there is one."""
     from simfoundry.robots.reach import nearest_miss
 
     region = subject.task.reset.objects[name]

@@ -30,8 +30,8 @@ class Raycast:
         depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, as an array of
             shape (h, w).
         objects: The index in ``scene.objects`` plus 1, or 0 if no surface is hit, as an int32 array of shape (h, w).
-        normals: The unit normal in the world toward the camera, or NaN if no surface is hit, as an array of shape (h,
-            w, 3).
+        normals: The unit normal in the world, pointing toward the camera, or NaN if no surface is hit, as an array of
+            shape (h, w, 3).
         camera: The camera from which the image was rendered.
     """
 

@@ -31,7 +31,7 @@ class SceneSurface:
     Attributes:
         corners: The corners in the world [m], as an array of shape (m, 3, 3).
         normals: The unit normals in the world at each corner, as an array of shape (m, 3, 3).
-        uv: The texture coordinates, as an array of shape (m, 3, 2); zero for surfaces without texture coordinates.
+        uv: The texture coordinates, as an array of shape (m, 3, 2). They are zero for surfaces that have none.
         visual: The index of each triangle's visual in ``visuals``, as an array of shape (m,).
         object: The index of each triangle's object in the scene's objects, as an array of shape (m,).
         closed: A mask of the triangles of watertight, outward-oriented surfaces, as an array of shape (m,). The insides

@@ -28,7 +28,7 @@ GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
 
 @dataclass(frozen=True)
 class RateCell:
-    """A table cell that contains a rate with its interval, or else a text. ``trouble`` is shown below it."""
+    """A table cell that contains either a rate with its interval or a text. ``trouble`` is shown below it."""
 
     rate: Rate | None = None
     text: str = "–"

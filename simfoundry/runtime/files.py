@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import json
 import os
 import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +23,9 @@ BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 # Age [s] after which a staging folder counts as abandoned on systems that cannot lock folders; no run takes this long.
 STALE_S = 3600.0
 
+# Permissions of new files: readable by everyone, as with the usual umask of 022.
+NEW_FILE_MODE = 0o644
+
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file atomically."""
@@ -29,15 +33,23 @@ def write_atomically(path: Path, data: bytes) -> None:
         stream.write(data)
 
 
+def write_in_place(path: Path, data: bytes) -> None:
+    """Write a file atomically, preserving its permissions; a symbolic link remains, and its target is written."""
+    target = path.resolve()
+    mode = target.stat().st_mode & 0o7777 if target.exists() else NEW_FILE_MODE
+    with writing_atomically(target, mode) as stream:
+        stream.write(data)
+
+
 @contextmanager
-def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
+def writing_atomically(path: Path, mode: int = NEW_FILE_MODE) -> Iterator[IO[bytes]]:
     """Yield a stream to a file that appears atomically if the block succeeds. Use it for content larger than memory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with naming(path), os.fdopen(handle, "wb") as stream:
             yield stream
-        Path(staging).chmod(0o644)
+        Path(staging).chmod(mode)
         os.replace(staging, path)
     except BaseException:
         Path(staging).unlink(missing_ok=True)
@@ -229,23 +241,30 @@ def is_generated(path: Path) -> bool:
         return MARK.encode() in stream.read(HEAD_BYTES)
 
 
-def ensure_folder_replaceable(folder: Path, written: Mapping[str, str], index: str, advice: str = "") -> None:
+def ensure_folder_replaceable(folder: Path, index: str, advice: str = "", how: str = "with --force") -> None:
     """Ensure that ``folder`` contains no files that were generated elsewhere or edited after they were generated.
 
     Args:
-        folder: The folder to be replaced.
-        written: SHA-256 digests of the generated files, keyed by relative POSIX path.
-        index: The file in the folder that lists the generated files.
+        folder: The folder to be replaced; it may be missing.
+        index: The JSON file in the folder with the result of :func:`file_digests` under the key ``files``.
         advice: Advice for the user on how to keep the edits, as a clause in the message.
+        how: How the user can replace the folder anyway.
 
     Raises:
         OutputError: If the folder contains such files.
     """
+    if not folder.is_dir():
+        return
+    try:
+        listed = json.loads((folder / index).read_bytes())["files"]
+        written = {str(path): str(digest) for path, digest in listed.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        written = {}
     foreign = strangers(folder, [*written, *([index] if written else [])])
     if foreign:
         raise OutputError(
             f"{folder} contains files that were not generated there ({_names(foreign)}); choose another folder, "
-            "or replace the entire folder with --force"
+            f"or replace the entire folder {how}"
         )
     # Deleted files do not count as edited.
     present = ((path, folder / path) for path in sorted(written) if (folder / path).is_file())
@@ -254,8 +273,44 @@ def ensure_folder_replaceable(folder: Path, written: Mapping[str, str], index: s
         keep = f"{advice}; " if advice else ""
         raise OutputError(
             f"{folder} contains files that were edited since they were generated ({_names(edited)}); {keep}choose "
-            "another folder, or discard the edits with --force"
+            f"another folder, or discard the edits {how}"
         )
+
+
+def file_digests(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 digest of every file in a folder, keyed by relative POSIX path."""
+    files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+    return {path: hashlib.sha256(files[path].read_bytes()).hexdigest() for path in sorted(files)}
+
+
+@contextmanager
+def copied_folder(source: Path, folder: Path, index: str) -> Iterator[None]:
+    """Replace ``folder`` with a copy of ``source``, and restore the previous state if the block fails.
+
+    The copy contains the file ``index``, by which a later call recognizes that it may replace the folder. Raises
+    :class:`OutputError` if the existing folder contains other files or was edited.
+    """
+    ensure_folder_replaceable(folder, index, how="by deleting it first")
+    is_new_parent, is_new = not folder.parent.exists(), not folder.exists()
+    try:
+        with scratch(folder.parent, folder.name) as staging:
+            copy = staging / folder.name
+            shutil.copytree(source, copy)
+            (copy / index).write_text(json.dumps({"files": file_digests(copy)}, indent=2) + "\n", encoding="utf-8")
+            replace_folder(copy, folder)  # the previous folder is now in the staging folder
+            try:
+                yield
+            except BaseException:
+                if is_new:
+                    shutil.rmtree(folder)
+                else:
+                    replace_folder(copy, folder)
+                raise
+    except BaseException:
+        if is_new_parent:
+            with suppress(OSError):
+                folder.parent.rmdir()
+        raise
 
 
 def _names(paths: list[str]) -> str:

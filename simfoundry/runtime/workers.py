@@ -91,7 +91,7 @@ class Worker:
             wait: Callback that is called every :data:`WAIT_S` seconds with the elapsed time of the call [s].
 
         Raises:
-            WorkerError: The function raised an exception, crashed, or exceeded the limits.
+            WorkerError: If the function raised an exception, crashed, or exceeded the limits.
         """
         with self._busy:
             last = ""

@@ -127,7 +127,11 @@ def _surface_points(shape: Hulls) -> Array:
 
 
 def _crossings(triangles: Array, point: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Intersect the vertical line through ``point`` with triangles, shape (k, 3, 3).
+    """Intersect the vertical line through ``point`` with triangles.
+
+    Args:
+        triangles: Corners of the triangles [m], shape (k, 3, 3).
+        point: A point on the line [m], shape (3,).
 
     Returns:
         A mask of the triangles that are hit, shape (k,), and the heights of the hits [m].

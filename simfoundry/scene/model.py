@@ -38,8 +38,7 @@ copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 class Visual:
     """A geometry that is visible to cameras, with its pose in the link.
 
-    ``rgba``, shape (4,), is the color in [0, 1]. If the geometry is a mesh with a texture, the texture is multiplied by
-    this color.
+    ``rgba`` is the color in [0, 1], shape (4,), by which any texture of the geometry is multiplied.
     """
 
     name: str
@@ -184,10 +183,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """The position [rad or m] in which the joint is closed.
-
-        This is the limit named in ``closed`` or, by default, zero or the limit nearest to zero.
-        """
+        """The closed position [rad or m]. By default, it is zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -240,10 +236,7 @@ class SceneObject:
         return {joint.child: joint for joint in self.joints}
 
     def qualified(self, link_or_joint: str) -> str:
-        """Return the qualified name of a link or joint.
-
-        This is ``object.name``, or only the name of the object for the root link.
-        """
+        """Return the qualified name of a link or joint: ``object.name``, or only ``object`` for the root link."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
 
 
@@ -303,10 +296,7 @@ Splat = Gaussians
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The visual surroundings of a scene, which have no collisions.
-
-    They consist of visuals in a frame ``X_WB``, or of a splat of Gaussians.
-    """
+    """The visual surroundings of a scene, without collisions: visuals in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
@@ -368,21 +358,13 @@ class Scene:
         return {item.name: item for item in self.objects}
 
     def object(self, name: str) -> SceneObject:
-        """Return the object called ``name``.
-
-        Raises:
-            KeyError: If there is no such object. The message lists the available names.
-        """
+        """Return the object called ``name``. The KeyError for an unknown name lists the available names."""
         if name in self.by_name:
             return self.by_name[name]
         raise KeyError(f"no object {name!r}; available objects: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
-        """Return the robot called ``name``.
-
-        Raises:
-            KeyError: If there is no such robot. The message lists the available names.
-        """
+        """Return the robot called ``name``. The KeyError for an unknown name lists the available names."""
         for item in self.robots:
             if item.name == name:
                 return item

@@ -218,7 +218,7 @@ def _position(
 
 
 def _axes(viewer: Pose | None) -> tuple[Array, Array]:
-    """Return the horizontal unit vectors that point away from the viewer and to the viewer's left, shape (3,) each."""
+    """Return the two horizontal unit vectors that point away from the viewer and to the viewer's left."""
     x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
     length = math.hypot(x, y)
     if length < 1e-6:

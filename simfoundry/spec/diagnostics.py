@@ -46,7 +46,7 @@ class Diagnostic:
         return self.file.partition("</")[0]
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for ``--json``."""
+        """Return the finding as a plain mapping for ``--json``."""
         return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
@@ -65,7 +65,10 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Return a mapping from synonyms, including terms from other formats, to keys and values of our language."""
+    """Return a mapping from synonyms to keys and values of the document language.
+
+    The synonyms include terms from other formats.
+    """
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data

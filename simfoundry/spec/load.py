@@ -25,7 +25,11 @@ _USD = (".usda", ".usdc", ".usd", ".usdz")
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
-    """Read and check one document. Errors are returned as findings instead of being raised."""
+    """Read and check one document. Errors are returned as findings instead of being raised.
+
+    Documents that this document uses are looked up in ``known`` and added to it. If ``text`` is given, it is used
+    instead of the content of the file. A USD file is read as the scene from which it was compiled.
+    """
     known = {} if known is None else known
     if text is None and path.suffix.lower() in _USD:
         compiled: Loaded = import_module("simfoundry.frontends.usd.compiled.loading").load_usd(path, known)

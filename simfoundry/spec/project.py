@@ -28,7 +28,7 @@ MARKING = "# Root of a SimFoundry project, which contains all files that its doc
 
 
 class ProjectSpec(Model):
-    """Contents of ``simfoundry.yaml``."""
+    """The contents of ``simfoundry.yaml``."""
 
     exclude: tuple[str, ...] = Field(
         (),

@@ -90,7 +90,10 @@ def build(
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that can be compiled, and the reasons why the other targets fail, by name."""
+    """Return the artifacts of the targets that can be compiled, and the reasons why all other targets fail.
+
+    Both are keyed by target name.
+    """
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
@@ -141,17 +144,13 @@ def _ensure_ours(folder: Path) -> None:
     Raises:
         OutputError: If the folder contains edited files or files that are not in the manifest.
     """
-    if not folder.is_dir():
-        return
     try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
-        written = {str(path): str(digest) for path, digest in manifest["files"].items()}
-        entry = folder / str(manifest["entry"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        written, entry = {}, folder
+        entry = folder / str(json.loads((folder / MANIFEST).read_bytes())["entry"])
+    except (OSError, ValueError, KeyError, TypeError):
+        entry = folder
     is_stage = entry.suffix in (".usd", ".usda", ".usdc")
     keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if is_stage else ""
-    ensure_folder_replaceable(folder, written, MANIFEST, keeps)
+    ensure_folder_replaceable(folder, MANIFEST, keeps)
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:

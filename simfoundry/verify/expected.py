@@ -107,9 +107,9 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield the name and the friction coefficient of each pair of colliders that the scene treats specially.
+    """Yield the name and the friction coefficient of each relevant pair of colliders.
 
-    The colliders belong to different objects, can touch, and have different friction coefficients.
+    The colliders of such a pair belong to different objects, can touch, and have different friction coefficients.
     """
     excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}

@@ -101,7 +101,7 @@ class WorldReadback:
     actuators: tuple[str, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         return asdict(self)
 
     @classmethod
@@ -124,7 +124,7 @@ class Moment:
     joints: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         return asdict(self)
 
     @classmethod
@@ -152,7 +152,7 @@ class Session(ABC):
 
     @abstractmethod
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
 
     @abstractmethod
     def moment(self, time: float) -> Moment:

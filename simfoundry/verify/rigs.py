@@ -94,7 +94,7 @@ def jointed(
     name: str, kind: JointType, axis: Sequence[float], bob: tuple[float, Array, Array], X_WO: Pose,
     limits: tuple[float, float] | None, damping: float = 0.0, friction: float = 0.0, position: float = 0.0,
 ) -> SceneObject:  # fmt: skip
-    """Return a mount fixed to the world with a movable bob.
+    """Return a mount that is fixed to the world and carries a movable bob.
 
     ``bob`` contains the mass, center of mass and inertia of the bob.
     """

@@ -73,7 +73,7 @@ class ReadbackResult:
         return ProofStatus.KNOWN if self.comparison.covered else ProofStatus.OK
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         found = self.comparison
         details = {} if found is None else {
             "compared": found.compared,

@@ -51,7 +51,7 @@ def read_scene(rules: ModuleType) -> mujoco.MjSpec:
 
 
 def is_exact(rules: ModuleType) -> bool:
-    """Return true if the scene includes contact pairs; with the option `contacts: native` it does not."""
+    """Return true if the scene includes contact pairs. It does not if the option `contacts` is set to `native`."""
     return any(element.get("file") == rules.CONTACTS_FILE for element in ET.parse(SCENE).iter("include"))
 
 

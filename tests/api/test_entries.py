@@ -246,7 +246,7 @@ def test_a_refused_edit_of_a_scene_changes_nothing(
         (lambda t: setattr(t.subtasks["first"], "goal", "foo"), "`foo` is not of the form"),
         (lambda t: t.subtasks.add("second", goal="Upright(mug, mug)"), "`Upright` takes 1 argument"),
         (lambda t: t.subtasks.add("goal", goal="foo"), "`foo` is not of the form"),
-        (lambda t: setattr(t, "horizon", 5.0), "valid integer"),
+        (lambda t: setattr(t, "horizon", 5.5), "expected an integer"),
     ],
 )
 def test_a_refused_edit_of_a_task_changes_nothing(

@@ -216,7 +216,7 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return the ``condim``, ``friction`` and ``solref`` of a pair; pairs do not inherit values from their geoms."""
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair, which are not inherited from its geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping

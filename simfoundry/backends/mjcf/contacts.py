@@ -153,7 +153,7 @@ def _restitution_error(group: UnlikeGroup) -> float:
 
 
 def _native_damping(group: UnlikeGroup) -> tuple[float, float]:
-    """Return the time constant [s] and the damping ratio of MuJoCo's own contact, the averages of both surfaces."""
+    """Return the time constant [s] and the damping ratio of MuJoCo's own contact, which averages both surfaces."""
     one, other = (rules.solref(geoms[0].surface.restitution) for geoms in (group.one, group.other))
     return (one[0] + other[0]) / 2, (one[1] + other[1]) / 2
 

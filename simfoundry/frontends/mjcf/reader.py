@@ -308,7 +308,10 @@ class _MjcfReader:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
     def add_link(self, draft: BodyDraft, body: int, X_BL: Pose = IDENTITY) -> None:
-        """Add a body's link to ``draft``; ``X_BL`` is the pose of the link frame in the body frame."""
+        """Add a body's link to ``draft``.
+
+        ``X_BL`` is the pose of the link frame in the body frame.
+        """
         model, X_LB, name = self.model, X_BL.inverse(), self.names["body"][body]
         link = draft.links[name] = LinkDraft(name, mass=float(model.body_mass[body]))
         self.source.owners[body] = (draft, name, X_BL)

@@ -52,7 +52,11 @@ class _SceneReader:
         self.listed = self.object_list()
 
     def at(self, data: Any, *keys: str) -> dict[str, Any]:
-        """Return the mapping at ``keys`` in ``data``, or raise an error if there is no such mapping."""
+        """Return the mapping at ``keys`` in ``data``.
+
+        Raises:
+            ImportRefusedError: If there is no such mapping.
+        """
         for key in keys:
             data = data.get(key) if isinstance(data, dict) else None
         if not isinstance(data, dict):

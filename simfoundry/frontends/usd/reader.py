@@ -139,7 +139,11 @@ class _UsdReader:
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform, shape (4, 4), from a prim's frame and units to the world frame in meters with z up."""
+        """Return the transform from a prim's frame and units to the world frame, which is in meters with z up.
+
+        Returns:
+            Transformation matrix, shape (4, 4).
+        """
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has non-finite numbers")

@@ -117,7 +117,10 @@ def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> 
 
 
 def shifted(view: View, thing: Entity, offset: Array) -> View:
-    """Return the same states with the links of one entity translated by ``offset`` [m], shape (n, 3)."""
+    """Return the same states, except that the links of one entity are translated by ``offset`` [m].
+
+    ``offset`` is an array of shape (n, 3).
+    """
     other = view.at(np.arange(view.n))
     for k in thing.links:
         X_WL = view.link(thing.owner, k)

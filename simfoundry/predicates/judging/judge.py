@@ -52,7 +52,7 @@ class Context:
 
 
 class Term(NamedTuple):
-    """A quantity that contributes to the decision, with its ``value`` and ``margin``, shape (n,) each.
+    """A quantity that contributes to the decision, with its ``value`` and its ``margin`` in n states.
 
     Both are NaN in states in which an earlier term was decisive.
     """

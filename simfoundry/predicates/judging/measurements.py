@@ -191,7 +191,7 @@ class SupportContact:
         self._rival: NDArray[np.bool_] = np.zeros(0, bool)
 
     def gap(self, view: View) -> Array:
-        """Return the distance [m], as an array of shape (n,).
+        """Return the distance [m] between the entities, as an array of shape (n,).
 
         The push and the states in which a closer object supports ``a`` are stored.
         """
@@ -275,7 +275,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Return, for each object, a mask of the states in which ``a`` supports it directly or indirectly, shape (n,).
+    """Return, for each object, a mask of the states in which ``a`` supports it directly or indirectly.
 
     ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
     something touches ``a``.
@@ -305,7 +305,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """Return a mask, shape (n,), of the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up."""
+    """Return a mask of the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

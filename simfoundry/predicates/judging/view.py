@@ -95,17 +95,17 @@ class Boxes(NamedTuple):
 
     @property
     def middle(self) -> Array:
-        """The middle of the first box in the world [m], shape (n, 3)."""
+        """The middle of the first box in the world [m], as an array of shape (n, 3)."""
         return np.asarray(self.center[0])
 
     @property
     def reach(self) -> Array:
-        """The distance between the middle of the first box and its corners [m], shape (n,)."""
+        """The distance between the middle of the first box and its corners [m], as an array of shape (n,)."""
         return np.asarray(np.linalg.norm(self.half[0], axis=1))
 
     @property
     def size(self) -> Array:
-        """The mean extent of the first box [m], shape (n,)."""
+        """The mean extent of the first box [m], as an array of shape (n,)."""
         return np.asarray(2 * self.half[0].mean(axis=1))
 
 

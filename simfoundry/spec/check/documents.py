@@ -1,4 +1,4 @@
-"""Run the checks for each kind of document that go beyond types, and apply ``allow``."""
+"""Run the checks that go beyond types for each kind of document, and apply ``allow``."""
 
 from __future__ import annotations
 

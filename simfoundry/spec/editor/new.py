@@ -36,7 +36,7 @@ class NewError(SimfoundryError):
 
 @dataclass(frozen=True)
 class New:
-    """A new file, along with any schemas and marker file that the project lacks and that must also be written."""
+    """A new file, along with the schemas and marker file that must also be written if the project lacks them."""
 
     path: Path
     text: str

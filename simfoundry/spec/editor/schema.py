@@ -245,7 +245,7 @@ def _options(body: Schema) -> list[Schema]:
 
 
 def _special(union: str) -> Schema:
-    """Return the schema keywords of a union that have to be added to those derived from the models."""
+    """Return the additional schema keywords for a union that cannot be derived from its models."""
     if union == "Condition":
         message = f"expected a predicate such as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}

@@ -101,7 +101,7 @@ class FormerKey:
 
 
 def consistent(check: Callable[[Any], None]) -> Any:
-    """Declare a method that raises :func:`fault` if the fields of its model contradict each other."""
+    """Mark a method as a check that raises :func:`fault` if the fields of its model contradict each other."""
 
     def checked(model: Any) -> Any:
         check(model)
@@ -115,7 +115,7 @@ Agent = Annotated[str, FormerKey("by"), StringConstraints(max_length=64)]
 
 
 class Model(BaseModel):
-    """Base class for all parts of a document: immutable and strictly typed, with no unknown keys.
+    """The base class for all parts of a document, which are immutable, strictly typed, and without unknown keys.
 
     If the default of a field is a model, create it with ``model_construct()``, because validating it would compile the
     model's schema at import time.

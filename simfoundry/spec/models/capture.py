@@ -24,7 +24,7 @@ ImagePoint = Annotated[float, Field(ge=-MAX_FOCAL, le=MAX_FOCAL, allow_inf_nan=F
 
 
 class Intrinsics(Model):
-    """Intrinsics of an undistorted pinhole camera [px]."""
+    """The intrinsics of an undistorted pinhole camera [px]."""
 
     fx: FocalLength = Field(description="Focal length in x [px].")
     fy: FocalLength = Field(description="Focal length in y [px].")

@@ -124,7 +124,7 @@ def address_uri(protocol: str, address: str) -> str:
 
 
 class CameraView(Model):
-    """An image that the policy receives from a camera in the scene, resized without distortion and padded in black."""
+    """An image that the policy gets from a camera in the scene, resized without distortion and padded with black."""
 
     camera: Name = Field(description="A camera in the scene.")
     size: ImageSize = Field(description="Width and height that the policy expects [px].")

@@ -23,7 +23,7 @@ from simfoundry.spec.models.base import FARTHEST, Model
 
 
 class Effect(StrEnum):
-    """Change that a robot must make for a predicate to become true."""
+    """The change that a robot must make for a predicate to become true."""
 
     NONE = "none"
     """The robot does not need to reach any object."""
@@ -49,7 +49,7 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class Predicate:
-    """Declaration of a predicate and the rule that evaluates it.
+    """The declaration of a predicate, and the rule that evaluates it.
 
     Attributes:
         name: Name of the predicate in expressions.
@@ -68,7 +68,7 @@ class Predicate:
         robot_first: Aliases whose arguments list the robot before the object.
         before_motion: Value before any robot has moved, or None if it depends on the scene.
         contact: True if the predicate can hold only when its two objects, or its object and the robot, touch or
-            overlap. Rollouts then skip the rule while they are far apart.
+            overlap. Rollouts then skip the rule while the two are far apart.
     """
 
     name: str

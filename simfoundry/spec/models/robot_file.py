@@ -49,7 +49,7 @@ class FollowSpec(Model):
 
 
 class GripperSpec(Model):
-    """Commands and joint travel of a gripper."""
+    """The commands and joint travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Actuator commands; default: the joint positions.")
     joints: dict[JointName, Travel] = Field(

@@ -29,7 +29,7 @@ Cells = Annotated[int, Field(ge=1, le=100)]
 
 
 class Start(Model):
-    """Differences between the initial state and the scene."""
+    """The differences between the initial state and the scene."""
 
     place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
     pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")

@@ -159,7 +159,7 @@ def field_order(model: type[Model]) -> list[str]:
 
 
 class KeyOrder:
-    """Canonical order of the keys at a path in a document and below it."""
+    """The canonical order of the keys at a path in a document and below it."""
 
     def __init__(self, *types_: Any) -> None:
         kinds = [kind for type_ in types_ for _, kind in flat(type_)]

@@ -75,7 +75,7 @@ class _Pending:
 
 
 class _Reader:
-    """A reader of the parser events of a text that assigns the comments between them.
+    """A reader of parser events that assigns the comments between the events to values.
 
     A comment on its own line belongs to the next value, or to the end of the mapping or list that ends next if it is
     indented deeper than the parent of that collection. A comment after a value on the same line belongs to that value.

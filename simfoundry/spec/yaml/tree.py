@@ -18,7 +18,14 @@ KIND = "simfoundry"
 
 @dataclass(frozen=True, slots=True)
 class YamlTree:
-    """A value with the comments around it. Each comment is the text from ``#`` to the end of the line."""
+    """A value with the comments around it. Each comment is the text from ``#`` to the end of the line.
+
+    Attributes:
+        value: A scalar, a mapping of trees, or a tuple of trees.
+        above: Comments before the value's key, or at the top of the document.
+        beside: Comment at the end of the value's line.
+        end: Comments after the last entry of a mapping or list, or at the end of the document.
+    """
 
     value: Any
     above: tuple[str, ...] = ()
@@ -53,7 +60,12 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Return a tree of the plain ``data``, with the comments from ``tree``. Keys are in the order of ``data``."""
+    """Return a tree of the plain ``data``, with the comments from ``tree``. Keys are in the order of ``data``.
+
+    Comments of removed values are dropped. A mapping entry keeps its comments if its key still exists, even if its
+    value changes. A list item keeps its comments if an equal item exists, or if it was changed but has the same
+    neighbors.
+    """
     old = tree.value
     if isinstance(data, dict) and isinstance(old, dict):
         return replace(tree, value={k: with_data(old[k], v) if k in old else plain_tree(v) for k, v in data.items()})

@@ -142,7 +142,7 @@ def _edited_one(part: StageMember) -> Edited:
 
 
 def edited_robot(part: StageMember) -> Edited:
-    """Return the data of an edited robot; only its base can be moved."""
+    """Return the data of an edited robot, of which only the base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -280,7 +280,7 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _resized(part: StageMember, relative: str) -> Array:
-    """Return the scale factors of a primitive along its axes, shape (3,)."""
+    """Return the scale factors of a primitive along its three axes."""
     built, now = part.built[relative], part.now[relative]
     factors = transform(part.now, relative)[7:] / transform(part.built, relative)[7:]
     for name, axes in (("size", (0, 1, 2)), ("radius", (0, 1)), ("height", (2,))):
@@ -363,7 +363,7 @@ _EVEN = 1e-6
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """Scale an object along its axes by ``factors``, shape (3,).
+    """Scale an object by one factor along each of its axes.
 
     Returns:
         The changed keys, and the reason why the result cannot be expressed. The reason is an empty string if the result

@@ -176,7 +176,7 @@ def _compiled(written: Data, members: Mapping[tuple[str, str], StageMember]) -> 
 
 
 def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
-    """Return ``written`` with the data of its members filled in; members that are not in ``found`` remain None."""
+    """Return ``written`` with the data of its members filled in. Members that are not in ``found`` remain None."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict):
@@ -185,7 +185,10 @@ def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
 
 
 def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dict[str, StageMember]) -> Data:
-    """Return the document without deleted members; edited members keep their original order, followed by the copies."""
+    """Return the document without deleted members.
+
+    Edited members keep their original order and are followed by the copies.
+    """
     out = _filled(written, {key: each.data for key, each in edited.items()})
     for section, members in out.items():
         if isinstance(members, dict):

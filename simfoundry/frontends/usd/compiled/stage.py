@@ -207,7 +207,11 @@ def _in_variant(spec: Any) -> bool:
 
 
 def transform(values: Values, path: str) -> Array:
-    """Return the position, quaternion (w first) and scale of a prim relative to its parent, shape (10,)."""
+    """Return the transform of a prim relative to its parent.
+
+    Returns:
+        The position, the quaternion (w first) and the scale in one array, shape (10,).
+    """
     return np.array(values.get(path, {}).get("at") or _IDENTITY, dtype=np.float64)
 
 

@@ -174,7 +174,7 @@ _SCALES = ((0.9995, 1.0, "m", 3), (0.00995, 100.0, "cm", 1), (5e-5, 1000.0, "mm"
 
 @dataclass(frozen=True)
 class PoseChange:
-    """Motion between two poses in the same parent frame.
+    """The motion between two poses in the same parent frame.
 
     Attributes:
         shift: The translation [m].
