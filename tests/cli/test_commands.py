@@ -140,7 +140,8 @@ def test_settle_says_how_to_keep_where_things_came_to_rest(scene: Path) -> None:
     assert "keep" not in run("settle", kept).out
 
 
-def test_what_is_not_finite_is_null_in_json(scene: Path) -> None:
+def test_what_is_not_finite_is_null_in_json(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(scene.parent)  # MuJoCo logs its warnings in the working folder
     scene.write_text(SCENE + "gravity: [0, 0, -1e308]\n")
     done = run("settle", scene, "--json")
     assert "Infinity" not in done.out and "NaN" not in done.out
