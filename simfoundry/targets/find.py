@@ -1,6 +1,6 @@
 """Lookup of targets by name or path.
 
-This includes plain backends, built-in targets, and targets from packages and users.
+The targets are plain backends, built-in targets, and targets from packages and users.
 """
 
 from __future__ import annotations
