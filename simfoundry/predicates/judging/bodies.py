@@ -1,7 +1,4 @@
-"""Collision bodies for predicates, with the preprocessed colliders of each link.
-
-They can be looked up by argument name.
-"""
+"""Collision bodies for predicates, which contain the preprocessed colliders of each link and are looked up by name."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class Terms:
         self.terms.append(Term(value, margins, explain))
 
     def require_at_rest(self, a: Entity) -> None:
-        """Require that the object of ``a`` does not move faster than :data:`SETTLED`."""
+        """Require that the object to which ``a`` belongs does not move faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
         self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
 

@@ -1,4 +1,4 @@
-"""Compiled stages: access to the document, its members, and the current values of their prims."""
+"""Access to the document of a compiled stage, its members, and the current values of their prims."""
 
 from __future__ import annotations
 
