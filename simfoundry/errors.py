@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import copyreg
+from typing import Any
 
-class SimfoundryError(Exception):
+
+class PicklableError(Exception):
+    """An error that can be pickled even if its constructor takes more than a message."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
+
+
+class SimfoundryError(PicklableError):
     """An operation could not be completed; the message explains why and what to do about it."""
 
 

@@ -13,7 +13,7 @@ from simfoundry.targets.build import report
 
 @dataclass(frozen=True)
 class Build:
-    """Compiled targets on disk: one folder per target (``folder/<target>``), and ``folder/loss.json``."""
+    """The compiled targets on disk, with one folder per target (``folder/<target>``), and ``folder/loss.json``."""
 
     folder: Path
     scene: Scene
@@ -26,5 +26,5 @@ class Build:
 
     @property
     def losses(self) -> dict[str, Any]:
-        """The losses in each target, by target name; this is the content of ``loss.json``."""
+        """The losses in each target, by target name. This is the content of ``loss.json``."""
         return report(self.scene, list(self.artifacts))

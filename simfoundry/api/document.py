@@ -2,46 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, to_plain
-from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.change.diff.changes import Rename, copied, renamed
-from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.api.entries import DataPath, DocumentEntry, FixedField, UnknownNameError, to_plain
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.changes import Rename, renamed, same
+from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.types import field_type, file_patterns, models_at
+from simfoundry.spec.load import compose, load, load_kind
+from simfoundry.spec.models.base import Conflict, DocumentSpec, Model
+from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
+from simfoundry.spec.models.types import field_adapter, field_type, file_patterns, models_at
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
 class EditableDocument(DocumentEntry):
     """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text. Findings refer to lines in
     that text, and the comments and layout around each edit are preserved.
     """
 
     _model: ClassVar[type[DocumentSpec]]
     _kind: ClassVar[str]
 
+    simfoundry = FixedField[str]()
+    extends = FixedField[str | None]()
+    conflicts = FixedField[Mapping[str, Conflict]]()
+
     def __init__(self, loaded: Loaded) -> None:
         assert isinstance(loaded.spec, self._model)
         super().__init__(self, ())
-        self._file = loaded.path
-        text = loaded.document.text if loaded.document is not None else ""
-        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
-        self._before: dict[str, Any] = to_data(loaded.spec)
-        self._data: dict[str, Any] = copied(self._before)
-        self._loaded = loaded
+        self._set_loaded(loaded)
         self._imported_from: Path | None = None
         self._mesh_folder: Path | None = None
+        self._original = self  # a copy of an imported document uses files that exist as long as the original
+
+    def __copy__(self) -> Self:
+        """Return an independent document with the same edits."""
+        copied = object.__new__(type(self))
+        vars(copied).update(vars(self), _document=copied)
+        return copied
+
+    def __deepcopy__(self, _memo: object) -> Self:
+        return copy(self)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -60,14 +73,11 @@ class EditableDocument(DocumentEntry):
     @property
     def text(self) -> str:
         """The text of the document with all edits applied."""
-        if self._data == self._before:
+        if same(self._data, self._before):
             return self._source
-        from simfoundry.spec.yaml.text import parse, read
+        from simfoundry.spec.yaml.text import parse
 
-        base: Any = ABSENT
-        if self._loaded.bases:
-            base = (load(self._loaded.bases[0]).document or read(self._loaded.bases[0])).data
-        own = own_data(parse(self._source).data, self._before, self._data, base)
+        own = own_data(parse(self._source).data, self._before, self._data, self._base)
         return edit_text(self._source, own, self._model)
 
     @property
@@ -78,7 +88,7 @@ class EditableDocument(DocumentEntry):
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
+        """Check the edited document and return all findings. If ``lints`` is False, only its structure is checked."""
         from simfoundry.lint.lints import lint
 
         loaded = self._load()
@@ -94,57 +104,78 @@ class EditableDocument(DocumentEntry):
             The path of the file that was written.
 
         Raises:
-            SpecError: If the edited document has errors; nothing is written in this case.
+            SpecError: If the edited document has errors. In this case, nothing is written.
+            OutputError: If the mesh folder of an imported document would replace files that SimFoundry did not write.
         """
-        from simfoundry.runtime.files import write_atomically
+        from simfoundry.runtime.files import write_in_place
 
         target = Path(path) if path is not None else self.path
         if path is None and self._imported_from is not None:
             raise SimfoundryError(
                 f"this document was imported from {self._imported_from}; save it elsewhere: `save('a.scene.yaml')`"
             )
-        if not target.name.endswith(".yaml"):
+        if target.suffix.lower() not in (".yaml", ".yml"):
             raise SimfoundryError(f"{target} is not a YAML file; specify one, such as `save('desk.scene.yaml')`")
-        if target.resolve().parent != self.path.resolve().parent and any(self._files()):
-            self._take_files(target)
         text = self.text
-        loaded = load(target, text=text)
-        if loaded.errors:
-            raise SpecError(loaded.errors)
-        write_atomically(target, text.encode())
-        self._file, self._source, self._before = target, text, copied(self._data)
+        with self._copied_files(target):
+            loaded = load(target, text=text)
+            if loaded.errors:
+                raise SpecError(loaded.errors)
+            write_in_place(target, text.encode())
+        self._set_loaded(loaded)
         self._imported_from = None
-        self._loaded = loaded
         return target
 
     def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
         """Record the source file of an imported document and the mesh folder to copy when the document is saved."""
         self._imported_from, self._mesh_folder = source, mesh_folder
 
-    def _take_files(self, target: Path) -> None:
-        """Copy the mesh folder of an imported document to the folder in which the document is saved."""
-        import shutil
+    @contextmanager
+    def _copied_files(self, target: Path) -> Iterator[None]:
+        """Copy the mesh folder of an imported document to the folder of ``target``. Undo this if the block fails."""
+        from simfoundry.runtime.files import copied_folder
 
-        folder = self._mesh_folder
-        if folder is None:
+        moved = target.parent.resolve() != self.path.parent.resolve() and any(self._files())
+        if moved and self._mesh_folder is None:
             raise SimfoundryError(
-                f"{target} cannot be written: the document refers to files relative to {self.path.resolve().parent}; "
+                f"{target} cannot be written: the document refers to files relative to {self.path.parent.resolve()}; "
                 "save it in that folder"
             )
-        if (target.parent / folder.name).exists():
-            raise OutputError(f"{target.parent / folder.name} already exists; save to a different folder")
-        shutil.copytree(folder, target.parent / folder.name)
+        source = self._mesh_folder
+        if not moved or source is None or not source.is_dir():
+            yield
+            return
+        with copied_folder(source, target.parent / source.name, f"{target.stem}.files.json"):
+            yield
 
     def __repr__(self) -> str:
         edited = ", edited" if self._data != self._before else ""
         return f"<{type(self).__name__} {self._data.get('name')} of {self.path}{edited}>"
 
+    def _set_loaded(self, loaded: Loaded) -> None:
+        """Make a loaded document the current state, without edits."""
+        from simfoundry.spec.yaml.text import read
+
+        assert loaded.spec is not None and loaded.document is not None
+        text = loaded.document.text
+        self._file, self._loaded = loaded.path, loaded
+        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
+        # All values that the text states, including defaults, joined with the documents that it extends.
+        self._before: dict[str, Any] = loaded.document.data if text else to_data(loaded.spec)
+        self._data = self._before  # edits replace the mappings that contain them and leave others as they are
+        bases = loaded.bases[:1]
+        self._base = compose(read(bases[0]), self._kind, loaded.root)[0].data if bases else ABSENT
+
     def _load(self) -> Loaded:
         """Return the edited document, including any findings."""
-        return self._loaded if self._data == self._before else load(self.path, text=self.text)
+        return self._loaded if same(self._data, self._before) else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document, or raise :class:`SpecError` if it has errors."""
+        """Return the edited document.
+
+        Raises:
+            SpecError: If the document has errors.
+        """
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -158,36 +189,85 @@ class EditableDocument(DocumentEntry):
     # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
-        """Return the plain value at a path, or :data:`ABSENT`."""
+        """Return the plain value at a path, or :data:`ABSENT` if a field is not set.
+
+        Raises:
+            UnknownNameError: If a member of a section does not exist.
+        """
         value: Any = self._data
-        for part in path:
-            value = value.get(part, ABSENT) if isinstance(value, dict) else ABSENT
+        for k, part in enumerate(path):
+            members = value if isinstance(value, dict) else {}
+            value = members.get(part, ABSENT)
+            if value is ABSENT and _is_member(self._model, path[: k + 1]):
+                kind = path[k - 1].removesuffix("s")
+                raise UnknownNameError(f"{self.path} has no {kind} `{part}`; {nearest(str(part), members)}")
         return value
 
-    def _set(self, path: DataPath, value: Any) -> None:
-        """Set the value at a path, or raise :class:`SpecError` if the value is invalid."""
-        before, plain = copied(self._data), to_plain(value)
-        place = self._data
-        for part in path[:-1]:
-            place = place.setdefault(part, {})
-        place[path[-1]] = plain
-        try:
-            _validate(self._model, path, plain)
-        except ValidationError:
-            findings = [d for d in self._load().findings if d.severity is Severity.ERROR]
-            self._data = before
-            raise SpecError(findings) from None
+    def _edit(self, edits: Mapping[DataPath, Any]) -> None:
+        """Set the values at the given paths, where :data:`ABSENT` removes a value.
 
-    def _delete(self, path: DataPath) -> None:
-        """Remove the value at a path, and all parent mappings that become empty as a result."""
-        place = self._get(path[:-1])
-        del place[path[-1]]
-        if not place and len(path) > 1:
-            self._delete(path[:-1])
+        If an error is raised, nothing is changed.
+
+        Raises:
+            SpecError: If a value is invalid.
+            UnknownNameError: If a path contains a member that does not exist, for example because it was renamed.
+        """
+        data = self._data
+        given = {path: ABSENT if value is ABSENT else to_plain(value) for path, value in edits.items()}
+        for path, value in given.items():
+            before = self._get(path if value is ABSENT else path[:-1])
+            if value is not ABSENT or before is not ABSENT:
+                data = _replaced(self._model, data, path, value)
+        with self._replacing(data, given):
+            for path, value in given.items():
+                if value is not ABSENT:
+                    _judge(self._model, path, value)
 
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
-        self._data = renamed(self._data, [Rename(section, old, new)])
+        (sections,) = (field_type(owner, section[-1]) for owner in models_at(self._model, section[:-1]))
+        with self._replacing(renamed(self._data, [Rename(section, old, new)]), [(*section, new)]):
+            TypeAdapter(get_args(sections)[0]).validate_python(new, strict=True)
+
+    @contextmanager
+    def _replacing(self, data: dict[str, Any], paths: Iterable[DataPath]) -> Iterator[None]:
+        """Replace the data of the document after the body of the ``with`` statement has validated it.
+
+        Raises:
+            SpecError: If the data is invalid. The exception contains the findings at or below ``paths``.
+        """
+        try:
+            yield
+        except (ValidationError, ExpressionError) as error:
+            edited = copy(self)
+            edited._data = data
+            starts = tuple(f"{'.'.join(path)}." for path in paths)
+            errors = (d for d in edited._load().findings if d.severity is Severity.ERROR)
+            findings = [d for d in errors if f"{d.path}.".startswith(starts)]
+            code = "SF202" if isinstance(error, ExpressionError) else "SF103"
+            # Some values of other types have the same text as valid values, which therefore has no error for them.
+            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+            raise SpecError(findings or [Diagnostic(code, Severity.ERROR, reason, str(self.path))]) from None
+        self._data = data
+
+
+def _is_member(model: type[Model], path: DataPath) -> bool:
+    """Return True if a path ends with the name of a member, such as an object, and False if it ends with a field."""
+    return not any(path[-1] in owner.model_fields for owner in models_at(model, path[:-1]))
+
+
+def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
+    """Return a copy of ``data`` with a new value at a path. The original data is not modified.
+
+    If the value is :data:`ABSENT`, the key is removed, and so are fields and sections that become empty as a result.
+    Named members, such as objects, are kept even if they become empty.
+    """
+    part, new = path[depth - 1], value
+    if depth < len(path):
+        new = _replaced(model, data.get(part, {}), path, value, depth + 1)
+    if new is ABSENT or (value is ABSENT and not new and not _is_member(model, path[:depth])):
+        return {key: item for key, item in data.items() if key != part}
+    return {**data, part: new}
 
 
 def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
@@ -199,13 +279,25 @@ def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:
             yield from _values(data.get(key), pattern[1:])
 
 
-def _validate(model: type[Model], path: DataPath, value: Any) -> None:
-    """Validate a value against the type of the field or section member at a path."""
+def _judge(model: type[Model], path: DataPath, value: Any) -> None:
+    """Check all properties of the value at a path that do not depend on other values.
+
+    Raises:
+        ValidationError: If the value or a name in it has the wrong type.
+        ExpressionError: If a predicate in the value is invalid.
+    """
     for owner in models_at(model, path[:-1]):
-        if path[-1] in owner.model_fields and issubclass(owner, Model):
-            TypeAdapter(field_type(owner, path[-1])).validate_python(value, strict=True)
+        if path[-1] in owner.model_fields:
+            field_adapter(owner, path[-1]).validate_python(value, strict=True)
+            for text in _predicates(path[-1], value):
+                parse_call(text)
             return
-    for kind in models_at(model, path):
-        kind.model_validate(value)
-        return
-    raise UnknownNameError(f"`{'.'.join(path)}` is not a path in this document")
+    _judge(model, path[:-1], {path[-1]: value})  # a member is checked together with its name
+
+
+def _predicates(key: str, value: Any) -> Iterator[str]:
+    """Yield the predicates in the value of a key."""
+    if key in ("relations", "goal"):
+        yield from (text for text, _ in texts({"all": value} if key == "relations" else value))
+    for name, item in value.items() if isinstance(value, dict) else ():
+        yield from _predicates(name, item)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, MutableSequence, Sequence
+from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
-
-from pydantic import TypeAdapter
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, NoReturn, Self, TypeVar, overload
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.types import field_type
+from simfoundry.spec.models.types import field_adapter
+from simfoundry.spec.yaml.spelling import LARGE
 from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
@@ -27,14 +27,14 @@ DataPath = tuple[str, ...]
 
 
 class UnknownNameError(SimfoundryError, KeyError):
-    """Raised if a name does not exist in a document; the message suggests similar names."""
+    """Raised if a name does not exist in a document. The message suggests similar names."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class DocumentEntry:
-    """A view of one entry in a document, such as an object or a material; all values are stored in the document."""
+    """A view of one entry in a document, such as an object or a material. All values are stored in the document."""
 
     _model: ClassVar[type[Model]]
     _document: EditableDocument
@@ -45,37 +45,51 @@ class DocumentEntry:
         object.__setattr__(self, "_at", path)
 
     def to_data(self) -> dict[str, Any]:
-        """Return the values that are set in the entry as plain data, without defaults."""
+        """Return the values that the document states for the entry as plain data."""
         found = self._document._get(self._at)
         return copied(found) if isinstance(found, dict) else {}
 
     def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
-        """Set several fields at once; a value of None removes the field.
+        """Set several fields at once. A value of None removes the field.
 
-        This is useful if one field replaces another: ``update(pose=None, place=...)``.
+        This is useful if one field replaces another: ``update(pose=None, place=...)``. If an error is raised, no field
+        is changed.
+
+        Raises:
+            SpecError: If a value is invalid.
+            UnknownNameError: If a field does not exist, or if the entry was removed or renamed.
         """
-        for name, value in {**values, **more}.items():
+        fields = {**values, **more}
+        for name in fields:
             self._check_field(name)
-            if value is not None:
-                self._document._set((*self._at, name), value)
-            elif self._document._get((*self._at, name)) is not ABSENT:
-                self._document._delete((*self._at, name))
+        self._document._edit({(*self._at, n): ABSENT if value is None else value for n, value in fields.items()})
 
     def __repr__(self) -> str:
-        return f"<{'.'.join(self._at)} {self.to_data()}>"
+        try:
+            return f"<{'.'.join(self._at)} {self.to_data()}>"
+        except UnknownNameError:
+            return f"<{'.'.join(self._at)}, which was removed or renamed>"
 
-    def _check_field(self, name: str) -> None:
-        if name not in self._model.model_fields:
-            raise UnknownNameError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
+    def _check_field(self, name: str, error: type[Exception] = UnknownNameError) -> None:
+        """Check that there is a field called ``name`` that can be edited, and raise an error otherwise."""
+        fields = {n: getattr(type(self), n, None) for n in self._model.model_fields}
+        if isinstance(fields.get(name), FixedField):
+            raise error(f"`{name}` cannot be changed in Python; edit it in {self._document.path}")
+        if name not in fields:
+            title = f"`{'.'.join(self._at)}`" if self._at else self._document.path
+            names = (n for n, field in fields.items() if not isinstance(field, FixedField))
+            raise error(f"{title} has no field `{name}`; {nearest(str(name), names)}")
 
     if not TYPE_CHECKING:  # type checkers see the declared fields instead
 
         def __getattr__(self, name: str) -> object:
-            raise AttributeError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
+            if not name.startswith("_"):  # copying and pickling look for such names before `_at` exists
+                self._check_field(name, AttributeError)
+            raise AttributeError(name)
 
         def __setattr__(self, name: str, value: object) -> None:
-            if not name.startswith("_") and name not in self._model.model_fields:
-                self.__getattr__(name)
+            if not name.startswith("_"):
+                self._check_field(name, AttributeError)
             super().__setattr__(name, value)
 
 
@@ -86,7 +100,11 @@ class _Field(Generic[Given]):
         self.name = name
 
     def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Set the value; None removes it. Raises :class:`SpecError` if the value is invalid."""
+        """Set the value, or remove it if it is None.
+
+        Raises:
+            SpecError: If the value is invalid.
+        """
         entry.update({self.name: value})
 
     def __delete__(self, entry: DocumentEntry) -> None:
@@ -114,10 +132,39 @@ class ValueField(_Field[Given], Generic[Got, Given]):
         value = entry._document._get((*entry._at, self.name))
         info = entry._model.model_fields[self.name]
         if value is ABSENT:
-            default: Any = None if info.is_required() else info.default
-            return default  # type: ignore[no-any-return]
-        typed: Got = TypeAdapter(field_type(entry._model, self.name)).validate_python(value, strict=True)
-        return typed
+            value = None if info.is_required() else info.default
+        else:
+            value = field_adapter(entry._model, self.name).validate_python(value, strict=True)
+        return _read_only(value)  # type: ignore[no-any-return]
+
+
+class FixedField(ValueField[Got, Never]):
+    """A field that can be read but not edited. Changing it would change the meaning of the rest of the document."""
+
+
+class ReadOnlyDict(dict[str, Any]):
+    """A read-only mapping in a value that was read from a document. Edits to it would not change the document."""
+
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
+        raise TypeError("this mapping is read-only; assign a new value to its field: `x.y = {**x.y, name: value}`")
+
+    __setitem__ = __delitem__ = __ior__ = update = pop = popitem = clear = setdefault = _refuse
+
+    def __reduce__(self) -> tuple[type[ReadOnlyDict], tuple[dict[str, Any]]]:
+        return type(self), (dict(self),)
+
+
+def _read_only(value: Any) -> Any:
+    """Return a copy of a typed value in which no mapping can be edited."""
+    match value:
+        case dict():
+            return ReadOnlyDict({key: _read_only(item) for key, item in value.items()})
+        case tuple():
+            return tuple(map(_read_only, value))
+        case Model():
+            value = value.model_copy()
+            vars(value).update({name: _read_only(item) for name, item in vars(value).items()})
+    return value
 
 
 E = TypeVar("E", bound=DocumentEntry)
@@ -125,7 +172,7 @@ View = TypeVar("View")
 
 
 class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[View]):
-    """A field with parts, such as a pose or a section; edit its parts individually, or assign a mapping."""
+    """A field with parts, such as a pose or a section. Edit its parts individually, or assign a mapping."""
 
     def __init__(self, view: Callable[[EditableDocument, DataPath], View]) -> None:
         self.view = view
@@ -140,7 +187,7 @@ class EntryField(_Field[View | Model | Mapping[str, object] | None], Generic[Vie
 
 
 def section(kind: type[E]) -> EntryField[EntryMapping[E]]:
-    """Declare a section of a document, such as its objects by name."""
+    """Declare a section of a document, such as the objects of a scene by name."""
     return EntryField(lambda document, path: EntryMapping(document, path, kind))
 
 
@@ -151,15 +198,14 @@ class EntryMapping(MutableMapping[str, E]):
         self._document, self._at, self._kind = document, path, kind
 
     def __getitem__(self, name: str) -> E:
-        self._require(name)
+        self._document._get((*self._at, name))
         return self._kind(self._document, (*self._at, name))
 
     def __setitem__(self, name: str, value: E | Model | Mapping[str, object]) -> None:
-        self._document._set((*self._at, name), to_plain(value))
+        self._document._edit({(*self._at, str(name)): value})
 
     def __delitem__(self, name: str) -> None:
-        self._require(name)
-        self._document._delete((*self._at, name))
+        self._document._edit({(*self._at, name): ABSENT})
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names())
@@ -175,14 +221,33 @@ class EntryMapping(MutableMapping[str, E]):
 
         Example: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``.
         """
-        self._require_new(name)
+        self._require_new(name := str(name))
         self[name] = fields
         return self[name]
 
+    def pop(self, name: str, /, *default: Any) -> E | Any:
+        """Remove a member and return its entry, which belongs to a copy of the document."""
+        before = EntryMapping(copy(self._document), self._at, self._kind)
+        super().pop(name, *default)
+        return before.get(name, *default)
+
+    def popitem(self) -> tuple[str, E]:
+        """Remove the first member and return its name and its entry. The entry belongs to a copy of the document."""
+        name = next(iter(self), "")
+        return name, self.pop(name)
+
+    def update(self, members: Any = (), /, **more: Any) -> None:
+        """Set several members at once. If an error is raised, no member is changed."""
+        self._document._edit({(*self._at, str(name)): value for name, value in {**dict(members), **more}.items()})
+
+    def clear(self) -> None:
+        """Remove all members."""
+        self._document._edit({self._at: ABSENT})
+
     def rename(self, old: str, new: str) -> E:
         """Rename a member and update all references to it, for example in relations and placements."""
-        self._require(old)
-        self._require_new(new)
+        self._document._get((*self._at, old))
+        self._require_new(new := str(new))
         self._document._rename(self._at, old, new)
         return self[new]
 
@@ -190,18 +255,11 @@ class EntryMapping(MutableMapping[str, E]):
         found = self._document._get(self._at)
         return dict(found) if isinstance(found, dict) else {}
 
-    @property
-    def _noun(self) -> str:
-        return self._at[-1].removesuffix("s")
-
     def _require_new(self, name: str) -> None:
         if name in self._names():
-            article = "an" if self._noun[0] in "aeiou" else "a"
-            raise SimfoundryError(f"{article} {self._noun} named `{name}` already exists; choose a different name")
-
-    def _require(self, name: str) -> None:
-        if name not in (names := self._names()):
-            raise UnknownNameError(f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, names)}")
+            noun = self._at[-1].removesuffix("s")
+            article = "an" if noun[0] in "aeiou" else "a"
+            raise SimfoundryError(f"{article} {noun} named `{name}` already exists; choose a different name")
 
 
 class ExpressionList(MutableSequence[str]):
@@ -249,23 +307,25 @@ class ExpressionList(MutableSequence[str]):
         return list(found) if isinstance(found, tuple) else []
 
     def _write(self, texts: Iterable[str]) -> None:
-        given = tuple(texts)
-        if given:
-            self._document._set(self._at, given)
-        elif self._texts():
-            self._document._delete(self._at)
+        self._document._edit({self._at: tuple(texts) or ABSENT})
 
 
 def to_plain(value: Any) -> Any:
-    """Convert a value to plain data: mappings, tuples and scalars."""
+    """Convert a value to plain data, which consists of mappings, tuples and scalars. Mappings omit values of None."""
     if isinstance(value, Model):
         return to_data(value)
     if hasattr(value, "tolist"):  # numpy arrays and numbers
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+        return {str(key): to_plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, float) and abs(value) < LARGE and value.is_integer():
+        return int(value)  # as in the document's text, so that 77.0 is also accepted for an integer
+    if isinstance(value, str | int | float | None):
+        return value
+    if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
         return tuple(to_plain(item) for item in value)
     if isinstance(value, Path):
         return value.as_posix()
-    return value.to_data() if hasattr(value, "to_data") else value
+    if isinstance(value, DocumentEntry):
+        return value.to_data()
+    raise SimfoundryError(f"{value!r} cannot be written to a document; use numbers, strings, lists and mappings")

@@ -17,11 +17,11 @@ class Evaluation:
     """The results of an evaluation.
 
     Attributes:
-        folder: Output folder, which contains the rollout records, ``results.json`` and a report.
+        folder: Output folder with the rollout records, ``results.json`` and a report.
         records: One record per rollout.
         results: Content of ``results.json``.
         missing: Number of rollouts without a result.
-        troubles: Sentences that describe policy failures.
+        troubles: Messages that describe policy failures.
     """
 
     folder: Path
@@ -32,7 +32,7 @@ class Evaluation:
 
     @property
     def success(self) -> dict[tuple[str, str], float]:
-        """The success rate for each (task, policy) pair; pairs without results are omitted."""
+        """The success rate for each (task, policy) pair. Pairs without results are omitted."""
         from simfoundry.evaluate.statistics.results import cells
 
         return {(cell.title, cell.policy): cell.success.share for cell in cells(self.records) if cell.success.of}
@@ -85,7 +85,10 @@ def evaluate(
 def run_plan(
     plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
 ) -> Evaluation:
-    """Execute a plan; ``progress`` is called with the current score of a policy and the completed fraction."""
+    """Execute a plan.
+
+    ``progress`` is called with the current score of a policy and the fraction of rollouts that are complete.
+    """
     from simfoundry.evaluate.run import pending, run
     from simfoundry.evaluate.statistics.records import read_all
     from simfoundry.evaluate.statistics.results import results

@@ -1,4 +1,4 @@
-"""Scenes that can be loaded or imported, edited in place, checked, compiled, simulated and judged."""
+"""Scenes that can be loaded or imported, and then edited in place, checked, compiled, simulated and judged."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class SceneDocument(EditableDocument):
 
     @relations.setter
     def relations(self, texts: Sequence[str]) -> None:
-        ExpressionList(self, ("relations",))[:] = list(texts)
+        self.update(relations=texts or None)
 
     def lower(self) -> Scene:
         """Lower the document to an immutable scene in which all poses, masses and inertias are resolved.
@@ -209,7 +209,7 @@ class SceneDocument(EditableDocument):
         return self.to_mujoco_spec().compile()
 
     def to_usd(self) -> Usd.Stage:
-        """Return the scene as a USD stage; its temporary files are deleted together with the stage."""
+        """Return the scene as a USD stage. Its temporary files are deleted together with the stage."""
         from pxr import Usd
 
         from simfoundry.backends import compile_scene
@@ -265,7 +265,7 @@ def load(path: str | Path) -> SceneDocument:
 
 
 def is_compiled_stage(path: Path) -> bool:
-    """Return True if a file is a USD stage that was compiled from a document; such a stage contains the document."""
+    """Return True if a file is a USD stage that was compiled from a document. Such a stage contains the document."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
     from simfoundry.frontends.errors import refusing_faults

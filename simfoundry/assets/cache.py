@@ -1,4 +1,4 @@
-"""Content-addressed disk cache for expensive results that depend only on their key.
+"""A content-addressed disk cache for expensive results that depend only on their key.
 
 The cache can be deleted at any time. When the cache exceeds its size limit, the least recently read entries are
 evicted. Entries are written atomically, so any number of processes can share the cache.
@@ -60,7 +60,7 @@ class Cache:
         return data
 
     def put(self, key: str, data: bytes) -> None:
-        """Store ``data`` under ``key`` unless it is too large; write errors are ignored."""
+        """Store ``data`` under ``key`` unless it is too large. Write errors are ignored."""
         path = self._path(key)
         if len(data) > self.most // SHELVES:
             return
@@ -73,7 +73,10 @@ class Cache:
 
 
 def _trim(shelf: Path, most: int) -> None:
-    """Remove leftovers from interrupted writes, then evict the least recently read entries beyond ``most`` bytes."""
+    """Remove leftovers from interrupted writes.
+
+    If more than ``most`` bytes remain, evict the least recently read entries.
+    """
     kept = 0
     with os.scandir(shelf) as entries:
         found = [(entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries]

@@ -77,7 +77,7 @@ def decompose(
 
 @cache
 def settings() -> str:
-    """Return all settings that affect mesh decomposition as a text, for use in cache keys."""
+    """Return all settings that affect mesh decomposition as a string for use in cache keys."""
     from importlib.metadata import version
 
     return f"coacd {version('coacd')} {sorted(SETTINGS.items())!r}"
@@ -127,9 +127,16 @@ SLOW_FACES = 2000
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
-    """Return the convex hull of points [m], shape (n, 3), with at most ``limit`` vertices and outward-facing triangles.
+    """Return the convex hull of n points.
 
-    Raises :class:`MeshError` if the points are coplanar.
+    The hull has at most ``limit`` vertices, and its triangles face outward.
+
+    Args:
+        points: Points [m], shape (n, 3).
+        limit: Maximum number of vertices.
+
+    Raises:
+        MeshError: If the points are coplanar.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -150,7 +157,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
 
 
 def _spread(points: Array, count: int) -> NDArray[np.int64]:
-    """Return the indices of ``count`` points that are far apart, selected greedily from the lowest corner."""
+    """Return the indices of ``count`` points that are far apart, selected greedily starting at the lowest corner."""
     chosen = [int(np.lexsort(points.T)[0])]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:
@@ -161,7 +168,7 @@ def _spread(points: Array, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Colliders:
-    """The collision geometry for a mesh: convex ``parts``, or a single ``primitive``.
+    """The collision geometry for a mesh, which consists of convex ``parts`` or of a single ``primitive``.
 
     ``error`` [m] is the maximum distance between the surfaces of the collision geometry and the mesh.
     """
@@ -184,9 +191,9 @@ def mesh_colliders(
     Args:
         vertices: Vertices of the mesh [m], shape (n, 3).
         faces: Triangles of the mesh, shape (m, 3).
-        how: Method, with the same values as a document's ``collision`` key: ``hull``, ``decompose``, ``auto`` or
+        how: Method, with the same values as the ``collision`` key in a document: ``hull``, ``decompose``, ``auto`` or
             ``none``. With ``auto``, a nearly convex mesh becomes a box, cylinder or sphere if that shape is about as
-            close to the mesh as its hull, or otherwise becomes its hull. All other meshes are decomposed into convex
+            close to the mesh as its hull, and otherwise becomes its hull. All other meshes are decomposed into convex
             parts.
         cache: Cache for the results.
         name: Name of the mesh for messages.
@@ -231,7 +238,7 @@ def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable
 
 
 def _is_solid(vertices: Array) -> bool:
-    """Return True if the points span a volume; slivers would make contacts unstable."""
+    """Return True if the points span a volume that is not a sliver, because slivers would make contacts unstable."""
     centered = np.asarray(vertices) - np.mean(vertices, axis=0)
     return len(vertices) >= 4 and float(np.linalg.svd(centered, compute_uv=False)[2]) > 1e-5
 

@@ -59,7 +59,11 @@ def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, N
 
 
 def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
-    """Return the outward unit normals, shape (n, 3), and plane offsets [m], shape (n,), of a convex part's faces."""
+    """Return the planes of a convex part's faces.
+
+    Returns:
+        The outward unit normals, shape (n, 3), and the plane offsets [m], shape (n,).
+    """
     a, b, c = (corners[sides[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -68,7 +72,7 @@ def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
 
 
 def distances_outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """Return the largest distance [m] from each point to a face plane of the nearest part, shape (n,).
+    """Return the largest distance [m] from each point to a face plane of the nearest part, as an array of shape (n,).
 
     ``planes`` contains the result of :func:`face_planes` for each part. The distance is negative inside a part.
     """
@@ -79,7 +83,10 @@ def distances_outside(points: Array, planes: list[tuple[Array, Array]]) -> Array
 
 
 def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], touching: float) -> Array:
-    """Sample points on the part surfaces, shape (n, 3), omitting points that another part covers or touches."""
+    """Sample points on the surfaces of parts, omitting points that are covered or touched by another part.
+
+    The points are returned as an array of shape (n, 3).
+    """
     found = []
     for k, (corners, sides) in enumerate(parts):
         points, _ = surface_samples(corners, sides, max(200, ON_PARTS // len(parts)))
@@ -90,10 +97,10 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
 
 
 def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
-    """Return the maximum distance [m] from points to triangles, shape (m, 3, 3), given samples on the triangles.
+    """Return the maximum distance [m] from points to triangles, given samples on the triangles.
 
-    The nearest samples provide upper bounds. Exact distances are computed in descending order of these bounds until the
-    next bound does not exceed the maximum found so far.
+    The nearest samples provide upper bounds. Exact distances are computed in descending order of these bounds, until
+    the next bound does not exceed the maximum found so far.
     """
     from scipy.spatial import cKDTree
 
@@ -122,8 +129,8 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
 def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
     """Return the distance [m] from each point to the nearest triangle with which it is paired.
 
-    ``rows`` and ``columns`` list the pairs of point and triangle indices. The distance is infinite for points without
-    any pair.
+    ``rows`` and ``columns`` list the indices of the point and the triangle in each pair. The distance is infinite for
+    points without any pair.
     """
     import trimesh
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from simfoundry.errors import PicklableError
+
 # Maximum number of triangles in a mesh; decomposing more takes many minutes, and no simulator needs them.
 MAX_FACES = 2_000_000
 
@@ -15,8 +17,8 @@ SMALLEST, LARGEST = 0.001, 20.0
 LEAST_VOLUME = 1e-10
 
 
-class MeshError(Exception):
-    """Raised for an unusable mesh, with a diagnostic code, a message, and a hint."""
+class MeshError(PicklableError):
+    """Raised if a mesh is unusable. The error has a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)

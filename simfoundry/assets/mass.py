@@ -25,12 +25,17 @@ class SolidMoments:
     inertia: Array
 
     def moved(self, rotation: Array, translation: Array) -> SolidMoments:
-        """Return the moments after a rotation, shape (3, 3), followed by a translation [m], shape (3,)."""
+        """Return the moments after the solid is rotated and then translated.
+
+        Args:
+            rotation: Rotation matrix, shape (3, 3).
+            translation: Translation [m], shape (3,).
+        """
         return SolidMoments(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
 
 
 def _diagonal(xx: float, yy: float, zz: float) -> Array:
-    """Return a diagonal 3x3 matrix; this is several times faster than ``numpy.diag``."""
+    """Return a diagonal 3x3 matrix. This is several times faster than ``numpy.diag``."""
     return np.array([[xx, 0.0, 0.0], [0.0, yy, 0.0], [0.0, 0.0, zz]])
 
 
@@ -76,8 +81,8 @@ def revolution(profile: Array) -> SolidMoments:
     """Return the moments of the solid obtained by rotating a closed polygon about z.
 
     The polygon consists of (radius, height) pairs [m], shape (n, 2). By the theorem of Pappus and Guldin, the volume is
-    2 pi times the integral of the radius over the polygon; the other moments are similar integrals. Along an edge, the
-    integrands are polynomials of degree 4 or less, so the sum over the edges is exact.
+    2 pi times the integral of the radius over the polygon, and the other moments are similar integrals. Along an edge,
+    the integrands are polynomials of degree 4 or less, so the sum over the edges is exact.
     """
     following = np.roll(profile, -1, axis=0)
     share = (_NODES[:, None] + 1) / 2  # position along each edge, shape (3, 1)

@@ -48,8 +48,10 @@ class MeshPart:
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     """Return the geometries in a mesh file, in meters and with z up.
 
-    glTF files are rotated, because the glTF standard requires y up. Raises :class:`MeshError` if the file has no usable
-    triangles or its size is implausible.
+    glTF files are rotated, because the glTF standard requires y up.
+
+    Raises:
+        MeshError: If the file has no usable triangles or its size is implausible.
     """
     parts = read_parts(path, scale)
     wrong = implausible_size(path.name, extent(parts), scale)
@@ -66,7 +68,7 @@ def extent(parts: tuple[MeshPart, ...]) -> float:
 def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
     """Return the geometries in a mesh file, like :func:`read_mesh`, but do not check that their size is plausible.
 
-    ``scale`` may be non-uniform or negative along the file's axes; in any case, faces point outward.
+    ``scale`` may be non-uniform or negative along the file's axes. In any case, faces point outward.
     """
     import trimesh
 
@@ -140,7 +142,11 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
 
 
 def texture_png(name: str, image: Any) -> bytes:
-    """Encode an image as PNG; raise :class:`MeshError` if the image is too large."""
+    """Encode an image as PNG.
+
+    Raises:
+        MeshError: If the image is too large.
+    """
     width, height = image.size
     if width * height > MAX_PIXELS:
         most = math.isqrt(MAX_PIXELS)
@@ -182,7 +188,10 @@ def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def open_edges(faces: Faces) -> int:
-    """Return the number of directed edges in welded faces that have no opposite edge: 0 for a closed surface."""
+    """Return the number of directed edges in welded faces that have no opposite edge.
+
+    The result is 0 for a closed surface.
+    """
     if not len(faces):
         return 0
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
@@ -210,9 +219,12 @@ GLB_TRIANGLES = 4
 
 
 def check_counts(path: Path) -> None:
-    """Raise :class:`MeshError` if a mesh file has too many bytes, triangles or points.
+    """Check that a mesh file does not have too many bytes, triangles or points.
 
-    Corrupt files pass this check; the mesh reader reports them.
+    Corrupt files pass this check, because the mesh reader reports them.
+
+    Raises:
+        MeshError: If a limit is exceeded.
     """
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -239,7 +251,7 @@ def _obj(path: Path) -> tuple[int, int]:
 
 
 def _lines(path: Path, start: bytes) -> int:
-    """Count the lines that begin with ``start``; lines whose beginning crosses a block boundary are missed."""
+    """Count the lines that begin with ``start``. Lines whose beginning crosses a block boundary are missed."""
     count = 0
     with path.open("rb") as stream:
         while block := stream.read(2**24):
@@ -255,7 +267,7 @@ def _ply(path: Path) -> tuple[int, int]:
 
 
 def _glb(path: Path) -> tuple[int, int]:
-    """Return the total number of triangles and of points; each mesh is counted once per node that uses it."""
+    """Return the total numbers of triangles and points. Each mesh is counted once per node that uses it."""
     try:
         tree = gltf_tree(path, MAX_BYTES)
         counts = [int(accessor["count"]) for accessor in tree["accessors"]]

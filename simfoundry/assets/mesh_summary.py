@@ -45,7 +45,7 @@ class MeshFacts:
         gaps: Number of edges with a face on only one side.
         volume: Volume enclosed by the surface.
         hull_volume: Volume of the convex hull.
-        hull: Corners of the convex hull, at most 64; empty if the mesh is flat.
+        hull: Corners of the convex hull, of which there are at most 64; empty if the mesh is flat.
         hull_faces: Triangles of the convex hull.
         moments: Center of mass, and inertia about the center of mass, at density 1.
         hull_moments: Center of mass and inertia of the convex hull, at density 1.
@@ -100,7 +100,8 @@ class MeshFacts:
 def mesh_facts(path: Path, store: Cache | None = None) -> MeshFacts:
     """Return the measurements of a mesh file, read from the cache ``store`` if possible.
 
-    Raises :class:`MeshError` if the file cannot be read.
+    Raises:
+        MeshError: If the file cannot be read.
     """
     try:
         stat = path.stat()
@@ -133,7 +134,7 @@ def _reader() -> TypeAdapter[MeshFacts]:
 
 
 def file_digest(path: Path) -> str:
-    """Return a digest of a file's content and its suffix, because the suffix determines the reader."""
+    """Return a digest of a file's content and of its suffix, which determines the reader."""
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
     with path.open("rb") as stream:
         while block := stream.read(2**20):
@@ -142,7 +143,11 @@ def file_digest(path: Path) -> str:
 
 
 def measure(path: Path) -> MeshFacts:
-    """Read a mesh file and measure it; raise :class:`MeshError` if it cannot be read."""
+    """Read a mesh file and measure it.
+
+    Raises:
+        MeshError: If the file cannot be read.
+    """
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
     from simfoundry.assets.mesh import extent, merged, open_edges, read_parts, weld

@@ -32,7 +32,7 @@ class Primitive:
     center: Array
 
     def support(self, directions: Array) -> Array:
-        """Return the value of the support function [m] for each of n unit vectors, shape (n,)."""
+        """Return the value of the support function [m] for each of n unit vectors, as an array of shape (n,)."""
         local = directions @ self.rotation
         middle = directions @ self.center
         if self.kind == "box":
@@ -43,7 +43,13 @@ class Primitive:
         return np.asarray(middle + radius * np.hypot(local[:, 0], local[:, 1]) + height / 2 * np.abs(local[:, 2]))
 
     def corners(self, sides: int = 64) -> Array:
-        """Return surface points [m], shape (n, 3), whose convex hull approximates the primitive, exactly for boxes."""
+        """Return surface points whose convex hull approximates the primitive.
+
+        For boxes, the hull is exact.
+
+        Returns:
+            Points [m], shape (n, 3).
+        """
         if self.kind == "box":
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
             local = signs * self.size
@@ -57,7 +63,7 @@ class Primitive:
 
 
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
-    """Return the best-fitting primitive of each kind for the convex hull of points [m], shape (n, 3).
+    """Return the best-fitting primitive of each kind for the convex hull of n points.
 
     Primitives farther than ``within`` [m] from the hull are omitted. The metric is the Hausdorff distance, which, for
     convex bodies, is the maximum difference between their support functions.
@@ -77,7 +83,10 @@ def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
 
 
 def _candidates(corners: Array) -> Iterator[Primitive]:
-    """Yield a sphere, plus a box and three cylinders for each candidate frame, all sized for a mean error of zero."""
+    """Yield a sphere, plus a box and three cylinders for each candidate frame.
+
+    All sizes are chosen for a mean error of zero.
+    """
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     yield Primitive("sphere", (_mean_radius(corners - middle, _directions(200)),), np.eye(3), middle)
     for frame in _frames(corners):
@@ -104,13 +113,13 @@ def _frames(corners: Array) -> list[Array]:
 
 
 def _mean_radius(points: Array, directions: Array) -> float:
-    """Return the mean of the minimum and maximum extent from the origin [m], which minimizes the maximum error."""
+    """Return the mean of the minimum and maximum extents from the origin [m], which minimizes the maximum error."""
     reach = (points @ directions.T).max(axis=0)
     return float(reach.min() + reach.max()) / 2
 
 
 def _directions(count: int) -> Array:
-    """Return unit vectors evenly distributed on a Fibonacci lattice, shape (count, 3)."""
+    """Return unit vectors that are evenly distributed on a Fibonacci lattice, as an array of shape (count, 3)."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + 5**0.5) * k

@@ -37,9 +37,12 @@ MOST_CORNERS = 64
 
 
 def checked_profile(profile: Array) -> Array:
-    """Validate a profile of (radius, height) pairs [m], shape (n, 2), and order it from the top down along the outside.
+    """Validate a profile and order it from the top down along the outside.
 
-    Raises :class:`MeshError` unless the profile starts and ends on the axis, and crosses neither itself nor the axis.
+    The profile consists of (radius, height) pairs [m], shape (n, 2).
+
+    Raises:
+        MeshError: If the profile does not start and end on the axis, or if it crosses itself or the axis.
     """
     from shapely.geometry import Polygon
 
@@ -84,7 +87,7 @@ def lathe_parts(profile: Array) -> list[Array]:
     """Return the corner points of the convex parts that form the solid of revolution for a validated profile.
 
     The profile is cut into bands at the heights of its corners, and neighboring bands are joined as long as they stay
-    nearly convex. A band that reaches the axis becomes one part; all other bands are rings, which are cut into sectors.
+    nearly convex. A band that reaches the axis becomes one part. All other bands are rings, which are cut into sectors.
     """
     return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
 
@@ -145,7 +148,7 @@ def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
 
 
 def _fits(union: Any) -> bool:
-    """Return True if the union is a single nearly convex piece and remains so when rotated about the axis."""
+    """Return True if the union is a single nearly convex piece and remains one when it is rotated about the axis."""
     if union.geom_type != "Polygon" or not _nearly_convex(union):
         return False
     corners = np.array(union.exterior.coords)[:-1]
@@ -165,7 +168,7 @@ def _nearly_convex(polygon: Polygon) -> bool:
 
 
 def _turned(band: Array) -> list[Array]:
-    """Return the corner points [m] of each convex part of a band, shape (k, 3)."""
+    """Return the corner points [m] of each convex part of a band, as arrays of shape (k, 3)."""
     if (band[:, 0] < 1e-9).any() and _convex_of_revolution(band):
         on_axis = int((band[:, 0] < 1e-9).sum())  # rotation does not multiply these corners
         sides = max(LEAST_SIDES, min(MOST_SIDES, (MOST_CORNERS - on_axis) // max(1, len(band) - on_axis)))
@@ -180,15 +183,18 @@ def _swept(band: Array, angles: Array) -> Array:
 
 
 def _rotated(profile: Array, angles: Array) -> Array:
-    """Return the n points of a profile, rotated about the axis by k angles [rad], shape (k n, 3)."""
+    """Return the n points of a profile, rotated about the axis by k angles [rad], as an array of shape (k n, 3)."""
     x, y = np.cos(angles)[:, None] * profile[:, 0], np.sin(angles)[:, None] * profile[:, 0]
     return np.stack([x, y, np.broadcast_to(profile[:, 1], x.shape)], axis=-1).reshape(-1, 3)
 
 
 def checked_outline(outline: Array) -> Array:
-    """Validate an outline [m], shape (n, 2), make it counterclockwise, and remove redundant corners.
+    """Validate an outline, make it counterclockwise, and remove redundant corners.
 
-    Raises :class:`MeshError` if the outline crosses itself or has no area.
+    The outline is an array of points [m] of shape (n, 2).
+
+    Raises:
+        MeshError: If the outline crosses itself or has no area.
     """
     from shapely.geometry import Polygon
 
@@ -231,7 +237,11 @@ def convex_outlines(outline: Array) -> list[Array]:
 
 
 def _triangles(outline: Array) -> Faces:
-    """Triangulate an outline into counterclockwise triangles, shape (n - 2, 3)."""
+    """Triangulate an outline into counterclockwise triangles.
+
+    Returns:
+        Indices of the three corners of each triangle, shape (n - 2, 3).
+    """
     import mapbox_earcut
 
     rings = np.array([len(outline)], dtype=np.uint32)
@@ -244,7 +254,10 @@ def _triangles(outline: Array) -> Faces:
 
 
 def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
-    """Return the union of two counterclockwise polygons that share an edge, from ``start`` to ``end`` in ``a``."""
+    """Return the union of two counterclockwise polygons that share an edge.
+
+    The edge runs from ``start`` to ``end`` in ``a``.
+    """
     i, j = a.index(end), b.index(start)
     around_a = a[i:] + a[:i]  # from the end of the edge to its start
     around_b = b[j:] + b[:j]  # from the start of the edge to its end
@@ -267,5 +280,5 @@ def _without_straights(points: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the z components, shape (n,), of the cross products of 2D vectors, shape (n, 2)."""
+    """Return the z components of the cross products of n pairs of 2D vectors."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -31,7 +31,7 @@ class Gaussians:
 
     Attributes:
         positions: Centers [m], shape (n, 3).
-        scales: Standard deviations along each Gaussian's own axes [m], shape (n, 3).
+        scales: Standard deviations along the axes of each Gaussian [m], shape (n, 3).
         rotations: Unit quaternions (wxyz), shape (n, 4).
         opacities: Opacities in [0, 1], shape (n,).
         harmonics: Spherical harmonics coefficients for red, green and blue in ascending order, shape
@@ -51,7 +51,11 @@ class Gaussians:
 
 
 def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
-    """Read the Gaussians in a PLY file, in meters; raise :class:`MeshError` if the file is not a usable splat."""
+    """Read the Gaussians in a PLY file, in meters.
+
+    Raises:
+        MeshError: If the file is not a usable splat.
+    """
     raw = _vertices(path)
     names = raw.dtype.names or ()
     missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]
@@ -101,7 +105,7 @@ def _columns(raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def _harmonics(path: Path, raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return spherical harmonics coefficients in ascending order, shape (n, k, 3).
+    """Return spherical harmonics coefficients in ascending order, as an array of shape (n, k, 3).
 
     The file contains the first coefficient of each channel, followed by the remaining coefficients channel by channel.
     """

@@ -53,7 +53,7 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
     """Return an error message for each unusable texture in a mesh file.
 
-    A texture is unusable if it is missing, unreadable, or outside the ``root`` folder; in that case, simulators would
+    A texture is unusable if it is missing, unreadable, or outside the ``root`` folder. In that case, simulators would
     show the surface without a texture.
     """
     try:

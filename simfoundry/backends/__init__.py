@@ -1,4 +1,4 @@
-"""Backends, each of which compiles a lowered scene into files of one format.
+"""Backends, each of which compiles a lowered scene to files in one format.
 
 Each backend has its own folder and is registered here.
 """
@@ -23,15 +23,16 @@ BACKENDS: Registry[Backend] = Registry(
 
 
 def features_of(name: str) -> Cells:
-    """Return the fidelity of each feature in the ``name`` backend."""
+    """Return the fidelity with which the ``name`` backend preserves each feature."""
     return {**BACKENDS.load(name).features, "collision_shape": SIMPLIFIED_COLLIDERS}
 
 
 def compile_scene(scene: Scene, target: str, options: Mapping[str, float | bool | str] | None = None) -> Artifact:
     """Compile ``scene`` with the ``target`` backend.
 
-    Raises :class:`~simfoundry.runtime.plugins.UnknownExtensionError` for an unknown backend and
-    :class:`InvalidSceneError` if the scene uses a feature that the backend rejects.
+    Raises:
+        UnknownExtensionError: If there is no backend with this name.
+        InvalidSceneError: If the scene uses a feature that the backend rejects.
     """
     backend = BACKENDS.load(target)
     for name, cell in backend.features.items():

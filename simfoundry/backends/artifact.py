@@ -37,14 +37,20 @@ class Artifact:
         return json_text({"target": self.target, "entry": self.entry, "files": hashes})
 
     def write(self, folder: Path) -> None:
-        """Write all files to ``folder``, replacing it atomically; an interrupted write leaves the old folder intact."""
+        """Write all files to ``folder``, replacing the folder atomically.
+
+        An interrupted write leaves the old folder intact.
+        """
         with staged(folder) as staging:
             for path, data in {**self.files, "manifest.json": self.manifest}.items():
                 write_file(staging / path, data)
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Format data as a JSON file with one line per key, in both the top-level mapping and its direct children."""
+    """Format data as a JSON file with one line per key.
+
+    This applies to the keys of the top-level mapping and of its direct children.
+    """
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
@@ -82,12 +88,12 @@ def number(value: float) -> str:
 
 @lru_cache(maxsize=16384)
 def rounded(value: float) -> float:
-    """Round a number to the value written by :func:`number`, because the last bits of a double differ between CPUs."""
+    """Round a number to the value that :func:`number` writes, because the last bits of a double differ between CPUs."""
     return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:
-    """Format values with :func:`number`, separated by spaces; arrays are flattened in row-major order."""
+    """Format values with :func:`number`, separated by spaces, flattening arrays in row-major order."""
     return " ".join(map(number, values.ravel().tolist() if isinstance(values, np.ndarray) else values))
 
 
@@ -100,7 +106,7 @@ def rounded_list(values: Array) -> list[float]:
 class Backend:
     """A compiler for one format.
 
-    ``compile(scene, **options)`` returns an :class:`Artifact`; its keyword parameters are the options that a target
+    ``compile(scene, **options)`` returns an :class:`Artifact`. Its keyword parameters are the options that a target
     profile can set. ``features`` maps each feature to its fidelity, except for ``collision_shape``, which is the same
     in all backends.
     """

@@ -1,7 +1,8 @@
 """Scene features, which form the rows of the support matrix, and their losses, which form the loss report.
 
 Each backend has a :data:`Cells` table that lists the fidelity of each feature. Compiling a scene returns its losses as
-typed records that are consistent with this table. ``loss.json`` and all reports are generated from these records.
+typed records that are consistent with this table. The file ``loss.json`` and all reports are generated from these
+records.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class SupportCell:
-    """The fidelity of a feature in a target (None if exact), with a ``reason`` or a remark."""
+    """The fidelity of a feature in a target, which is None if the feature is exact, with a ``reason`` or a remark."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
@@ -62,7 +63,10 @@ class Feature:
 
 
 def read_cells(folder: Path) -> dict[str, SupportCell]:
-    """Read a backend's ``features.yaml``, which lists exact features, optional remarks, and a reason for each loss."""
+    """Read a backend's ``features.yaml``.
+
+    The file lists the features that are exact, optional remarks, and a reason for each loss.
+    """
     text = (folder / "features.yaml").read_text(encoding="utf-8")
     table = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     cells = dict.fromkeys(table.pop("exact"), SupportCell())
@@ -111,7 +115,7 @@ def _left_out(scene: Scene, section: str) -> list[str]:
 
 
 def _of_robots(label: str, quantity: str = "") -> Feature:
-    """Return a feature that every robot uses; a robot without a model also loses its motors and surfaces."""
+    """Return a feature that every robot uses. A robot without a model also loses its motors and surfaces."""
     return Feature("scene", label, lambda s: [*(r.name for r in s.robots), *_left_out(s, "robots")], quantity)
 
 
@@ -176,7 +180,7 @@ FEATURES: dict[str, Feature] = {
 
 
 class Size(NamedTuple):
-    """The size of an approximation error: a value and its unit (``1`` for ratios and coefficients)."""
+    """The size of an approximation error, consisting of a value and its unit (``1`` for ratios and coefficients)."""
 
     value: float
     unit: str
@@ -209,7 +213,7 @@ class Loss:
 
 
 def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
-    """Return the loss for a feature that is approximated with an error of ``value``, in ``unit``."""
+    """Return the loss for a feature that is approximated with an error of ``value`` in the unit ``unit``."""
     size = None if value is None else Size(float(f"{value:.3g}"), unit)
     return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
 
@@ -220,19 +224,19 @@ def drop(feature: str, element: str, reason: str) -> Loss:
 
 
 def combination_reason(simulator: str, rule: str, a: float, b: float, got: float, wanted: float) -> str:
-    """Return the reason for a loss in a simulator that combines two coefficients differently from the scene."""
+    """Return the reason for a loss in a simulator that combines two coefficients by a different rule than the scene."""
     return f"{simulator} uses {rule} of a pair: {got:.3g} for {a:.3g} and {b:.3g}; the scene specifies {wanted:.3g}."
 
 
 def shared_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses that lowering causes for every target: omitted parts and simplified colliders."""
+    """Yield the losses that lowering causes for every target, such as omitted parts and simplified colliders."""
     for part in scene.left_out:
         yield drop("robots" if part.path.startswith("robots.") else "mounted_cameras", part.path, part.reason)
     for item in scene.objects:
         error = max((link.collision_error for link in item.links), default=0.0)
         if error:
             count = sum(len(link.colliders) for link in item.links)
-            subject = f"Its {count} colliders are" if count > 1 else "Its collider is"
+            subject = f"The {count} colliders are" if count > 1 else "The collider is"
             reason = f"{subject} up to {1000 * error:.2g} mm away from the visual surface."
             yield approximate("collision_shape", item.name, reason, 1000 * error, "mm")
 
@@ -253,9 +257,9 @@ def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
-    """Count the elements that use each feature by whether they are preserved, approximated or lost, omitting zeros.
+    """Count the elements for which each used feature is preserved, approximated or lost, omitting counts of zero.
 
-    An element with several losses is counted under the worst of them.
+    An element with several losses is counted under the most severe of them.
     """
     users = _users(scene)
     worst: dict[str, dict[str, Fidelity]] = {name: {} for name in users}
@@ -270,7 +274,7 @@ def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int
 
 
 def _users(scene: Scene) -> Mapping[str, list[str]]:
-    """Return the elements that use each feature in a scene; the result is cached because every target needs it."""
+    """Return the elements that use each feature in a scene. The result is cached because every target needs it."""
     if scene not in _USERS:
         _USERS[scene] = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
     return _USERS[scene]

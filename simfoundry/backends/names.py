@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from weakref import WeakSet
@@ -13,11 +14,15 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class InvalidSceneError(SimfoundryError, ValueError):
-    """Raised if no backend can write a scene, for example because a name is invalid or not unique."""
+    """Raised if a scene cannot be written by any backend, for example because a name is invalid or not unique."""
 
 
 def check_names(scene: Scene) -> None:
-    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique in its category."""
+    """Check that every name matches ``[a-z][a-z0-9_]*`` and is unique in its category.
+
+    Raises:
+        InvalidSceneError: If a name is invalid or not unique.
+    """
     if scene in _VALID:
         return
     _check("the scene", "scene", [scene])
@@ -34,6 +39,12 @@ def check_names(scene: Scene) -> None:
     _VALID.add(scene)
 
 
+def check_timestep(timestep: float) -> None:
+    """Raise :class:`InvalidSceneError` unless a time step [s] is positive and finite."""
+    if not 0 < timestep < math.inf:
+        raise InvalidSceneError(f"option `timestep` must be a positive number of seconds, not `{timestep:g}`")
+
+
 # Scenes whose names have been validated, so that the check is not repeated for every target.
 _VALID: WeakSet[Scene] = WeakSet()
 
@@ -45,5 +56,5 @@ def _check(where: str, kind: str, elements: Iterable[object], field: str = "name
             rule = "use a lower-case letter followed by lower-case letters, digits and underscores"
             raise InvalidSceneError(f"{where}: {kind} name {name!r} is invalid; {rule}")
         if name in known:
-            raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one")
+            raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one of them")
         known.add(name)

@@ -17,10 +17,10 @@ from simfoundry.scene.model import Drive, Scene, SceneObject
 
 @lru_cache(maxsize=256)  # the same object is written to many scenes
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> Mapping[str, Drive]:
-    """Return an object's drives by joint name, with gains limited to be stable at a time step of ``timestep`` [s].
+    """Return an object's drives, keyed by joint name, with gains that are stable at a time step of ``timestep`` [s].
 
-    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping alone at
-    2 m / dt. At a quarter of these limits, the combination is still stable.
+    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia. Explicit damping alone diverges
+    at 2 m / dt. At a quarter of these limits, the combination of both is still stable.
     """
     stable = {joint.name: joint.drive for joint in item.joints if joint.drive is not None}
     if not stable:
@@ -40,6 +40,6 @@ def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> I
         for joint, field in product((j for j in item.joints if j.name in stable), ("stiffness", "damping")):
             wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
             if written < wanted:
-                reason = f"Its {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
+                reason = f"The drive's {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
                 reason += f"{number(1000 * timestep)} ms would diverge."
                 yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")

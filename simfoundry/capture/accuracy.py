@@ -1,4 +1,7 @@
-"""Measure the accuracy of a reconstruction: position, size, mass, Chamfer distance, and F1 score at 1 cm."""
+"""Measure the accuracy of a reconstruction.
+
+The measures are position, size, mass, Chamfer distance, and F1 score at 1 cm.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,12 @@ F1_DISTANCE = 0.01  # Distance [m] within which two surface points count as equa
 
 @dataclass(frozen=True)
 class ObjectAccuracy:
-    """A comparison of a ground-truth object with its reconstruction; ``recovered`` is empty if there is none.
+    """A comparison of a ground-truth object with its reconstruction.
 
-    ``position`` [m] is the distance between the centers of the two bounding boxes. ``size_true`` and ``size`` [m] are
-    the sorted extents of each object's own bounding box. ``chamfer`` [m] is the mean distance between the two surfaces,
-    averaged over both directions, and ``f1`` is the F1 score at 1 cm. Masses are in kg.
+    ``recovered`` is the name of the reconstructed object, or an empty string if there is none. ``position`` [m] is the
+    distance between the centers of the two bounding boxes. ``size_true`` and ``size`` [m] are the sorted extents of the
+    bounding boxes of the two objects. ``chamfer`` [m] is the mean distance between the two surfaces, averaged over both
+    directions, and ``f1`` is the F1 score at 1 cm. Masses are in kg.
     """
 
     name: str
@@ -38,14 +42,14 @@ class ObjectAccuracy:
     f1: float = float("nan")
 
     def to_json(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
+        """Return the comparison as plain data for JSON."""
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in asdict(self).items()}
 
 
 def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[ObjectAccuracy]:
     """Compare the free objects in the ground-truth scene ``truth`` with those in its reconstruction ``found``.
 
-    Both scenes are seen by the same camera, but each has its own world frame.
+    Both scenes are seen by the same camera, but their world frames differ.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -72,9 +76,12 @@ def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float)
 
 
 def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:
-    """Return points [m] distributed evenly over the visuals of an object at ``X_WO``, shape (count, 3).
+    """Return points that are distributed evenly over the visuals of an object at ``X_WO``.
 
     The result is deterministic.
+
+    Returns:
+        Array of shape (count, 3) [m].
     """
     poses = link_poses(item)
     triangles = []
@@ -92,7 +99,7 @@ def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:
 
 
 def surface_distance(a: Array, b: Array) -> tuple[float, float]:
-    """Return the Chamfer distance [m] between two point sets, and their F1 score at 1 cm.
+    """Return the Chamfer distance [m] between two point sets and their F1 score at 1 cm.
 
     The Chamfer distance is the mean nearest-neighbor distance, averaged over both directions.
     """

@@ -23,7 +23,7 @@ from simfoundry.worlds.rest import ObjectMotion, simulate
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """The results of the demo.
+    """The results of a demo.
 
     ``worlds`` maps each target to its entry file. ``motions`` maps each engine to the object motions, or to the reason
     why the engine did not run. ``comparison`` compares the reconstruction with the ground truth.
@@ -36,7 +36,7 @@ class Demo:
     picture: Path
 
     def to_json(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
+        """Return the results as plain data for JSON."""
         return {
             "scene": str(self.run.scene_file),
             "picture": str(self.picture),
@@ -48,14 +48,15 @@ class Demo:
 
 
 def own_capture() -> Path:
-    """Return the folder that contains the capture shipped with the project."""
+    """Return the folder of the capture that is shipped with the project."""
     return shipped("specs/captures/desk")
 
 
 def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, force: bool) -> Demo:
-    """Run the demo and write its results to ``out/scene`` and ``out/worlds``.
+    """Run the demo, and write its results to ``out/scene`` and ``out/worlds``.
 
-    Raises :class:`SpecError` if the capture is unusable.
+    Raises:
+        SpecError: The capture is unusable.
     """
     cache = Cache.default()
     run = run_capture(capture, out / "scene", frame, lambda stage, share: progress(stage, 0.7 * share), cache, force)
@@ -75,7 +76,11 @@ def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, fo
 
 
 def _truth(loaded: Loaded, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """Compare a reconstruction with the ground-truth scene if the capture specifies one that contains its camera."""
+    """Compare a reconstruction with the ground-truth scene.
+
+    The result is empty if the capture does not specify a ground-truth scene or if that scene does not contain its
+    camera.
+    """
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:
         return []

@@ -1,4 +1,4 @@
-"""Spec entries for a reconstruction: objects, support, camera and materials, along with their mesh files."""
+"""Spec entries for a reconstruction: objects, the support, the camera and materials, along with their mesh files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 @dataclass(frozen=True)
 class MaterialPrior:
-    """The expected density [kg/m^3] of a kind of object, its range, and the friction coefficient of its surface."""
+    """The prior for the material of a kind of object.
+
+    It consists of the expected density [kg/m^3], the range of the density, and the friction coefficient of the surface.
+    """
 
     name: str
     density: float
@@ -48,7 +51,10 @@ _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cya
 
 
 def kind_of(shape: FittedShape) -> str:
-    """Return the kind of object that a fitted shape suggests, which is a key of :data:`TABLE`."""
+    """Return the kind of object that a fitted shape suggests.
+
+    The kind is a key of :data:`TABLE`.
+    """
     return _KINDS.get(type(shape.geometry), "bowl" if shape.hollow else "object")
 
 
@@ -71,7 +77,10 @@ SUPPORT_NAME = "table"  # The name of the support in the scene
 
 
 def unique_names(wanted: Iterable[str]) -> list[str]:
-    """Return the names, with ``_2``, ``_3``, … appended to duplicates and to the name of the support."""
+    """Make object names unique.
+
+    The suffixes ``_2``, ``_3``, … are appended to duplicates and to names that equal the name of the support.
+    """
     used = {SUPPORT_NAME}
     out = []
     for base in wanted:
@@ -84,7 +93,7 @@ def unique_names(wanted: Iterable[str]) -> list[str]:
 
 
 def support_spec(capture: str, support: SupportSurface, measured: float | None) -> ObjectSpec:
-    """Return the spec of the support: a fixed prism whose top is at z = 0.
+    """Return the spec of the support, which is a fixed prism whose top is at z = 0.
 
     ``measured`` is its measured thickness [m], or None to assume the default thickness.
     """
@@ -103,7 +112,10 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
 
 
 def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
-    """Return the spec of a fitted object: a primitive if possible, otherwise a mesh, with estimated mass and origin."""
+    """Return the spec of a fitted object, with an estimated mass and its origin.
+
+    The object is represented by a primitive if possible, and otherwise by a mesh.
+    """
     primitive = _shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
@@ -123,7 +135,7 @@ def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
 
 
 def _shape_spec(shape: FittedShape) -> spec.Shape | None:
-    """Return a shape as it is written in a spec, or None if only a mesh can represent it."""
+    """Return a shape in the form used in specs, or None if only a mesh can represent the shape."""
     geometry = shape.geometry
     if shape.profile is not None:
         return spec.LatheShape(lathe=spec.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
@@ -150,12 +162,15 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of a mesh, keyed by their path relative to the scene; vertices are rounded to 0.01 mm."""
+    """Return the files of a mesh, keyed by their path relative to the scene.
+
+    Vertices are rounded to 0.01 mm.
+    """
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 
 def meters(value: float) -> float:
-    """Round a length [m] to 0.1 mm, which is finer than the resolution of any supported sensor."""
+    """Round a length [m] to 0.1 mm. This is finer than the resolution of any supported sensor."""
     return round(float(value), 4)

@@ -1,4 +1,4 @@
-"""The registered RGB-D image that is reconstructed, and the data types shared by the stages of the reconstruction."""
+"""The registered RGB-D image that is reconstructed, and data types that the stages of the reconstruction share."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, Pose
 
 NEAREST, FARTHEST = 0.1, 5.0  # Measuring range of tabletop sensors [m]
@@ -23,8 +24,11 @@ UNITS = {
 }
 
 
-class CaptureError(Exception):
-    """An error raised for a capture that cannot be reconstructed, with a diagnostic code, a message and a hint."""
+class CaptureError(PicklableError):
+    """An error raised for a capture that cannot be reconstructed.
+
+    The error contains a diagnostic code, a message and a hint.
+    """
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         super().__init__(f"{message} [{code}]\n  hint: {hint}")
@@ -39,10 +43,10 @@ class Frame:
 
     Attributes:
         color: RGB image, shape (h, w, 3).
-        depth: Depth along the optical axis [m], shape (h, w); NaN for pixels without a reading.
+        depth: Depth along the optical axis [m], shape (h, w). Pixels without a reading are NaN.
         K: Intrinsic matrix [px], shape (3, 3).
-        instances: Number of the object at each pixel, shape (h, w), where 0 is the background, or None if the capture
-            has no masks.
+        instances: Number of the object at each pixel, shape (h, w), where 0 is the background. The value is None if the
+            capture has no masks.
     """
 
     color: NDArray[np.uint8]
@@ -52,7 +56,10 @@ class Frame:
 
     @property
     def points(self) -> Array:
-        """Points in the camera frame [m], shape (h, w, 3); NaN for pixels without depth."""
+        """The points in the camera frame [m], as an array of shape (h, w, 3).
+
+        Pixels without depth are NaN.
+        """
         h, w = self.depth.shape
         u, v = np.meshgrid(np.arange(w), np.arange(h))
         x = (u - self.K[0, 2]) / self.K[0, 0] * self.depth
@@ -62,7 +69,8 @@ class Frame:
     def cleaned(self) -> Frame:
         """Return the frame without depth values outside the sensor range.
 
-        Raises :class:`CaptureError` if too few values remain.
+        Raises:
+            CaptureError: Too few values remain.
         """
         finite = np.isfinite(self.depth) & (self.depth > 0)
         if not finite.any():
@@ -88,9 +96,9 @@ class SupportSurface:
     """The surface that supports the objects.
 
     Attributes:
-        X_WC: Camera pose in the world frame, whose origin is on the surface with z up.
-        outline: Boundary of the visible surface in world xy [m], shape (n, 2). It is a simple counterclockwise polygon
-            whose first point is not repeated at the end.
+        X_WC: Camera pose in the world frame. The origin of this frame is on the surface, and its z axis points up.
+        outline: Boundary of the visible surface in world xy [m], shape (n, 2). The boundary is a simple
+            counterclockwise polygon whose first point is not repeated at the end.
         residual: Median distance of the surface points from the plane [m].
         inliers: Mask of the surface pixels, shape (h, w).
     """
@@ -105,7 +113,7 @@ class SupportSurface:
 class Segmentation:
     """The segmented objects above the support.
 
-    ``labels``, shape (h, w), contains the number of the object at each pixel, from 1 to n, or 0 if there is none.
+    ``labels`` contains the number of the object at each pixel, from 1 to n, or 0 if there is none. Its shape is (h, w).
     ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
     """
 
@@ -114,9 +122,9 @@ class Segmentation:
 
 
 def depth_sigma(depth: Array) -> Array:
-    """Return the standard deviation [m] of a depth reading at ``depth`` [m].
+    """Return the standard deviation [m] of a depth reading of ``depth`` [m].
 
-    This is the quadratic noise model of triangulation sensors with generous, uncalibrated constants. Thresholds
+    The quadratic noise model of triangulation sensors is used, with generous, uncalibrated constants. Thresholds
     throughout the capture code are multiples of this value.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)

@@ -1,4 +1,4 @@
-"""Load the images of a capture as a registered frame, reporting all problems with them together."""
+"""Load the images of a capture as a registered frame, and report all problems with them together."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ T = TypeVar("T")
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
-    """Load the frame called ``name``, or the first frame by default, from a checked capture document.
+    """Load the frame called ``name`` from a checked capture document. The default is the first frame.
 
-    Raises :class:`SpecError` with all findings if the frame cannot be used.
+    Raises:
+        SpecError: The frame cannot be used. The error contains all findings.
     """
     assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
@@ -47,7 +48,7 @@ def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
 
 @dataclass
 class _Reader:
-    """A reader for the images of one frame, which collects findings."""
+    """A reader that loads the images of a single frame and collects findings."""
 
     loaded: Loaded
     place: tuple[str, ...]
@@ -59,11 +60,14 @@ class _Reader:
         self.findings.append(self.loaded.finding(code, (*self.place, *path), message, hint))
 
     def refuse(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> NoReturn:
-        """Raise a finding about an image that cannot be used."""
+        """Raise an error with a finding about an image that cannot be used."""
         raise SpecError([self.loaded.finding(code, (*self.place, *path), message, hint)])
 
     def read(self, image: Callable[[], T]) -> T | None:
-        """Read an image. If this fails, add the findings to the reader's own and return None."""
+        """Read an image.
+
+        If this fails, the findings are added to those of the reader, and None is returned.
+        """
         try:
             return image()
         except SpecError as error:
@@ -101,7 +105,7 @@ class _Reader:
     def color(self) -> NDArray[np.uint8]:
         """Return the color image as RGB.
 
-        Any EXIF rotation is ignored, because depth, masks and intrinsics refer to the pixels as stored.
+        Any EXIF rotation is ignored because depth, masks and intrinsics refer to the pixels as stored.
         """
         picture = self.stored(self.shot.color, ("color",), mode="RGB")
         if picture.shape[2:] != (3,):
@@ -109,7 +113,10 @@ class _Reader:
         return picture.astype(np.uint8, copy=False)
 
     def depth(self) -> Array:
-        """Return the depth [m]; pixels without a reading are NaN."""
+        """Return the depth [m].
+
+        Pixels without a reading are NaN.
+        """
         shot = self.shot
         hint = "provide raw distances as a 16-bit PNG, TIFF or .npy file, not a depth image rendered for viewing"
         raw = self.raw(shot.depth.image, ("depth", "image"), hint)
@@ -138,7 +145,10 @@ class _Reader:
         return np.where(usable, meters, np.nan)
 
     def masks(self) -> NDArray[np.int32] | None:
-        """Return the object number at each pixel (0 for the background), or None if the frame has no masks."""
+        """Return the object number at each pixel, which is 0 for the background.
+
+        The result is None if the frame has no masks.
+        """
         masks = self.shot.masks
         if masks is None:
             return None
@@ -154,7 +164,10 @@ class _Reader:
         return labels
 
     def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any]:
-        """Return a single-channel image as stored; ``hint`` describes the expected content."""
+        """Return a single-channel image as stored.
+
+        ``hint`` describes the expected content.
+        """
         picture = self.stored(image, path)
         if picture.ndim != 2:
             what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
@@ -162,7 +175,7 @@ class _Reader:
         return picture
 
     def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any]:
-        """Return the pixel values in an image file, converted to ``mode`` if specified."""
+        """Return the pixel values in an image file. They are converted to ``mode`` if it is specified."""
         file = self.loaded.file(image)
         try:
             picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
@@ -209,17 +222,18 @@ class _Reader:
 
 
 def matrix(camera: Intrinsics) -> Array:
-    """Return the intrinsic matrix K [px], shape (3, 3)."""
+    """Return the intrinsic matrix K [px], as an array of shape (3, 3)."""
     return np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
 
 
 def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
     """Reproject depth [m] into the color camera.
 
-    Each measurement covers the area that its own pixel spans in the color image; the nearest measurement wins.
+    Each measurement covers the area of its pixel, projected into the color image. If several measurements cover the
+    same pixel, the nearest one is used.
 
     Returns:
-        Depth [m], with shape ``size`` (height, width); NaN for pixels that no measurement covers.
+        Depth [m] of shape ``size`` (height, width). Pixels that no measurement covers are NaN.
     """
     height, width = size
     points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
@@ -249,7 +263,10 @@ def _numpy(file: Path) -> NDArray[Any]:
 
 
 def _decoded(file: Path, mode: str) -> NDArray[Any]:
-    """Decode an image as stored (a palette image to its indices); raises an error if it is truncated or damaged."""
+    """Decode an image as stored, so that a palette image is decoded to its indices.
+
+    An error is raised if the image is truncated or damaged.
+    """
     from PIL import Image
 
     try:

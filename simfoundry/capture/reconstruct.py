@@ -28,7 +28,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A reconstructed scene along with the results of each stage.
+    """A reconstructed scene, along with the results of each stage of the reconstruction.
 
     ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
     number in ``segmentation``. ``skipped`` lists the segments that did not become objects, with reasons.
@@ -46,8 +46,10 @@ class Reconstruction:
 def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progress: Progress) -> Reconstruction:
     """Reconstruct a scene spec called ``name`` from a single image.
 
-    ``given_names`` maps object names to their numbers in ``frame.instances``. Raises :class:`CaptureError` if no
-    support or no object is found in the image.
+    ``given_names`` maps object names to their numbers in ``frame.instances``.
+
+    Raises:
+        CaptureError: No support or no object is found in the image.
     """
     progress("support", 0.0)
     support = find_support(frame)
@@ -88,7 +90,10 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
-    """Return the reconstruction without some objects; objects that rested on them are now supported by the table."""
+    """Return the reconstruction without some of its objects.
+
+    Objects that rested on a removed object are now supported by the table.
+    """
     gone = set(names)
     files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
     relations = []
@@ -112,7 +117,10 @@ def without(built: Reconstruction, names: Collection[str], reason: str) -> Recon
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:
-    """Return the spec with ``OnTop`` relations updated to the given supports; relations that still hold are kept."""
+    """Return the spec with ``OnTop`` relations that match the given supports.
+
+    Relations that still hold are preserved.
+    """
     relations = []
     for text in spec.relations:
         call = parse_call(text)
@@ -123,7 +131,10 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
 
 
 def _names(frame: Frame, labels: Labels, shapes: dict[int, FittedShape], given: Mapping[str, int]) -> dict[int, str]:
-    """Name every object after its name in the capture or, if there is none, after its color and shape."""
+    """Name every object.
+
+    An object is named after its name in the capture or, if there is none, after its color and shape.
+    """
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
@@ -156,8 +167,8 @@ def fit_segments(
     """Fit a shape to every segment, from the bottom up.
 
     Returns:
-        The fitted shapes by segment number, the number of each segment's support (0 for the table), and a message for
-        each segment that was skipped.
+        The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a message
+        for each segment that was skipped.
     """
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
@@ -182,7 +193,7 @@ def fit_segments(
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:
-    """Return the object numbers, ordered so that each object comes after its support."""
+    """Return the object numbers in an order in which every object comes after its support."""
     numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
 
     def level(k: int, seen: frozenset[int] = frozenset()) -> int:
@@ -213,11 +224,11 @@ def _carrier(
 
 
 def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:
-    """Return a box extended in depth until it reaches under the middle of the object on it.
+    """Return a box that is extended in depth until it reaches under the middle of the object on it.
 
-    The far side of a box is never visible, and an object on the box hides its top. Because the objects are at rest, a
-    box depth that would let them fall must be wrong. ``eye`` [m] is the camera position in the world; the visible side
-    of the box does not move.
+    The far side of a box is never visible, and an object on the box hides its top. The objects are at rest, so a box
+    depth that would let them fall must be wrong. ``eye`` [m] is the position of the camera in the world. The visible
+    side of the box does not move.
     """
     if not isinstance(carrier.geometry, Box):
         return carrier
@@ -235,10 +246,14 @@ def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedSh
 
 
 def footprint(shape: FittedShape) -> Array:
-    """Return the corners of a fitted shape, projected to world xy [m], shape (n, 2)."""
+    """Return the corners of a fitted shape, projected to world xy.
+
+    Returns:
+        Array of shape (n, 2) [m].
+    """
     return shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, :2]
 
 
 def _top(shape: FittedShape) -> float:
-    """Return the height of a fitted shape's highest point above the support [m]."""
+    """Return the height of the highest point of a fitted shape above the support [m]."""
     return float(shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, 2].max())

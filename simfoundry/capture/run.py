@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
+from simfoundry.runtime.files import ensure_folder_replaceable, file_digests, staged, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
@@ -38,7 +37,10 @@ EXAMPLE = (
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
-    """The result of a capture: the scene document and a report on how well the scene fits and settles."""
+    """The result of a capture.
+
+    It consists of the scene document and a report that describes how well the scene fits and settles.
+    """
 
     document: Loaded
     scene_file: Path
@@ -55,13 +57,13 @@ def run_capture(
     cache: Cache | None = None,
     force: bool = False,
 ) -> CaptureRun:
-    """Reconstruct one frame of a capture and write the result to the folder ``out``.
+    """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
     ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
-    end; a failed run leaves it unchanged. Identical inputs produce identical bytes.
+    end, so a failed run leaves it unchanged. Identical inputs produce identical bytes.
 
     Raises:
-        SpecError: The capture is unusable; the error contains every finding.
+        SpecError: The capture is unusable. The error contains all findings.
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
@@ -82,7 +84,7 @@ def run_capture(
             built, scene, settled = _settled(built, staging / scene_name, cache, progress)
             progress("pictures", 0.95)
             _pictures(built, frame, scene, settled, staging)
-            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
+            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": file_digests(staging)}
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
@@ -104,29 +106,19 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
     """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or the user's own files."""
     if document.resolve().is_relative_to(out):
         raise OutputError(f"{out} contains the capture itself; choose another output folder")
-    if force or not out.is_dir():
-        return
-    try:
-        written: dict[str, str] = dict(json.loads((out / "report.json").read_bytes())["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        written = {}
-    ensure_folder_replaceable(out, written, "report.json")
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 hash of every file in a folder except the report, keyed by relative POSIX path."""
-    files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-    return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
+    if not force:
+        ensure_folder_replaceable(out, "report.json")
 
 
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
 ) -> tuple[Reconstruction, Scene, SettleResult]:
-    """Settle the scene, and write its meshes and, to ``scene_file``, the spec with the settled poses and relations.
+    """Settle a scene and write it.
 
-    If an object's fitted solid does not come to rest, the object is left out and the others are settled again. The same
-    applies to an object that moves away from the pose that was written, because rounding by 0.1 mm may tip over an
-    object that is balanced on the edge of its base.
+    The meshes are written along with the spec, which is written to ``scene_file`` with the settled poses and relations.
+    If an object's fitted solid does not come to rest, the object is left out and the other objects are settled again.
+    The same applies to an object that moves away from the pose that was written. Rounding by 0.1 mm, for example, may
+    tip over an object that is balanced on the edge of its base.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -151,9 +143,9 @@ def _settled(
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """Return a tuple with the name of the object that moves farthest from its pose in ``spec`` within two seconds.
+    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
 
-    The tuple is empty if no object moves.
+    The result is a tuple, which is empty if no object moves.
     """
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]

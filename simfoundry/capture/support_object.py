@@ -1,4 +1,7 @@
-"""The support as an object: a slab with the visible outline, its thickness, and a texture from the image."""
+"""The support as an object.
+
+It is a slab that has the visible outline, its measured thickness, and a texture from the image.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ MARGIN = 0.01  # Distance [m] by which a support extends past the objects on it 
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
-    """Extend the outline of the support [m], shape (n, 2), to contain the footprint of every object on it."""
+    """Extend the outline of the support so that it contains the footprint of every object on the support.
+
+    The outline [m] has shape (n, 2).
+    """
     import shapely
 
     whole = shapely.Polygon(outline)
@@ -60,11 +66,11 @@ def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
-    """Return the slab as a mesh with its top at z = 0 and the image projected onto it.
+    """Return the slab as a mesh whose top is at z = 0, with the image projected onto it.
 
     Texture coordinates are positions in the bounding rectangle of the outline, so the sides get the color of the
-    adjacent rim. Areas hidden by objects (``labels`` above 0, shape (h, w)) or outside the image get the color of the
-    nearest visible area.
+    adjacent rim. Areas that are outside the image or hidden by objects get the color of the nearest visible area.
+    Objects are the pixels at which ``labels``, an array of shape (h, w), is above 0.
     """
     vertices, faces = prism_mesh(support.outline, height)
     vertices = vertices - np.array([0.0, 0.0, height / 2])
@@ -74,7 +80,7 @@ def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32
 
 
 def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
-    """Return a PNG of the top seen from above, with +x to the right and +y up."""
+    """Return a PNG image of the top as seen from above, with +x to the right and +y up."""
     import cv2
 
     extent = high - low
@@ -97,7 +103,7 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
 
 
 def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Fill pixels that were not visible with a blurred copy of the visible pixels nearby."""
+    """Fill pixels that were not visible with a blurred copy of nearby visible pixels."""
     import cv2
 
     weight = seen.astype(np.float32)

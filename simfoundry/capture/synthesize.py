@@ -1,4 +1,4 @@
-"""Synthesize a capture folder from a scene, simulating the recording of a real sensor."""
+"""Synthesize a capture folder from a scene by simulating the recording of a real sensor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SensorModel:
     The standard deviation of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
     ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] relative to the image plane. The model
     and its defaults were fitted to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking", 3DIMPVT 2012. The authors add the last term only beyond 60 degrees; here, the term
+    Reconstruction and Tracking", 3DIMPVT 2012. The authors add the last term only beyond 60 degrees. Here, the term
     grows from zero to avoid a discontinuity. ``lateral`` is the authors' value of 0.8 px for a surface that faces the
     camera.
     """
@@ -54,9 +54,9 @@ ACTIVE_STEREO = SensorModel(
 
 
 def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Array:
-    """Return the depth [m] that ``model`` would measure, shape (h, w); NaN for pixels without a reading.
+    """Return the depth that ``model`` would measure [m], as an array of shape (h, w).
 
-    ``rng`` is the only source of randomness.
+    Pixels without a reading are NaN. ``rng`` is the only source of randomness.
     """
     tilt = _tilt(ray)
     edge, behind = _edges(ray, tilt, model)
@@ -72,7 +72,10 @@ def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
 
 
 def simulate_color(ray: Raycast, rng: np.random.Generator, read: float = 1.2, shot: float = 0.12) -> NDArray[np.uint8]:
-    """Return the color image with sensor noise of variance ``read^2 + shot^2 * value`` (8-bit), shape (h, w, 3)."""
+    """Return the color image with sensor noise, as an array of shape (h, w, 3).
+
+    The variance of the noise is ``read^2 + shot^2 * value`` in 8-bit units.
+    """
     value = ray.color.astype(np.float64)
     noisy = value + np.sqrt(read**2 + shot**2 * value) * rng.standard_normal(value.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -89,8 +92,10 @@ def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Shot
     """Write the images of a capture. Identical frames produce identical bytes.
 
     The files are ``color.png`` (8-bit RGB), ``depth.png`` (16-bit in units of ``depth_scale`` [m], 0 for missing depth)
-    and, if the frame has masks, ``instances.png`` (16-bit labels). Raises ValueError, before writing anything, if a
-    depth or a label does not fit in 16 bits.
+    and, if the frame has masks, ``instances.png`` (16-bit labels).
+
+    Raises:
+        ValueError: A depth or a label does not fit in 16 bits. Nothing is written in this case.
     """
     counts = np.rint(np.where(np.isnan(frame.depth), 0.0, frame.depth) / depth_scale)
     if counts.min() < 0 or counts.max() > 65535:
@@ -126,7 +131,10 @@ def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Non
 
 
 def _tilt(ray: Raycast) -> Array:
-    """Return the angle between each surface normal and the viewing ray [rad], shape (h, w); NaN without a surface."""
+    """Return the angle between each surface normal and the viewing ray [rad], as an array of shape (h, w).
+
+    Pixels without a surface are NaN.
+    """
     c = ray.camera
     u, v = np.meshgrid(np.arange(c.width), np.arange(c.height))
     local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
@@ -135,14 +143,18 @@ def _tilt(ray: Raycast) -> Array:
 
 
 def _axial_spread(z: Array, tilt: Array, model: SensorModel) -> Array:
-    """Return the standard deviation of the depth [m], shape (h, w)."""
+    """Return the standard deviation of the depth [m], as an array of shape (h, w)."""
     t = np.minimum(tilt, math.radians(85.0))  # the model diverges at 90 degrees
     facing = model.axial_base + model.axial_growth * (z - model.axial_origin) ** 2
     return np.asarray(facing + model.axial_tilt / np.sqrt(z) * t**2 / (math.pi / 2 - t) ** 2)
 
 
 def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the pixels with uncertain depth beside a depth jump, and of hidden pixels on its farther side."""
+    """Return two masks of pixels beside depth jumps.
+
+    The first mask contains the pixels whose depth is uncertain. The second mask contains the hidden pixels on the
+    farther side of a jump.
+    """
     z = np.where(np.isnan(ray.depth), np.inf, ray.depth)
     # The depth of a plane tilted by t changes by z tan(t) / f from pixel to pixel; only larger changes are jumps.
     steepness = np.tan(np.minimum(np.nan_to_num(tilt), math.radians(85.0))) / min(ray.camera.fx, ray.camera.fy)
@@ -164,14 +176,20 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
 
 
 def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    """Dilate a mask by ``steps`` pixels (Manhattan distance) along paths that stay ``within`` another mask."""
+    """Dilate a mask by ``steps`` pixels (Manhattan distance).
+
+    The mask grows only along paths that stay ``within`` another mask.
+    """
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(mask, iterations=steps, mask=within)) if steps > 0 else mask
 
 
 def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:
-    """Return the depth with each pixel sampled at a random offset with standard deviation ``spread`` [px] per axis."""
+    """Return the depth with each pixel sampled at a random offset.
+
+    The standard deviation of the offset is ``spread`` [px] per axis.
+    """
     h, w = depth.shape
     v, u = np.indices((h, w)) + np.rint(spread * rng.standard_normal((2, h, w))).astype(np.int64)
     return np.asarray(depth[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)])
@@ -183,7 +201,7 @@ CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")  # F
 def synthesize(
     scene: Scene, camera: Camera, folder: Path, seed: int, masks: bool = False, truth: Path | None = None
 ) -> Path:
-    """Write a capture of ``scene`` as seen by ``camera``: color, depth and ``capture.yaml`` in ``folder``.
+    """Write a capture of ``scene``, as seen by ``camera``, to ``folder``: color, depth and ``capture.yaml``.
 
     Identical scenes and seeds produce identical bytes. If the scene document ``truth`` is in the same folder, the
     capture refers to that document as ground truth.

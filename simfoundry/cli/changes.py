@@ -174,7 +174,7 @@ def merge_command(
 
 
 def _drive_merge(args: Sequence[str]) -> int:
-    """Merge into the second file in place, as git expects; files that are not documents are merged line by line."""
+    """Merge into the second file in place, as git expects. Files that are not documents are merged line by line."""
     if len(args) != 5:
         raise SimfoundryError(f"git must pass 5 arguments, not {len(args)}; run `simfoundry git install` again")
     base, ours, theirs = map(Path, args[:3])

@@ -144,7 +144,11 @@ def _compile_many(
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
-    """Raise :class:`SimfoundryError` if there are no scenes, or if two scenes would share an output folder."""
+    """Check that there are scenes and that no two of them would share an output folder.
+
+    Raises:
+        SimfoundryError: If there are no scenes, or if two scenes would share an output folder.
+    """
     if not jobs:
         raise SimfoundryError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
     taken: dict[Path, Path] = {}

@@ -118,7 +118,7 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
 
 
 def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
-    """Import one of several files and return the report; errors are reported instead of raised."""
+    """Import one of several files and return the report. Errors are returned instead of raised."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
     from simfoundry.frontends.importer import ImportReport, import_file
     from simfoundry.frontends.usd.compiled.loading import import_stage

@@ -203,12 +203,12 @@ class _Rewritten(NamedTuple):
     findings: list[Diagnostic]
 
     def to_json(self, changed: str) -> dict[str, Any]:
-        """Return the report as JSON data; ``changed`` is the key under which the changed documents are listed."""
+        """Return the report as JSON data. ``changed`` is the key under which the changed documents are listed."""
         files, changes = ([str(path) for path in paths] for paths in (self.files, self.changed))
         return {"files": files, changed: changes, "findings": [d.to_json() for d in self.findings]}
 
     def exit_code(self, check: bool) -> int:
-        """Return the exit code; if ``check`` is set, changes lead to exit code 1."""
+        """Return the exit code. If ``check`` is set, changed documents lead to exit code 1."""
         return output.CANNOT if self.findings else output.FINDINGS if check and self.changed else output.DONE
 
 

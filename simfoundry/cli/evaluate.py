@@ -91,7 +91,7 @@ def eval_command(
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
-    """Return True if videos can be rendered; if not, print the reason. PyBullet does not need a GL driver."""
+    """Return True if videos can be rendered. Otherwise, print the reason. PyBullet does not need a GL driver."""
     from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
@@ -159,7 +159,7 @@ def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
-    """Print the success rates over all tasks and the significance of the differences between policies."""
+    """Print the success rates over all tasks, and the significance of the differences between policies."""
     from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies

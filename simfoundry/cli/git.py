@@ -129,7 +129,7 @@ def _set_patterns(file: Path, patterns: Sequence[str]) -> bool:
 
     All other lines are kept. If the file would be empty, it is deleted.
     """
-    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.files import write_in_place
 
     before = file.read_bytes().decode("utf-8", "surrogateescape") if file.exists() else ""
     unwanted = set(LINES) - set(patterns)
@@ -138,7 +138,7 @@ def _set_patterns(file: Path, patterns: Sequence[str]) -> bool:
         lines = ["".join(lines), "" if not lines or lines[-1].endswith("\n") else "\n", *missing]
     after = "".join(lines)
     if after and after != before:
-        write_atomically(file.resolve(), after.encode("utf-8", "surrogateescape"))
+        write_in_place(file, after.encode("utf-8", "surrogateescape"))
     elif before and not after:
         file.unlink()
     return after != before

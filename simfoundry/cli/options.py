@@ -64,7 +64,7 @@ def resumable(out: Path) -> Iterator[None]:
 
 
 class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic only from click 8.4 on; 8.1 is supported
-    """The name of a simulator that can run scenes; names are looked up on use, so ``--help`` loads no simulators."""
+    """The name of a simulator that can run scenes. Names are looked up on use, so ``--help`` loads no simulators."""
 
     name = "simulator"
 

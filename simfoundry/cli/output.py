@@ -34,7 +34,7 @@ force_option = click.option("--force", is_flag=True,
 
 
 class CannotError(click.ClickException):
-    """Raised if a command cannot run; the message is one sentence that states the reason."""
+    """Raised if a command cannot run. The message is one sentence that states the reason."""
 
     exit_code = CANNOT
 
@@ -97,7 +97,7 @@ def print_json(data: Any) -> None:
 
 
 def print_result(as_json: bool, data: Any, text: str) -> None:
-    """Print ``data`` as JSON if ``as_json`` is set, otherwise print ``text``."""
+    """Print ``data`` as JSON if ``as_json`` is set, or print ``text`` otherwise."""
     if as_json:
         print_json(data)
     else:
@@ -172,7 +172,11 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
 
 
 def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = False) -> None:
-    """Raise :class:`OutputError` if writing to ``out`` would destroy user data; do nothing if ``out`` is None."""
+    """Ensure that writing to ``out`` would not destroy user data. If ``out`` is None, do nothing.
+
+    Raises:
+        OutputError: If user data would be destroyed.
+    """
     if out is not None:
         from simfoundry.runtime.files import ensure_replaceable
 
@@ -187,21 +191,22 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_in_place(path: Path, text: str) -> None:
-    """Write to a file while preserving its permissions; if it is a symbolic link, write to the link's target."""
-    target = path.resolve()
-    mode = target.stat().st_mode if target.exists() else None
-    write_text(target, text)
-    if mode is not None:
-        target.chmod(mode)
+    """Write to a file while preserving its permissions. If the file is a symbolic link, write to the link's target."""
+    from simfoundry.runtime.files import write_in_place
+
+    write_in_place(path, text.encode())
 
 
 def plural(count: int, noun: str) -> str:
-    """Format a count with its noun, such as ``no conflicts`` or ``1 conflict``."""
+    """Format a count with its noun, as in ``no conflicts`` or ``1 conflict``."""
     return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"
 
 
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
-    """Return the camera called ``name``; the default is the scene's viewpoint, or else its first camera."""
+    """Return the camera called ``name``.
+
+    By default, this is the scene's viewpoint or, if the viewpoint is not a camera, the first camera.
+    """
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:
         raise CannotError(f"{scene.name} has no camera; add one under `cameras`")
@@ -218,7 +223,7 @@ LINE_S = 10.0
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Show the progress of long steps on standard error: a bar on a terminal, or else occasional lines.
+    """Show the progress of long steps on standard error, as a bar on a terminal and as occasional lines elsewhere.
 
     The environment variable ``SIMFOUNDRY_PROGRESS=never`` suppresses the lines, which is useful for logs that are
     compared with each other.

@@ -109,7 +109,7 @@ def verify_command(
 def _subjects(
     stack: ExitStack, paths: Sequence[Path], build: Path | None, found: Found, progress: Callable[[str, float], None]
 ) -> list[SceneBuilds]:
-    """Lower all scenes and compile them for the available engines."""
+    """Lower all scenes, and compile them for the available engines."""
     import tempfile
 
     from simfoundry.assets.cache import Cache

@@ -1,1 +1,1 @@
-"""Evaluation of policies on tasks in simulated worlds: resets, policies, rollouts and statistics."""
+"""Evaluation of policies on tasks in simulated worlds, with resets, policies, rollouts and statistics."""

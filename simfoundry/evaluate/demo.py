@@ -1,4 +1,4 @@
-"""The final step of the demo: place an arm beside the captured table and have it perform a small task."""
+"""The final step of the demo, which places an arm beside the captured table and has it perform a small task."""
 
 from __future__ import annotations
 
@@ -105,7 +105,10 @@ class ArmDemo:
 
 @dataclass(frozen=True, eq=False)
 class _Idea:
-    """A candidate task and the pose of the arm, whose base is at ``base`` on the ground [m] and faces ``yaw`` [rad]."""
+    """A candidate task and the pose of the arm that performs it.
+
+    The base of the arm is at ``base`` on the ground [m] and faces the direction ``yaw`` [rad].
+    """
 
     thing: str
     target: str
@@ -124,18 +127,18 @@ class _Idea:
 
 
 def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
-    """Have the arm perform a small task in a scene, and write its scene, task and images to a folder.
+    """Have an arm perform a small task in a scene, and write the resulting scene, task and images to a folder.
 
     Args:
         scene_file: The document of the scene.
         out: The output folder.
-        force: Whether to overwrite files in ``out`` that were not written by a demo.
+        force: If true, files in ``out`` are overwritten even if they were not written by a demo.
 
     Raises:
         OutputError: If ``out`` contains files that were not written by a demo and ``force`` is not set.
     """
     if not force:
-        _ensure_replaceable(out)
+        ensure_folder_replaceable(out, REPORT)
     try:
         need_extra("expert", "its inverse kinematics")
     except MissingExtraError as error:
@@ -150,19 +153,11 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
     return done
 
 
-def _ensure_replaceable(out: Path) -> None:
-    """Raise :class:`OutputError` if replacing ``out`` would destroy a user's files."""
-    if not out.is_dir():
-        return
-    try:
-        written: dict[str, str] = dict(json.loads((out / REPORT).read_bytes())["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        written = {}
-    ensure_folder_replaceable(out, written, REPORT)
-
-
 def _mark(out: Path) -> None:
-    """Mark the demo's folder as a project, because its documents refer to each other, unless it is already in one."""
+    """Mark the demo's folder as a project so that its documents can refer to each other.
+
+    Nothing is done if the folder is already inside a project.
+    """
     if find_project(out) is not None:
         return
     marker = markers(Project(out.parent))
@@ -201,7 +196,7 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
 
 
 def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
-    """Return True if there is a place for the object at which the goal would hold."""
+    """Return True if there is a placement of the object for which the goal would hold."""
     found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
     states = [replace(state, poses={**state.poses, idea.thing: place.X_WO}) for place in found]
     try:
@@ -211,7 +206,10 @@ def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Yield base poses (position [m] and heading [rad]) from which the arm can reach both objects, best first."""
+    """Yield base poses from which the arm can reach both objects, starting with the best one.
+
+    Each pose consists of a position [m] and a heading [rad].
+    """
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     tables = [world_bounds(item, item.X_WO) for item in scene.objects if item.fixed]
@@ -234,12 +232,15 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
 
 
 def _outside(point: Array, box: tuple[Array, Array]) -> Array:
-    """Return how far a point is outside a box along x and y [m], shape (2,); negative values are inside."""
+    """Return the distance of a point from a box along x and y [m], as an array of shape (2,).
+
+    A value is negative if the point is within the extent of the box along that axis.
+    """
     return np.asarray(np.maximum(box[0] - point, point - box[1])[:2])
 
 
 def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
-    """Write the task for an idea, run the expert on it, and render the result."""
+    """Write the task for an idea, have the expert perform it, and render the result."""
     documents = {SCENE: _scene_text(idea, scene, scene_file, out), TASK: _task_text(idea)}
     with staged(out) as folder:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
@@ -260,7 +261,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
-    """Return the text of a scene that adds an arm and a camera viewing it to the captured scene."""
+    """Return the text of a scene that adds an arm, and a camera that views the arm, to the captured scene."""
     toward = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
     aside = np.array([-toward[1], toward[0], 0.0])
     # View the arm from the front and slightly from the side, at a distance [m] that shows its targets too.
@@ -289,7 +290,10 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Replay a rollout and return an image strip with labeled images at equal time intervals, side by side."""
+    """Replay a rollout and return an image strip.
+
+    The strip shows labeled images at equal time intervals, side by side.
+    """
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
@@ -319,7 +323,7 @@ def _picture(world: World) -> Image:
 
 
 def _robot_object(robot: Robot, state: SceneState) -> SceneObject:
-    """Convert a robot to an object whose joints have the positions given by the state."""
+    """Convert a robot to an object whose joint positions are those in the state."""
     native = mujoco_model(robot)
     assert native is not None
     item = as_object(robot, read_robot(robot, native, f"{robot.name}.")).item

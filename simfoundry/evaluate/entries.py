@@ -1,7 +1,7 @@
 """Parsing of the tasks and policies that users select for an evaluation.
 
-A task is evaluated as a whole or from a given step. A policy is selected by a keyword, a server address, a document, a
-recording, or a Python class.
+A task is evaluated as a whole, as a single step, or from a given step onward. A policy is selected by a keyword, a
+server address, a document, a recording, or a Python class.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def parse_policy(text: str) -> Choice:
     - ``random`` or ``expert``
     - ``replay:FILE``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
-    - a path to a ``*.policy.yaml`` document
+    - the path of a ``*.policy.yaml`` document
     - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses
-      DROID's cameras; the query accepts every policy document key whose value is a single word or number
+      DROID's cameras (the query accepts every policy document key whose value is a single word or number)
 
     Raises:
         PolicyError: If the text does not select a policy.
@@ -81,9 +81,10 @@ def parse_policy(text: str) -> Choice:
 
 
 def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
-    """Create a selected policy other than the expert, which also requires the task.
+    """Create a selected policy.
 
-    A policy behind a server connects when its first rollout starts.
+    This function does not create the expert, which also requires the task. A policy behind a server connects when its
+    first rollout starts.
     """
     if isinstance(choice, RandomChoice):
         from simfoundry.evaluate.policies.open_loop import RandomPolicy
@@ -114,7 +115,7 @@ def _python(rest: str) -> PythonClass:
 
 
 def _short(protocol: str, rest: str) -> PolicySpec:
-    """Parse a server in short form into an equivalent policy document."""
+    """Convert a server in short form to an equivalent policy document."""
     from pydantic import ValidationError
 
     address, _, query = rest.partition("?")
@@ -140,9 +141,9 @@ def _short(protocol: str, rest: str) -> PolicySpec:
 
 
 def _value(text: str) -> str | int | float:
-    """Convert digits to a number and `true` or `false` to a boolean; any other text is returned unchanged.
+    """Convert digits to a number and `true` or `false` to a boolean.
 
-    For example, `nan` remains text, because it may be a name.
+    Any other text is returned unchanged. For example, `nan` remains text because it may be a name.
     """
     if text in ("true", "false"):
         return text == "true"
@@ -165,14 +166,17 @@ class TaskPart(StrEnum):
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """A task to evaluate: its document, and the ``step`` if only a part of the task is evaluated."""
+    """A task to evaluate, given by its document.
+
+    ``step`` is set if only a part of the task is evaluated.
+    """
 
     path: Path
     part: TaskPart = TaskPart.WHOLE
     step: str = ""
 
     def load(self, cache: Cache | None = None) -> Task:
-        """Load the task, or the selected part of it."""
+        """Load the task or the selected part of it."""
         task = load_task(self.path, cache)
         if self.part is TaskPart.WHOLE:
             return task
@@ -181,18 +185,24 @@ class TaskEntry:
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy to evaluate: its ``label`` in reports, and the text that selects it."""
+    """A policy to evaluate. ``label`` is its name in reports, and ``text`` selects it."""
 
     label: str
     text: str
 
     def choice(self) -> Choice:
-        """Parse the text that selects the policy; see :func:`parse_policy`."""
+        """Parse the text that selects the policy.
+
+        See :func:`parse_policy`.
+        """
         return parse_policy(self.text)
 
     @property
     def digest(self) -> str:
-        """A digest of the selected policy, including the content of its document or recording."""
+        """A digest of the selected policy.
+
+        It covers the content of the policy's document or recording.
+        """
         choice = self.choice()
         if isinstance(choice, PythonClass):
             return choice.digest
@@ -201,7 +211,7 @@ class Contender:
 
 
 def contenders(texts: tuple[str, ...]) -> list[Contender]:
-    """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; each label must be unique."""
+    """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``. Each label must be unique."""
     found: list[Contender] = []
     for text in texts:
         match = _LABELED.fullmatch(text)

@@ -1,4 +1,4 @@
-"""A task as a Gymnasium environment: ``gymnasium.make("SimFoundry/Task-v0", task="my.task.yaml")``.
+"""A task as a Gymnasium environment, created with ``gymnasium.make("SimFoundry/Task-v0", task="my.task.yaml")``.
 
 An observation is a dictionary of arrays:
 
@@ -51,12 +51,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     - ``success``: True if the goal has held
     - ``subtasks``: the step at which each sub-task was completed, counted from 1, or 0 if it was not completed
     - ``start``: the index of the initial state
-    - ``trouble``: the reason why the simulation diverged, or an empty string; divergence also truncates the episode
+    - ``trouble``: the reason why the simulation diverged, or an empty string (divergence also truncates the episode)
 
-    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects initial
-    state k instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+    ``reset`` uses its seed to draw one of ``starts`` initial states. ``options={"start": k}`` selects initial state k
+    instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
-    ``cameras`` maps names of cameras in the scene to (width, height); if it is empty, nothing is rendered.
+    ``cameras`` maps names of cameras in the scene to (width, height). If it is empty, nothing is rendered.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
@@ -105,7 +105,10 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset to an initial state; the class docstring describes ``options``."""
+        """Reset to an initial state.
+
+        The class docstring describes ``options``.
+        """
         super().reset(seed=seed)
         options = options or {}
         unknown = sorted(set(options) - {"start", "subtask", "reset_mask"})
@@ -120,7 +123,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), self._info(False)
 
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Apply one action; raises :class:`SimfoundryError` if the action has the wrong length or is not finite."""
+        """Apply one action.
+
+        Raises:
+            SimfoundryError: If the action has the wrong length or is not finite.
+        """
         now, task = self._now, self._now.task
         self._controller.apply(checked_actions(action, now.robots, "the action", single=True))
         now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
@@ -132,7 +139,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), float(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
-        """Render the camera as uint8, shape (h, w, 3); return None if no render mode is set."""
+        """Render the camera, and return a uint8 array of shape (h, w, 3), or None if no render mode is set."""
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
     def close(self) -> None:
@@ -167,7 +174,10 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
 
     def _opened(self, step: str) -> _Opened:
-        """Open the world for the whole task or for a single step, whose scene may have different joint targets."""
+        """Open the world for the whole task or for a single step.
+
+        The scene of a step may have different joint targets.
+        """
         if step not in self._scenes:
             task = self._whole.alone(step) if step else self._whole
             self._scenes[step] = _Opened(task, self._engine)
@@ -191,7 +201,10 @@ class _Opened:
 
 
 def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
-    """Return the action space: joint position limits or maximum velocities, and the range of each gripper."""
+    """Return the action space.
+
+    It consists of the position limits or maximum velocities of the joints and the range of each gripper.
+    """
     rows: list[tuple[float, float]] = []
     for robot in robots.values():
         limits = robot.limits().values()
@@ -202,7 +215,7 @@ def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
 
 
 def _space(key: str, value: NDArray[Any]) -> spaces.Box:
-    """Return the observation space for one entry of an observation.
+    """Return the observation space for a single entry of an observation.
 
     Positions are unbounded because engines slightly exceed joint limits.
     """

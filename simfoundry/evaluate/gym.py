@@ -1,6 +1,7 @@
-"""Register ``SimFoundry/Task-v0`` with Gymnasium on import; simulators are loaded when an environment is created.
+"""Register ``SimFoundry/Task-v0`` with Gymnasium on import.
 
-``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports this module implicitly.
+Simulators are loaded when an environment is created. ``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0",
+task="my.task.yaml")`` imports this module implicitly.
 """
 
 from __future__ import annotations

@@ -44,8 +44,8 @@ FRAME_EVERY = 3
 class EvaluationPlan:
     """The tasks, policies and options of an evaluation.
 
-    ``shard`` is a pair (i, n) that selects every n-th rollout, starting with rollout i, counted from 0. ``cameras``
-    lists the cameras whose images are recorded as videos.
+    ``shard`` is a pair (i, n) that selects every n-th rollout, starting with rollout i, which is counted from 0.
+    ``cameras`` lists the cameras whose images are recorded as videos.
     """
 
     folder: Path
@@ -71,14 +71,17 @@ class RolloutJob:
 
 @dataclass(frozen=True)
 class RolloutOutcome:
-    """The outcome of a job: its record."""
+    """The outcome of a job, including its record."""
 
     job: RolloutJob
     record: dict[str, Any]
 
     @property
     def answered(self) -> bool:
-        """True if the policy responded, even invalidly; otherwise, the rollout has no result."""
+        """True if the policy responded, even if the response was invalid.
+
+        Otherwise, the rollout has no result.
+        """
         return is_result(self.record)
 
     @property
@@ -92,20 +95,26 @@ Seen = Callable[[RolloutOutcome, int, int], None]
 
 
 def task_key(entry: TaskEntry, task: Task) -> str:
-    """Return the name of a task's folder, which includes the step if only a part of the task is evaluated."""
+    """Return the name of a task's folder.
+
+    The name includes the step if only a part of the task is evaluated.
+    """
     mark = {TaskPart.WHOLE: "", TaskPart.ALONE: ".", TaskPart.ONWARD: "+"}[entry.part]
     return f"{task.name}{mark}{entry.step}"
 
 
 def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
-    """List every rollout in the plan's shard, ordered by task, engine, policy and initial state."""
+    """List all rollouts in the plan's shard, ordered by task, engine, policy and initial state."""
     first, of = plan.shard
     every = product(plan.entries, plan.engines, plan.contenders, range(plan.rollouts))
     return [RolloutJob(entry, contender, k, engine) for entry, engine, contender, k in every][first::of]
 
 
 def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Load every task and find its initial states before the first rollout, so that errors are reported early."""
+    """Load every task and find its initial states.
+
+    This is done before the first rollout so that errors are reported early.
+    """
     check_layout(plan.folder)
     if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
@@ -120,7 +129,7 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
 
 
 def pending(plan: EvaluationPlan) -> list[RolloutJob]:
-    """List the jobs that do not have a record yet.
+    """List the jobs for which there is no record yet.
 
     Raises:
         OutputError: If an existing record belongs to a different evaluation.
@@ -129,7 +138,10 @@ def pending(plan: EvaluationPlan) -> list[RolloutJob]:
 
 
 def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
-    """Run the pending jobs; if a policy stops responding, its remaining jobs are skipped."""
+    """Run the pending jobs.
+
+    If a policy stops responding, its remaining jobs are skipped.
+    """
     waiting, silent = pending(plan), Counter[str]()
     outcomes: list[RolloutOutcome] = []
     for outcome in _carried_out(plan, waiting, workers, lambda job: silent[job.contender.label] >= GIVE_UP):
@@ -143,7 +155,10 @@ def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutco
 def _carried_out(
     plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
 ) -> Iterator[RolloutOutcome]:
-    """Yield outcomes as jobs finish; no more jobs are started for a policy that has stopped responding."""
+    """Yield outcomes as jobs finish.
+
+    No more jobs are started for a policy that has stopped responding.
+    """
     if workers == 1 or len(waiting) < 2:
         try:
             for job in waiting:
@@ -175,7 +190,10 @@ def _carried_out(
 
 
 def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome | SimfoundryError:
-    """Run one job in a worker process, which closes its policies and world when the pool shuts down."""
+    """Run one job in a worker process.
+
+    The policies and the world of the process are closed when the pool shuts down.
+    """
     at_worker_exit(_close)
     try:
         return carry_out(plan, job)
@@ -204,7 +222,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
-    """Return the context to store in a record in addition to the rollout conditions."""
+    """Return the context that is stored in a record in addition to the conditions of the rollout."""
     cousin = cousin_of(task)
     return {
         "version": __version__,
@@ -223,7 +241,10 @@ def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -
 
 
 def _model_name(robot: Robot) -> str:
-    """Return the robot's name in the document, or the file name of its model if it has no name."""
+    """Return the robot's name in the document.
+
+    If it has no name, the file name of its model is returned.
+    """
     return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
@@ -281,7 +302,7 @@ class _Setting:
 
 @lru_cache(maxsize=1)
 def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
-    """Return the setting of a task, creating it if it is not cached."""
+    """Return the setting of a task, which is created if it is not cached."""
     from simfoundry.predicates import Judge
 
     task = entry.load(Cache.default())
@@ -294,7 +315,10 @@ _open: dict[tuple[TaskEntry | None, str], Policy] = {}
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """Return the policy for a job. The expert is created for each task; other policies stay connected across tasks."""
+    """Return the policy for a job.
+
+    The expert is created for each task. All other policies stay connected across tasks.
+    """
     choice = job.contender.choice()
     key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:

@@ -1,6 +1,7 @@
-"""A task prepared for rollouts: its scene in the task's initial state, its robots, and its steps as separate tasks.
+"""A task that is prepared for rollouts.
 
-The `start` of the task is applied to the scene document first, followed by the `start` of the step, if any.
+It consists of the scene in the task's initial state, the robots, and the steps as separate tasks. The `start` of the
+task is applied to the scene document first, followed by the `start` of the step, if any.
 """
 
 from __future__ import annotations
@@ -52,12 +53,18 @@ class TaskSetup:
 
     @property
     def own_start(self) -> Start | None:
-        """The start that the step itself defines, or None if it does not define one."""
+        """The start that is defined by the step itself.
+
+        The value is None if the step does not define a start.
+        """
         return self.task_spec.subtasks[self.step].start if self.step else None
 
     @property
     def starts(self) -> dict[tuple[str, ...], Start]:
-        """The changes to the scene, keyed by their path in the task, in the order in which they are applied."""
+        """The changes to the scene, in the order in which they are applied.
+
+        The keys are the paths of the changes in the task.
+        """
         own = self.own_start
         return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
 
@@ -78,7 +85,7 @@ class TaskSetup:
         """Lower the scene in the task's initial state.
 
         Raises:
-            SpecError: If the scene is invalid; errors caused by the task's start refer to locations in the task.
+            SpecError: If the scene is invalid. Errors caused by the task's start refer to locations in the task.
         """
         try:
             return lower(replace(self.scene, spec=self.started), self.cache)
@@ -86,7 +93,10 @@ class TaskSetup:
             raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
 
     def carriers(self) -> dict[str, str]:
-        """Return the support of each object for which the documents specify one, keyed by object name."""
+        """Return the support of each object, keyed by object name.
+
+        Objects for which the documents do not specify a support are omitted.
+        """
         calls = [parse_call(text) for text in self.started.relations]
         found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
         placed = {name: _carrier(item) for name, item in self.started.objects.items()}
@@ -120,7 +130,7 @@ _FORM, _NAMED = "the format is described in docs/robots.md, *Your own models*", 
 def check_can_act(robot: Robot) -> None:
     """Check that a robot's model has an identifiable hand and a position actuator for each arm joint.
 
-    Both are required because observations and actions are defined in terms of them.
+    Observations and actions are defined in terms of the hand and these actuators.
 
     Raises:
         RobotModelError: If the hand cannot be identified or a joint has no position actuator.
@@ -155,12 +165,15 @@ def _leaf(read: MujocoRobot) -> str:
 
 
 def _own(read: MujocoRobot, named: Any) -> str:
-    """Return a body's or joint's name within the robot model, without the scene prefix."""
+    """Return the name of a body or joint within the robot model.
+
+    This is the name without the prefix that the scene adds.
+    """
     return str(named.name.removeprefix(read.prefix))
 
 
 def _driven(read: MujocoRobot) -> set[str]:
-    """Return the names, within the model, of the joints that are driven by a position actuator."""
+    """Return the names of the joints in the model that are driven by a position actuator."""
     import mujoco
 
     model = read.model
@@ -173,7 +186,7 @@ def _driven(read: MujocoRobot) -> set[str]:
 class SubtaskGoal:
     """A step of a task.
 
-    ``instruction`` is used if the step is run alone. ``starts_itself`` is True if the step defines its own start.
+    ``instruction`` is used if the step is run alone. ``starts_itself`` is True if the step defines a start.
     """
 
     name: str
@@ -211,15 +224,15 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """The robots that should act but whose model was not found, along with the reason for each."""
+        """The robots that should act but whose model was not found, with the reason for each robot."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """Return a single step as a task of its own, with the initial state and goal of that step.
+        """Return a single step as a separate task with the initial state and goal of that step.
 
-        Objects placed by the step's ``start`` keep that placement; the other objects are placed in their cells.
+        Objects that the step's ``start`` places keep that placement. All other objects are placed in their cells.
 
         Raises:
             SimfoundryError: If the step does not exist.
@@ -228,7 +241,9 @@ class Task:
         return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks={name: step})
 
     def onward(self, name: str) -> Task:
-        """Return the rest of the task from a given step onward, with the goal of the whole task.
+        """Return the rest of the task from a given step onward.
+
+        The goal is that of the whole task.
 
         Raises:
             SimfoundryError: If the step does not exist.
@@ -259,7 +274,7 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
         cache: A cache that stores convex decompositions between runs.
 
     Raises:
-        SpecError: If the task or its scene is invalid; the error contains all findings.
+        SpecError: If the task or its scene is invalid. The error contains all findings.
     """
     loaded = load_kind(path, "task/1")
     spec = loaded.spec
@@ -285,7 +300,11 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
 
 
 def need_robots(task: Task) -> None:
-    """Raise :class:`SimfoundryError` if a robot that should act is missing or cannot be controlled."""
+    """Check that all robots that should act are present and can be controlled.
+
+    Raises:
+        SimfoundryError: If a robot is missing or cannot be controlled.
+    """
     if not task.robots:
         raise SimfoundryError(f"task `{task.name}` needs a robot, but its scene does not contain any")
     for name, reason in task.missing_robots.items():

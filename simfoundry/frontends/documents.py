@@ -50,7 +50,7 @@ class BuiltDocuments:
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
-    """Return plain data with numbers rounded to ``digits`` significant digits."""
+    """Return plain data in which all numbers are rounded to ``digits`` significant digits."""
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") + 0.0
     if isinstance(value, dict):
@@ -59,7 +59,7 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 
 
 def document_text(spec: Model) -> str:
-    """Return the canonical text of a document, with numbers rounded to :data:`DIGITS` significant digits."""
+    """Return the canonical text of a document, in which numbers are rounded to :data:`DIGITS` significant digits."""
     return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
 
 
@@ -81,7 +81,10 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: tuple[float, ...]) -> tuple[float, ...]:
-    """Return an RGBA color, omitting an alpha of 1, rounded to four decimals to remove single-precision noise."""
+    """Return an RGBA color as document data, omitting an alpha of 1.
+
+    Values are rounded to four decimals to remove single-precision noise.
+    """
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
@@ -101,7 +104,7 @@ PLAIN_INERTIA = 1e-6
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.asset.yaml from a draft with one body, for the ``base`` folder.
+    """Build NAME.asset.yaml for the ``base`` folder from a draft that contains one body.
 
     Mesh files below ``root`` are referenced in place instead of being copied.
     """
@@ -112,7 +115,7 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.scene.yaml for the ``base`` folder, with an asset document for each body that needs one.
+    """Build NAME.scene.yaml for the ``base`` folder, along with an asset document for each body that needs one.
 
     Mesh files below ``root`` are referenced in place instead of being copied.
     """
@@ -120,7 +123,7 @@ def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 class _SceneBuilder:
-    """Builds a scene from a draft.
+    """A builder that converts a draft to a scene.
 
     ``objects`` maps body names to object names, and ``assets`` maps object names to asset documents.
     """
@@ -155,7 +158,7 @@ class _SceneBuilder:
         return built
 
     def object_data(self, body: BodyDraft, called: str) -> Data:
-        """Return the data of an object, with an inline shape if possible and otherwise with an asset document."""
+        """Return the data of an object, using an inline shape if possible and an asset document otherwise."""
         if (inline := inline_data(body)) is not None:
             return inline
         asset = self.assets[called] = _asset_spec(body, called, self.shelf, self.built)
@@ -175,7 +178,10 @@ class _SceneBuilder:
         return f"{called}.{list(self.assets[called].links)[self.bodies[body].link_order.index(link)]}"
 
     def no_contact(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of links that do not collide, or pairs of objects if all of their links are excluded."""
+        """Return the pairs of links that do not collide.
+
+        If all links of two objects are excluded, the two objects are listed as a single pair instead.
+        """
         pairs: dict[tuple[str, str], list[tuple[LinkPath, LinkPath]]] = {}
         for one, other in self.draft.no_contact:
             pairs.setdefault((one[0], other[0]), []).append((one, other))
@@ -215,7 +221,7 @@ class _SceneBuilder:
 
 
 def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocuments) -> AssetSpec:
-    """Return the asset document of a body."""
+    """Return the asset document for a body."""
     links, joints = NameTable("link"), NameTable("joint")
     link_names = {n: links.name(n) for n in body.link_order}
     joint_names = {j.name: joints.name(j.name) for j in body.joints}
@@ -281,7 +287,7 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part; parameters that the part does not specify come from its link.
+    """Return the contact parameters of a part. Parameters that the part does not specify come from its link.
 
     Torsional and rolling friction are omitted if they are zero.
     """
@@ -289,7 +295,7 @@ def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
 
 
 def _material_name(data: dict[str, float], materials: Data) -> str:
-    """Return the name of a material with these parameters, adding the material if it does not exist yet."""
+    """Return the name of the material with these parameters, adding the material if it does not exist yet."""
     name = next((n for n, known in materials.items() if known == data), f"surface_{len(materials) + 1}")
     materials[name] = data
     return name
@@ -298,8 +304,8 @@ def _material_name(data: dict[str, float], materials: Data) -> str:
 def part_names(link: LinkDraft) -> Iterator[str]:
     """Yield a unique name for each part.
 
-    Mesh pieces are numbered, so no name may start with the name of another mesh and an underscore if both have the same
-    use.
+    The pieces of a mesh are numbered and named after the mesh. Therefore, no part with the same use may have a name
+    that starts with the name of the mesh and an underscore.
     """
     taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
@@ -380,7 +386,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
-    """Return True if a link has the inertia of its only shape at uniform density."""
+    """Return True if a link has only one shape and the inertia of that shape at uniform density."""
     from simfoundry.scene.bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)

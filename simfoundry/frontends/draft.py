@@ -43,11 +43,11 @@ Contact = dict[str, float]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Import options.
+    """Options for importing a file.
 
     Attributes:
-        packages: Package folders, by package name.
-        force: True to replace existing files.
+        packages: Package folders, keyed by package name.
+        force: True if existing files may be replaced.
         scene: Scene document for an imported task.
         bound: Scene objects that the user assigned to names in a BDDL task.
         density: Density [kg/m^3] of links without a mass, or None for the density of water, which simulators use by
@@ -105,7 +105,10 @@ class MeshDraft:
 
 @dataclass(eq=False)
 class PartDraft:
-    """A part of a link and its pose in the link frame; ``use`` is `both`, `visual` or `collision`."""
+    """A part of a link, with its pose in the link frame.
+
+    ``use`` is `both`, `visual` or `collision`.
+    """
 
     name: str
     geometry: PrimitiveShape | MeshDraft
@@ -177,9 +180,9 @@ class JointDraft:
 class BodyDraft:
     """An object with one or more links.
 
-    ``root`` is the name of the root link, and ``X_WO`` is the pose of its frame in the world. ``note`` records the
-    object's origin for users, and for tasks that refer to the object by its original name. ``exact`` is True if all
-    names in the body come from a scene and must be kept unchanged.
+    ``root`` is the name of the root link, and ``X_WO`` is the pose of its frame in the world. ``note`` tells users
+    where the object came from, and identifies it in tasks that use its original name. ``exact`` is True if all names in
+    the body come from a scene and must be kept unchanged.
     """
 
     name: str
@@ -236,7 +239,7 @@ class LightDraft:
 
 @dataclass(eq=False)
 class RobotDraft:
-    """A known robot with the pose of its base.
+    """A draft of a known robot, with the pose of its base.
 
     ``changed`` contains the fields that differ from the model's defaults.
     """
@@ -286,16 +289,16 @@ class ModelDraft:
         self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
 
     def plane(self, what: str, width: float = 0.0, depth: float = 0.0) -> tuple[BoxShape, Pose]:
-        """Return a box that represents a plane, and the box's pose in the plane frame.
+        """Return a box that represents a plane, and the pose of the box in the plane frame.
 
-        ``width`` and ``depth`` [m] are the size of the plane; zero means infinite.
+        ``width`` and ``depth`` [m] are the size of the plane, where zero means infinite.
         """
         box = (width or GROUND[0], depth or GROUND[1], GROUND[2])
-        self.changed(what, f"it is represented by a box of {box[0]:g} x {box[1]:g} m")
+        self.changed(what, f"the plane is represented by a box of {box[0]:g} x {box[1]:g} m")
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:
-        """Record that a prismatic joint has no limits, and return the limits [m] to use instead."""
+        """Record that a prismatic joint has no limits, and return the limits [m] that are used instead."""
         self.changed(what, f"documents require limits, so the missing limits were set to ±{UNLIMITED_SLIDE_M:g} m")
         return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 

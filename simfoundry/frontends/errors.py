@@ -20,15 +20,15 @@ MAX_BYTES = 50_000_000
 
 
 class ImportRefusedError(SimfoundryError):
-    """Raised if a file cannot be imported; the error includes the location, the reason, and a hint for the user."""
+    """Raised if a file cannot be imported.
+
+    The error includes the location, the reason, and a hint for the user.
+    """
 
     def __init__(self, file: Path | str, message: str, line: int = 0, hint: str = "") -> None:
         place = f"{file}:{line}" if line else str(file)
         super().__init__(f"{place}: {message}" + (f"; {hint}" if hint else ""))
         self.file, self.line, self.reason, self.hint = str(file), line, message, hint
-
-    def __reduce__(self) -> tuple[type[ImportRefusedError], tuple[str, str, int, str]]:
-        return type(self), (self.file, self.reason, self.line, self.hint)
 
 
 @contextmanager
@@ -63,8 +63,8 @@ def refusing_faults(file: Path, plugin: Plugin | None = None) -> Iterator[None]:
 def _line(file: Path, error: Exception) -> int:
     """Return the line of ``file`` that was being read when an error occurred, or 0 if the line is unknown.
 
-    This is the line of the XML element being read or, if there is none, the first line that contains the name of an
-    affected element.
+    This is the line of the XML element being read. If no element was being read, it is the first line that contains the
+    name of an affected element.
     """
     from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
     from simfoundry.frontends.files import Element

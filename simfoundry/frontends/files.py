@@ -71,7 +71,10 @@ class Element:
         return text
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-        """Return an attribute that contains ``count`` numbers; the attribute is required unless a default is given."""
+        """Return the numbers in an attribute that must contain ``count`` numbers.
+
+        The attribute is required unless a default is given.
+        """
         if default is not None and self.get(name) is None:
             return default
         text = self.need(name)
@@ -85,12 +88,19 @@ class Element:
         return values
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return an attribute that contains one number; the attribute is required unless a default is given."""
+        """Return the number in an attribute that must contain exactly one number.
+
+        The attribute is required unless a default is given.
+        """
         return self.numbers(name, 1, None if default is None else (default,))[0]
 
 
 def read_xml(path: Path, root_tag: str | None = None) -> Element:
-    """Return the root element of an XML file; raise :class:`ImportRefusedError` for invalid or malicious files."""
+    """Return the root element of an XML file.
+
+    Raises:
+        ImportRefusedError: If the file is invalid or malicious.
+    """
     stack: list[Element] = []
     roots: list[Element] = []
     parser, count = expat.ParserCreate(), 0
@@ -124,7 +134,11 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
 
 
 def read_json(path: Path) -> Any:
-    """Return the content of a JSON file; raise :class:`ImportRefusedError` if it is invalid or too large."""
+    """Return the content of a JSON file.
+
+    Raises:
+        ImportRefusedError: If the file is invalid or too large.
+    """
     try:
         return json.loads(_bounded_bytes(path, MAX_JSON_BYTES))
     except json.JSONDecodeError as error:
@@ -159,13 +173,16 @@ _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 class NotFoundError(Exception):
     """Raised if a referenced file is not available.
 
-    The message is a predicate, such as "does not exist", that follows the file name.
+    The message is a predicate, such as "does not exist", to be placed after the file name.
     """
 
 
 @dataclass(frozen=True)
 class FileSearch:
-    """Finds the files referenced by ``file``, either below ``root`` or in one of the ``packages`` folders."""
+    """A search for the files that ``file`` references.
+
+    These files must be below ``root`` or in one of the ``packages`` folders.
+    """
 
     file: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
@@ -174,7 +191,7 @@ class FileSearch:
     def root(self) -> Path:
         """Return the folder that must contain all referenced files.
 
-        This is the nearest enclosing package or project, or otherwise the parent of the file's folder.
+        This is the nearest enclosing package or project. If there is none, it is the parent of the file's folder.
         """
         folder = self.file.resolve().parent
         for candidate in (folder, *folder.parents[:LEVELS]):
@@ -210,7 +227,8 @@ class FileSearch:
     def need(self, reference: str, file: Path, line: int, folder: Path | None = None) -> Path:
         """Return the file for a reference on line ``line`` of ``file``.
 
-        Raises :class:`ImportRefusedError` with that line if the file is not available.
+        Raises:
+            ImportRefusedError: If the file is not available; the error refers to this line.
         """
         try:
             return self.find(reference, folder)
@@ -225,8 +243,8 @@ class FileSearch:
     def _in_package(self, path: str) -> Iterator[tuple[Path, Path]]:
         """Yield candidate paths for ``package://NAME/REST`` with their root folders, in order of priority.
 
-        The package is looked up in ``packages`` first and then among the parent folders. Finally, the path is tried as
-        relative to the packages and parent folders.
+        The package is first looked up in ``packages``, and then among the parent folders. Finally, the path is
+        interpreted relative to the packages and the parent folders.
         """
         path = path.lstrip("/")
         name, _, rest = path.partition("/")

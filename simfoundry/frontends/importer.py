@@ -1,4 +1,4 @@
-"""Import files: read them, validate the resulting documents by lowering, and atomically move them into place."""
+"""Import files: read them, check the resulting documents by lowering them, and atomically move them into place."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ ATTEMPTS = 3
 class ImportReport:
     """The result of importing a file.
 
-    The report contains the document path and the differences from the file or, in ``error``, the reason for a failure.
-    ``assumed_masses`` lists the masses [kg] that the file does not specify, keyed by `object.link`.
+    If the import succeeded, the report contains the path of the document and its differences from the file. Otherwise,
+    ``error`` contains the reason for the failure. ``assumed_masses`` lists the masses [kg] that the file does not
+    specify, keyed by `object.link`.
     """
 
     source: str
@@ -63,11 +64,13 @@ class ImportReport:
 def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> ImportReport:
     """Import a file to ``out``, which must be named NAME.scene.yaml, NAME.asset.yaml or, for tasks, NAME.task.yaml.
 
-    Meshes are written to the adjacent NAME_files folder. Documents are written only if they lower without errors.
+    Meshes are written to the adjacent NAME_files folder. Documents are written only if they can be lowered without
+    errors.
 
     Raises:
         ImportRefusedError: If the file cannot be imported.
-        OutputError: If ``out`` has another name, or if existing files would be overwritten without ``options.force``.
+        OutputError: If ``out`` does not have a valid name, or if existing files would be overwritten without
+            ``options.force``.
     """
     with refusing_faults(path):
         read_task = task_readers().get(path.suffix.lower())
@@ -170,7 +173,11 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
 
 
 def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
-    """Lower a document and return the scene and the errors; if lowering fails, the scene is None."""
+    """Lower a document.
+
+    Returns:
+        The scene, or None if lowering fails, and the errors.
+    """
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -203,7 +210,11 @@ def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene) -> d
 
 
 def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Diagnostic], source: Path) -> bool:
-    """Remove flat colliders and unusable visuals from the draft; return True if any were removed."""
+    """Remove flat colliders and unusable visuals from the draft.
+
+    Returns:
+        True if anything was removed.
+    """
     from simfoundry.frontends.mass_repair import repair_masses
 
     mended = False
@@ -215,9 +226,9 @@ def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Di
         link, part = built.parts[key]
         what = f"`{part.name}` of link `{link.name}`"
         if finding.code == "SF301" and "flat" in finding.message and part.collides:
-            draft.dropped(f"contact of {what}", "its mesh is flat")
+            draft.dropped(f"contact of {what}", "the mesh is flat")
         elif finding.code in ("SF301", "SF303") and part.use == "visual":
-            why = "its mesh has an implausible size" if finding.code == "SF303" else "its mesh is unusable"
+            why = "the mesh has an implausible size" if finding.code == "SF303" else "the mesh is unusable"
             draft.dropped(what, why, finding.message)
         else:
             continue

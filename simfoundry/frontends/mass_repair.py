@@ -1,4 +1,4 @@
-"""Repair mass properties: merge massless links into their neighbors, and make all masses and inertias valid."""
+"""Repair mass properties by merging massless links into their neighbors and making all masses and inertias valid."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ WORLD_NAMES = ("world", "map", "universe")
 def repair_masses(draft: ModelDraft, file: str) -> None:
     """Give every link a mass and an inertia that simulators accept, and record the changes in the draft.
 
-    Joint positions are also clamped to the joint limits. Raises :class:`ImportRefusedError` if a moving link has no
-    mass, no shape and no child link.
+    Joint positions are also clamped to the joint limits.
+
+    Raises:
+        ImportRefusedError: If a moving link has no mass, no shape and no child link.
     """
     for body in draft.bodies:
         for joint in body.joints:
@@ -62,7 +64,7 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
     low, high = joint.limits
     target = joint.drive.target if joint.drive is not None else None
     if target is not None and not low <= target <= high:
-        why = "its target is beyond the joint limits, which cannot be expressed"
+        why = "the drive target is beyond the joint limits, which cannot be expressed"
         draft.dropped(f"drive of joint `{joint.name}`", why, f"target {target:.4g}")
         joint.drive = None
     if not low <= joint.position <= high:
@@ -82,7 +84,7 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
         if carrier is not None and carrier.type == "fixed":
             what = "its shapes were" if link.parts else "the link was"
             _join_to_parent(draft, body, body.links[carrier.parent], link, carrier)
-            why = f"it has no mass and a fixed joint to its parent link, so {what} merged into the parent link"
+            why = f"the link has no mass and a fixed joint to its parent, so {what} merged into the parent link"
             x, y, z = (f"{v:.4g}" for v in carrier.X_PC.p + 0.0)
             draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` at ({x}, {y}, {z})")
             continue
@@ -105,8 +107,8 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
 def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
     """Replace ``child`` with ``parent`` in excluded contact pairs if this does not change their meaning.
 
-    A pair always excludes all shapes of a link, so it cannot refer only to the shapes that came from one of two merged
-    links.
+    A pair always excludes all shapes of a link. After two links are merged, it can therefore no longer refer to the
+    shapes from only one of them.
     """
     old, new = (body.name, child.name), (body.name, parent.name)
     pairs = [((body.name, a), (body.name, b)) for a, b in body.no_contact] + draft.no_contact
@@ -129,7 +131,10 @@ def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, chil
 
 
 def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
-    """Merge a link into its parent ``frame``, a link without mass or shape that keeps its pose."""
+    """Merge a link into its parent ``frame``.
+
+    The parent has no mass or shape, and keeps its pose.
+    """
     child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts, frame.mass, frame.contact = child.parts, child.mass, child.contact
     for part in frame.parts:
@@ -149,7 +154,10 @@ def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: J
 
 
 def _remove_link(draft: ModelDraft, body: BodyDraft, old: str, new: str, joint: JointDraft) -> None:
-    """Remove link ``old`` and its parent joint, and attach its child joints and cameras to link ``new`` instead."""
+    """Remove the link ``old`` and its parent joint.
+
+    Its child joints and cameras are attached to the link ``new`` instead.
+    """
     body.joints.remove(joint)
     del body.links[old]
     for below in body.joints:
@@ -184,12 +192,12 @@ def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str)
 
 
 def assume_density(draft: ModelDraft, link: LinkDraft, simulator: str, is_static: bool = False) -> None:
-    """Set the density of a link that has no mass to the user's density or, by default, to the density of water.
+    """Set the density of a link without a mass to the user's density or, by default, to the density of water.
 
     Args:
-        draft: Draft that records the assumption.
+        draft: Draft in which the assumption is recorded.
         link: Link without a mass.
-        simulator: Simulator with the same default density, to be named in the record.
+        simulator: Simulator that has the same default density and is named in the record.
         is_static: True for links that do not move, for which nothing is recorded.
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
@@ -206,7 +214,7 @@ def _mass_below(body: BodyDraft, link: str) -> float:
 
 
 def feather_link(name: str, carried: float) -> LinkDraft:
-    """Return a link between two joints whose mass is negligible compared to the mass ``carried`` [kg]."""
+    """Return a link to insert between two joints, with a mass that is negligible compared to ``carried`` [kg]."""
     mass = max(LIGHTEST_FEATHER, FEATHER_SHARE * carried)
     return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball_inertia(mass), assumed="import")
 
@@ -214,7 +222,8 @@ def feather_link(name: str, carried: float) -> LinkDraft:
 def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None:
     """Correct an inertia that is slightly invalid due to rounding, or recompute an impossible inertia from the shapes.
 
-    If the link has a fixed joint to its parent, a zero inertia is replaced with a tiny inertia, as for a point mass.
+    If the link is connected to its parent by a fixed joint, a zero inertia is replaced with a tiny inertia, as for a
+    point mass.
     """
     assert link.mass is not None
     what = f"inertia of `{link.name}`"
@@ -227,18 +236,18 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
     moments = np.linalg.eigvalsh(link.inertia) if is_finite else np.full(3, np.nan)
     excess = float(moments[2] - moments[0] - moments[1])
     detail = f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2"
-    reason = "its principal moments are physically impossible"
+    reason = "the principal moments are physically impossible"
     if moments[0] > 0 and excess <= moments[2] * 1e-9:  # rounding of double precision
         if math.sqrt(float(moments[2]) / link.mass) <= WIDEST_GYRATION or draft.format == "MJCF":
             return
         reason, detail = "only an object many meters wide could have it", f"{detail} for {link.mass:.3g} kg"
     elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
         link.inertia = LEAST_INERTIA * np.eye(3)
-        draft.changed(what, "it is zero, and the link is fixed, so it is treated as a point mass")
+        draft.changed(what, "the inertia is zero and the link is fixed, so it is treated as a point mass")
         return
     elif moments[0] > 0 and excess <= moments[2] * ROUNDING:
         link.inertia = link.inertia + excess * (1 + 1e-6) * np.eye(3)
-        why = "rounding made it physically impossible; corrected to the nearest valid inertia"
+        why = "rounding made the inertia physically impossible; it was corrected to the nearest valid one"
         draft.changed(what, why, f"moments {detail}, by {excess / moments[2]:.1g}")
         return
     if link.colliders:
@@ -249,9 +258,16 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
 
 
 def inertia_of_moments(moments: Array, axes: Array, noise: float) -> Array:
-    """Return the inertia tensor, shape (3, 3), with principal ``moments``, shape (3,), about the columns of ``axes``.
+    """Return the inertia tensor with the given principal moments.
 
-    Elements smaller than ``noise`` times the trace are rounding errors from the axes and are set to zero.
+    Args:
+        moments: Principal moments, shape (3,).
+        axes: Principal axes as columns, shape (3, 3).
+        noise: Elements smaller than this fraction of the trace are set to zero, because they are rounding errors that
+            come from the axes.
+
+    Returns:
+        Inertia tensor, shape (3, 3).
     """
     inertia = axes @ np.diag(moments) @ axes.T
     return np.where(np.abs(inertia) < noise * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)

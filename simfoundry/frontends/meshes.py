@@ -1,4 +1,4 @@
-"""Import mesh files, either by copying them, if documents support the format, or by converting them to OBJ."""
+"""Import mesh files, either by copying them if documents support their format or by converting them to OBJ."""
 
 from __future__ import annotations
 
@@ -38,8 +38,10 @@ _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
 def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
     """Return a draft for a mesh file with the given scale [m per unit] along each axis.
 
-    The file is copied if documents support its format and scale. Otherwise, the scaled mesh is written to an OBJ.
-    Raises :class:`MeshError` if the mesh cannot be read.
+    The file is copied if documents support its format and scale. Otherwise, the scaled mesh is written to an OBJ file.
+
+    Raises:
+        MeshError: If the mesh cannot be read.
     """
     x, y, z = scale
     if 0.0 in scale:
@@ -55,9 +57,10 @@ def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
 
 @dataclass
 class FileShelf:
-    """Collects files to write to ``folder``, relative to ``base``; files already below ``root`` are not copied.
+    """A collection of files that will be written to ``folder``, a path relative to ``base``.
 
-    ``files`` maps paths to contents, and ``taken`` maps mesh identities to paths.
+    Files that are already below ``root`` are not copied. ``files`` maps paths to contents, and ``taken`` maps mesh
+    identities to paths.
     """
 
     base: Path
@@ -67,7 +70,10 @@ class FileShelf:
     taken: dict[int, str] = field(default_factory=dict)
 
     def place(self, mesh: MeshDraft) -> str:
-        """Add a mesh and return its path relative to ``base``; identical files are stored only once."""
+        """Add a mesh and return its path relative to ``base``.
+
+        Identical files are stored only once.
+        """
         source = None if mesh.source is None else mesh.source.resolve()
         if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
             return Path(os.path.relpath(source, self.base.resolve())).as_posix()
@@ -85,7 +91,7 @@ class FileShelf:
 
 
 def mesh_width(mesh: MeshDraft) -> float:
-    """Return the longest side of a mesh's bounding box [m], or 0 for an unreadable mesh (which is reported later)."""
+    """Return the longest side [m] of a mesh's bounding box, or 0 for an unreadable mesh, which is reported later."""
     name, data = next(iter(mesh.files.items()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -141,7 +147,7 @@ def _baked(path: Path, scale: Scale) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return the parts as an OBJ file in meters, with a material for each part that has a color or texture."""
+    """Return the parts as an OBJ file in meters, including a material for each part that has a color or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
@@ -194,8 +200,8 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
     """Split an OBJ file into its groups, because PyBullet uses one convex hull per group of a collision mesh.
 
     Returns:
-        The name and the mesh (in meters) of each group. The list is empty if the file is not an OBJ file, has fewer
-        than two groups, or is invalid. Invalid files are reported by the mesh reader.
+        A list with the name and the mesh (in meters) of each group. The list is empty if the file is not an OBJ file,
+        has fewer than two groups, or is invalid. Invalid files are reported by the mesh reader.
     """
     data = path.read_bytes() if path.suffix.lower() == ".obj" else b""
     if not _GROUP.search(data):
@@ -217,7 +223,10 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
 
 
 def _groups(text: str) -> tuple[list[list[float]], Groups]:
-    """Return the vertices of an OBJ file and the triangles in each group, omitting groups without faces."""
+    """Return the vertices of an OBJ file and the triangles of each group.
+
+    Groups without faces are omitted.
+    """
     points: list[list[float]] = []
     groups: Groups = [("", [])]
     for words in filter(None, map(str.split, text.splitlines())):
@@ -265,8 +274,10 @@ HARMLESS = ("DaeBrokenRefError", "DaeUnsupportedError")
 def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPart, ...]:
     """Return the geometries in a COLLADA file, in meters and with z up.
 
-    ``scale`` is applied after the conversion from the file's unit and up axis. Raises :class:`MeshError` if the file
-    cannot be read.
+    ``scale`` is applied after the conversion from the file's unit and up axis.
+
+    Raises:
+        MeshError: If the file cannot be read.
     """
     import collada
     from collada.common import DaeError
@@ -299,7 +310,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
 
 
 def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPart]:
-    """Yield the geometries, posed as in the visual scene, or untransformed if the file has no scene."""
+    """Yield the geometries as posed in the visual scene, or untransformed if the file has no scene."""
     X_WF = np.eye(4)
     asset = document.assetInfo
     X_WF[:3, :3] = np.diag(scale) @ UP.get(asset.upaxis, np.eye(3)) * (asset.unitmeter or 1.0)
@@ -312,7 +323,7 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
         node, X_WN = waiting.pop()
         count += 1
         if count > MAX_NODES:
-            raise MeshError("SF301", f"its scene has more than {MAX_NODES} nodes", "merge its meshes")
+            raise MeshError("SF301", f"the scene has more than {MAX_NODES} nodes", "merge its meshes")
         if hasattr(node, "geometry"):
             yield from _geometry_parts(node.geometry, X_WN, {m.symbol: m.target for m in node.materials}, path)
         elif hasattr(node, "matrix"):
@@ -320,7 +331,10 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
 
 
 def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], path: Path) -> Iterator[MeshPart]:
-    """Yield each primitive of a geometry as a mesh part; ``materials`` maps material symbols to materials."""
+    """Yield each primitive of a geometry as a mesh part.
+
+    ``materials`` maps material symbols to materials.
+    """
     for primitive in geometry.primitives:
         if not hasattr(primitive, "triangleset") and type(primitive).__name__ != "TriangleSet":
             continue  # lines

@@ -14,7 +14,7 @@ LONGEST = 64
 
 
 def plain_name(text: str, otherwise: str = "thing") -> str:
-    """Convert a text to a similar, valid document name, or to ``otherwise`` if it contains no letters or digits."""
+    """Convert text to a similar, valid document name, or to ``otherwise`` if it contains no letters or digits."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
     ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
     name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_") or otherwise
@@ -27,10 +27,10 @@ def free_name(wish: str, taken: Container[str]) -> str:
 
 
 class NameTable:
-    """Assigns unique document names to elements of one kind.
+    """A table that assigns unique document names to elements of one kind.
 
-    ``renamed`` maps original names to new names where they differ. The name ``world`` is never assigned because other
-    formats reserve it for the static world.
+    ``renamed`` maps each original name that was changed to its new name. The name ``world`` is never assigned because
+    other formats reserve it for the static world.
     """
 
     def __init__(self, otherwise: str = "thing") -> None:

@@ -1,4 +1,4 @@
-"""Registry of importers with the file types that they support and the functions that read these files."""
+"""A registry of importers, with the file types that they support and the functions that read these files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TaskReader = Callable[[Path, "SceneSpec", "Scene", Path, ImportOptions], "tuple[
 
 @dataclass(frozen=True)
 class Importer:
-    """An importer for one format, with its model and task readers by file suffix.
+    """An importer for one format, with its model readers and task readers keyed by file suffix.
 
     Formats that share a suffix are distinguished by ``xml_root``, the name of their root element in XML files, or by
     ``accepts``, a function that examines the file.
@@ -66,7 +66,7 @@ def model_suffixes() -> tuple[str, ...]:
 
 
 def task_readers() -> dict[str, TaskReader]:
-    """Return all task readers by file suffix."""
+    """Return all task readers, keyed by file suffix."""
     importers = IMPORTERS.load_all()[0].items()
     return {kind: IMPORTERS.running(name)(read) for name, found in importers for kind, read in found.tasks.items()}
 
@@ -74,7 +74,8 @@ def task_readers() -> dict[str, TaskReader]:
 def model_reader(path: Path) -> ModelReader:
     """Return the function that reads a model file.
 
-    Raises :class:`ImportRefusedError` if no importer accepts the file.
+    Raises:
+        ImportRefusedError: If no importer accepts the file.
     """
     suffix = path.suffix.lower()
     importers, errors = IMPORTERS.load_all()

@@ -1,4 +1,4 @@
-"""Export tasks to other formats: BDDL for LIBERO and BEHAVIOR, and the authors' task YAML.
+"""Export tasks to other formats: BDDL for LIBERO and BEHAVIOR, and the task YAML used in the SimFoundry paper.
 
 A task is rejected if the format would change the meaning of its goal. A note is recorded for each initial condition
 that the format cannot express.
@@ -35,7 +35,7 @@ class TaskExport:
     notes: list[str] = field(default_factory=list)
 
     def args(self, call: Call) -> list[str]:
-        """Return the objects of a predicate; add a note if the predicate refers to a part of an object."""
+        """Return the objects of a predicate, adding a note if the predicate refers to a part of an object."""
         args = [object_of(arg) for arg in call.args]
         if args != list(call.args):
             self.notes.append(f"{call}: the exported predicate refers to the entire object, not to the part")
@@ -43,7 +43,11 @@ class TaskExport:
 
 
 def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
-    """Export a task to one of :data:`FORMATS`; raise :class:`TaskExportError` if the format cannot express it."""
+    """Export a task to one of :data:`FORMATS`.
+
+    Raises:
+        TaskExportError: If the format cannot express the task.
+    """
     export = TaskExport()
     if spec.start.place or spec.start.pose:
         export.notes.append("initial poses: the format always uses the scene's poses")
@@ -55,9 +59,10 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
 
 
 def atoms(condition: Any) -> list[tuple[Call, bool]]:
-    """Return the predicates in a conjunction and their required truth values.
+    """Return the predicates in a conjunction, along with their required truth values.
 
-    Raises :class:`TaskExportError` for any other condition.
+    Raises:
+        TaskExportError: If the condition is not a conjunction of predicates and negated predicates.
     """
     tag, below = parts(condition)
     if tag == "text":
@@ -136,7 +141,7 @@ def _kind(item: SceneObject) -> str:
 
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
-    """Return BEHAVIOR's object names, each of which consists of a WordNet synset and a number, by scene object."""
+    """Return BEHAVIOR's name for each scene object, which consists of a WordNet synset and a number."""
     counts: Counter[str] = Counter()
     names = {}
     for item in scene.objects:
@@ -159,7 +164,7 @@ def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExpo
 
 
 def _region(name: str, regions: dict[str, list[str]]) -> str:
-    """Return the name of an object or of a region that represents a part of an object."""
+    """Return the name of an object, or of a region that represents a part of an object."""
     item, dot, part = name.partition(".")
     if not dot:
         return item
@@ -204,7 +209,7 @@ def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], ex
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
     for joint in (f"{item}.{name}" for item, names in spec.start.joints.items() for name in names):
-        export.notes.append(f"initial position of {joint}: the format only supports open, not a position")
+        export.notes.append(f"initial position of {joint}: the format supports only `open`, not a position")
         yield f"(Open {_region(joint, regions)})"
 
 
@@ -263,7 +268,10 @@ def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> di
 
 
 def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
-    """Return reset ranges as half widths around the poses in the scene, the only form that the release supports."""
+    """Return reset ranges as half widths around the poses in the scene.
+
+    The task format of the SimFoundry paper does not support any other ranges.
+    """
     widths: dict[str, list[float]] = {}
     turns: dict[str, float] = {}
     for name, region in spec.reset.objects.items():

@@ -1,1 +1,1 @@
-"""Geometric measurements on shapes, each implemented only once."""
+"""Geometric measurements on shapes, each of which is implemented only once."""

@@ -1,6 +1,6 @@
 """Bounds on the signed distance between two links, computed without MuJoCo.
 
-The bounds are nearly always tight enough to tell whether the distance exceeds a threshold.
+The bounds are nearly always tight enough to tell if the distance exceeds a threshold.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
         b: Second link.
         X_WA: Position [m], shape (3,), and rotation, shape (3, 3), of the first link in the world.
         X_WB: Position and rotation of the second link.
-        limit: Distance [m] at which the search ends; parts whose bounding boxes are farther apart are treated as if
+        limit: Distance [m] at which the search ends. Parts whose bounding boxes are farther apart are treated as if
             they were exactly this far apart.
     """
     lower, upper = limit, math.inf
@@ -77,7 +77,7 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
 
 
 def _boxes(form: Form, X_WF: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the minimum and maximum corners of the bounding box around each part, shape (parts, 3) each."""
+    """Return the minimum and maximum corners of the bounding box around each part, as arrays of shape (parts, 3)."""
     low, high, _, _ = form.pieces
     middle, half = (low + high) / 2 @ X_WF[1].T + X_WF[0], (high - low) / 2 @ np.abs(X_WF[1]).T
     return middle - half, middle + half
@@ -110,7 +110,11 @@ def _part_bounds(a: _Part, b: _Part) -> Interval:
 
 
 def _nearest(a: Array, b: Array) -> Array:
-    """Use Wolfe's algorithm to compute the shortest vector from the hull of ``b`` to the hull of ``a``, shape (3,)."""
+    """Use Wolfe's algorithm to compute the shortest vector from the hull of ``b`` to the hull of ``a``.
+
+    Returns:
+        The vector [m], shape (3,).
+    """
     middle = a.mean(axis=0) - b.mean(axis=0)
     corral = _support(a, b, middle)[None]
     weights = np.ones(1)
@@ -137,12 +141,12 @@ def _nearest(a: Array, b: Array) -> Array:
 
 
 def _support(a: Array, b: Array, way: Array) -> Array:
-    """Return the support point of the difference of two hulls, which has the smallest extent along a direction."""
+    """Return the support point of the difference of two hulls, which is its lowest point along a direction."""
     return np.asarray(a[(a @ way).argmin()] - b[(b @ way).argmax()])
 
 
 def _affine(points: Array) -> Array:
-    """Return the weights of the point nearest the origin in the affine hull of ``points``; the weights sum to 1."""
+    """Return the weights of the point nearest the origin in the affine hull of ``points``. The weights sum to 1."""
     k = len(points)
     system = np.ones((k + 1, k + 1))
     system[0, 0], system[1:, 1:] = 0.0, points @ points.T
@@ -159,8 +163,8 @@ BOX_ROUNDING = 1e-6
 class BoxField:
     """The distance field of a box.
 
-    ``middle`` [m] and ``axes`` are the position and rotation of the box in the link frame; ``half`` [m] contains the
-    half extents.
+    ``middle`` [m] and ``axes`` are the position and the rotation of the box in the link frame. ``half`` [m] contains
+    the half extents.
     """
 
     middle: NDArray[np.float32]
@@ -168,21 +172,28 @@ class BoxField:
     half: NDArray[np.float32]
 
     def local(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Transform points, shape (..., 3), from the link frame to the box frame."""
+        """Transform points of shape (..., 3) from the link frame to the box frame."""
         return np.asarray((points - self.middle) @ self.axes)
 
     def lower(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:
-        """Return a lower bound on the distance [m], shape (n,), to axis-aligned regions in the box frame.
+        """Return a lower bound on the distance to axis-aligned regions in the box frame.
 
-        The regions extend from ``low`` to ``high``, shape (n, 3) each. The bound is the largest gap across a face of
-        the box.
+        The bound is the largest gap across a face of the box.
+
+        Args:
+            low: Minimum corners of the regions [m], shape (n, 3).
+            high: Maximum corners of the regions [m], shape (n, 3).
+
+        Returns:
+            Lower bounds [m], shape (n,).
         """
         return np.asarray(np.maximum(low - self.half, -self.half - high).max(axis=1) - np.float32(BOX_ROUNDING))
 
     def upper(self, local: NDArray[np.float32], radius: NDArray[np.float32]) -> Array:
-        """Return an upper bound on the distance [m], shape (n,): the distance to the nearest of m balls.
+        """Return an upper bound on the distance [m], which is the distance to the nearest of m balls.
 
-        ``local`` [m], shape (n, m, 3), contains the centers of the balls in the box frame.
+        The bound is an array of shape (n,). ``local`` [m], shape (n, m, 3), contains the centers of the balls in the
+        box frame.
         """
         off = np.abs(local) - self.half
         outside = np.maximum(off, 0)

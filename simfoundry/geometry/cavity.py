@@ -44,14 +44,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """The cavity of a link, as a grid of signed depths.
+    """The cavity of a link, represented as a grid of signed depths.
 
     Attributes:
-        depth: Signed depth [m] at the cell centers, float32, shape (x, y, z); the depth is positive inside the cavity
+        depth: Signed depth [m] at the cell centers, float32, shape (x, y, z). The depth is positive inside the cavity
             and its walls.
         low: Center of the first cell in the link frame [m], shape (3,).
         cell: Side length of a cell [m].
-        up: Unit vector along the upward link axis.
+        up: Unit vector along the link axis that points up.
         out: Unit vector toward the opening, or zero if the cavity is closed or open on opposite sides.
         deep: Depth of the cavity along ``up`` [m].
         middle: Center of a bounding sphere [m], shape (3,).
@@ -68,7 +68,7 @@ class Cavity:
     size: float
 
     def at(self, points: Array) -> Array:
-        """Interpolate the depth [m] at points in the link frame, shape (..., 3).
+        """Interpolate the depth [m] at points of shape (..., 3) in the link frame.
 
         Outside the grid, the depth decreases with distance.
         """
@@ -94,7 +94,7 @@ class Cavity:
 
 
 def cavity(form: Form) -> Cavity | None:
-    """Return the cavity of a link in its most common orientation, or None if no orientation has a cavity."""
+    """Return the cavity of a link in the most common orientation in which it has one, or None if it never has one."""
     return next((found for axis, sign in UPWARD if (found := cavity_upward(form, axis, sign)) is not None), None)
 
 
@@ -108,7 +108,7 @@ def cavity_upward(form: Form, axis: int, sign: int) -> Cavity | None:
 
 @dataclass(frozen=True)
 class _Key:
-    """Cache key of a form, equal for forms with the same parts."""
+    """The cache key of a form, which is equal for forms with the same parts."""
 
     digest: bytes
     form: Form = field(compare=False)
@@ -116,7 +116,11 @@ class _Key:
 
 @lru_cache(maxsize=256)
 def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
-    """Return a grid of distances from a link's surface, the center of the first cell, and the cell size, all in [m]."""
+    """Return a grid of distances from a link's surface.
+
+    Returns:
+        The distances, the center of the first cell, and the cell size, all in [m].
+    """
     form = key.form
     if not form.solid or len(form.parts.radius) < 2:  # a single convex part has no cavity
         return None
@@ -147,9 +151,9 @@ def _cavity(key: _Key, axis: int, sign: int) -> Cavity | None:
 
 
 def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) -> NDArray[np.float32]:
-    """Return the distance from each cell to the nearest part [m], float32.
+    """Return the distance from each cell to the nearest part [m] in single precision.
 
-    The distance is exact within two cells of a face; elsewhere, it is a lower bound.
+    The distance is exact within two cells of a face. Elsewhere, it is a lower bound.
     """
     out = np.full(tuple(shape), np.float32(np.inf))
     axes = [low[k] + cell * np.arange(shape[k]) for k in range(3)]
@@ -165,9 +169,17 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """Return the distance from points, shape (n, 3), to one part [m], shape (n,); it is negative inside the part.
+    """Return the distance from points to one part, which is negative inside the part.
 
-    The distance is exact for round parts; for polyhedra, it is the largest distance to a face plane.
+    The distance is exact for round parts. For polyhedra, it is the largest distance to a face plane.
+
+    Args:
+        parts: Convex parts.
+        number: Index of the part.
+        points: Points [m], shape (n, 3).
+
+    Returns:
+        Distances [m], shape (n,).
     """
     rows = parts.part[parts.triangles[:, 0]] == number
     if rows.any():
@@ -186,10 +198,8 @@ def outside_part(parts: Hulls, number: int, points: Array) -> Array:
 def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> tuple[Mask, Array]:
     """Find the free cells that are enclosed when a grid axis points up, and the direction of their opening.
 
-    The direction is a unit vector or zero.
-
     An enclosed cell has a floor below it, and walls on both sides along two of three perpendicular axes, one of which
-    is the up axis.
+    is the up axis. The direction is a unit vector or zero.
     """
     turned = np.moveaxis(outside, axis, 2)[:, :, ::sign]
     wall = turned <= 0.75 * cell  # thick enough that no ray can pass through a wall
@@ -257,7 +267,7 @@ def _met(wall: Mask, dx: int, dy: int) -> Mask:
 
 
 def _shifted(layer: Mask, dy: int) -> Mask:
-    """Shift cells by ``-dy`` along y; cells shifted in from outside the grid are empty."""
+    """Shift cells by ``-dy`` along y. Cells that are shifted in from outside the grid are empty."""
     out = np.zeros_like(layer)
     if dy == 0:
         return layer
@@ -271,9 +281,12 @@ TRIED = 512
 
 @lru_cache(maxsize=256)
 def volume_samples(form: Form, count: int) -> Array:
-    """Sample about ``count`` points [m] inside a form, in the link frame, shape (k, 3).
+    """Sample about ``count`` points inside a form.
 
     Regions where parts overlap are sampled once for each part.
+
+    Returns:
+        Points in the link frame [m], shape (k, 3).
     """
     unit = _spread_points()
     low, high, _, _ = form.pieces
@@ -292,7 +305,7 @@ def volume_samples(form: Form, count: int) -> Array:
 
 @lru_cache(maxsize=1)
 def _spread_points() -> Array:
-    """Return points of a Halton sequence in the unit cube, shape (TRIED, 3)."""
+    """Return points of a Halton sequence in the unit cube, as an array of shape (TRIED, 3)."""
     return np.array([[_radical(k, base) for base in (2, 3, 5)] for k in range(1, TRIED + 1)])
 
 

@@ -29,8 +29,8 @@ class HalfSpaces:
     """Convex parts in the world frame, represented as half-spaces.
 
     Part k is the set of points ``x`` that satisfy ``normals @ x <= offsets`` in the rows from ``first[k]`` up to
-    ``first[k + 1]``. ``corners`` [m], shape (n, 3), contains the corners of all parts; ``owner``, shape (n,), is the
-    part index of each corner.
+    ``first[k + 1]``. ``corners`` [m], shape (n, 3), contains the corners of all parts, and ``owner``, shape (n,),
+    contains the part index of each corner.
     """
 
     normals: Array
@@ -40,7 +40,7 @@ class HalfSpaces:
     owner: NDArray[np.intp]
 
     def rows(self, part: int) -> slice:
-        """Return the rows that contain the half-spaces of a part."""
+        """Return the range of the rows that contain the half-spaces of a part."""
         return slice(int(self.first[part]), int([*self.first[1:], len(self.offsets)][part]))
 
 
@@ -48,7 +48,7 @@ class HalfSpaces:
 class Span:
     """A segment of a line inside one part or several touching parts, from ``start`` to ``end`` along the line [m].
 
-    ``facing`` is the smaller of the two cosines between the line and the surface normals at the ends of the segment; it
+    ``facing`` is the smaller of the two cosines between the line and the surface normals at the ends of the segment. It
     is 1 if the line is perpendicular to both surfaces.
     """
 
@@ -58,7 +58,7 @@ class Span:
 
     @property
     def width(self) -> float:
-        """Length of the segment [m]."""
+        """The length of the segment [m]."""
         return self.end - self.start
 
 
@@ -95,7 +95,7 @@ def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
 
 
 def bounds(shape: HalfSpaces, axes: Array) -> tuple[Array, Array]:
-    """Return the minimum and maximum coordinates [m] along the columns of ``axes``, shape (3,) each."""
+    """Return the minimum and maximum coordinates [m] along the columns of ``axes``, as arrays of shape (3,)."""
     along = shape.corners @ axes
     return along.min(axis=0), along.max(axis=0)
 
@@ -153,7 +153,10 @@ def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at
 
 
 def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]:
-    """Return a mask of the rays from ``start`` [m] that hit the object; ``directions`` has shape (n, 3)."""
+    """Return a mask of the rays from ``start`` [m] that hit the object.
+
+    ``directions`` is an array of shape (n, 3).
+    """
     slope = directions @ shape.normals.T
     room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
     entry, leave = _clipped(shape.first, room, slope)
@@ -161,7 +164,7 @@ def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]
 
 
 def _clipped(parts: NDArray[np.intp], room: Array, slope: Array) -> tuple[Array, Array]:
-    """Return the positions [m] at which lines enter and leave each part, shape (lines, parts) each.
+    """Return the positions [m] at which lines enter and leave each part, as arrays of shape (lines, parts).
 
     ``parts`` contains the first row of each part.
     """
@@ -186,7 +189,10 @@ class SolidRun(NamedTuple):
 
 
 def union(runs: Iterable[SolidRun]) -> list[SolidRun]:
-    """Return the union of runs sorted by their start; runs separated by at most :data:`TOGETHER` are merged."""
+    """Return the union of runs that are sorted by their start.
+
+    Runs separated by at most :data:`TOGETHER` are merged.
+    """
     found: list[SolidRun] = []
     for run in runs:
         if not found or run.start > found[-1].end + TOGETHER:
@@ -211,7 +217,7 @@ def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: A
 def _facing(shape: HalfSpaces, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
     """Return the cosine between a line and the normal of the face where it enters or leaves a part at ``at`` [m].
 
-    ``sign`` is -1 if the line enters the part, 1 if it leaves the part.
+    ``sign`` is -1 if the line enters the part, and 1 if it leaves the part.
     """
     rows = shape.rows(part)
     through = sign * slope[rows]

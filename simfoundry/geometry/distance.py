@@ -1,4 +1,4 @@
-"""Signed distances between links in many states: bounds, candidate pairs of nearest parts, and exact values.
+"""Signed distances between links in many states, including bounds, candidate pairs of nearest parts, and exact values.
 
 Exact distances are computed by MuJoCo's collision functions, with geom poses that this module sets directly.
 """
@@ -28,7 +28,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Candidates(NamedTuple):
-    """Pairs of parts that may be close to each other, as arrays of shape (m,).
+    """Pairs of parts that may be close to each other, stored as arrays of shape (m,).
 
     Attributes:
         state: Index of the state.
@@ -50,8 +50,8 @@ Shapes = Sequence[tuple[Geometry, Pose]]
 class Exact:
     """Exact distances between links, computed from MuJoCo geoms that represent the shapes.
 
-    Links are identified by object name and link index. MuJoCo only measures distances: the geom poses are set here, and
-    the model is never stepped.
+    Links are identified by object name and link index. MuJoCo is only used to measure distances: the geom poses are set
+    here, and the model is never stepped.
     """
 
     def __init__(self, links: Mapping[tuple[str, int], Shapes]) -> None:
@@ -79,7 +79,7 @@ class Exact:
             enough: Distance [m] at or below which the search in a state stops.
 
         Returns:
-            Signed distances [m], shape (n,), negative if the links overlap.
+            Signed distances [m], shape (n,), which are negative if the links overlap.
         """
         first, second, place = self._placing(pair, pair.X_WA)
         measure, model, data = self._distance, self._model, self._data
@@ -107,8 +107,7 @@ class Exact:
             pair: The two links.
             near: Pairs of parts that may be close enough.
             limit: Maximum distance between two parts [m].
-            enough: Once the cosine between a direction and the vertical reaches this value, the search in that state
-                ends.
+            enough: Cosine between a direction and the vertical at or above which the search in a state stops.
 
         Returns:
             The state index of each pair of parts, shape (m,), the distance between the parts [m], shape (m,), and the
@@ -157,14 +156,21 @@ class Exact:
         return first, second, place
 
     def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
-        """Return the positions, shape (n, geoms, 3), and rotations, shape (n, geoms, 9), of a link's geoms."""
+        """Return the positions and rotations of a link's geoms.
+
+        Returns:
+            Positions [m], shape (n, geoms, 3), and rotations, shape (n, geoms, 9).
+        """
         p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
         turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
         return p, turn.reshape(len(p), -1, 9)
 
 
 def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
-    """Add a geom to a model's world body; ``meshes`` maps the ``id`` of each mesh added so far to its name."""
+    """Add a geom to the world body of a model.
+
+    ``meshes`` maps the ``id`` of each mesh added so far to its name.
+    """
     import mujoco
 
     kinds = mujoco.mjtGeom
@@ -193,7 +199,7 @@ def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str])
 
 
 def steepest_together(ways: Array) -> float:
-    """Return the largest cosine between the vertical and a nonnegative combination of unit vectors, shape (k, 3)."""
+    """Return the largest cosine between the vertical and a nonnegative combination of k unit vectors."""
     from scipy.optimize import nnls
 
     # The best combination is the projection of `UP` onto the cone spanned by the vectors; its length is the cosine.
@@ -221,7 +227,7 @@ def bound_distances(pair: LinkPair, threshold: float, by_parts: bool) -> tuple[A
     Args:
         pair: The two links.
         threshold: The threshold [m].
-        by_parts: True to decide the remaining states using bounds on the distances between parts.
+        by_parts: True if the remaining states are decided using bounds on the distances between parts.
 
     Returns:
         A bound on the distance in each state [m], shape (n,), and the indices of the undecided states.
@@ -241,7 +247,7 @@ def bound_distances(pair: LinkPair, threshold: float, by_parts: bool) -> tuple[A
 
 
 def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool) -> tuple[Array, Array, Index]:
-    """Compute bounds that suffice in most states to decide whether the second link supports the first.
+    """Compute bounds that suffice in most states to decide if the second link supports the first.
 
     If one link is a single box, the corners of the other link's hull are usually sufficient.
 
@@ -249,7 +255,7 @@ def bound_support(pair: LinkPair, limit: float, steepest: float, by_parts: bool)
         pair: The two links.
         limit: Maximum distance of a supporting link [m].
         steepest: Minimum cosine between the vertical and the push of a supporting link.
-        by_parts: True to decide the remaining states using bounds on the distances between parts.
+        by_parts: True if the remaining states are decided using bounds on the distances between parts.
 
     Returns:
         A bound on the distance [m] and a bound on the support cosine in each state, shape (n,) each, and the indices of
@@ -281,7 +287,7 @@ def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> I
 
 
 class FromBox(NamedTuple):
-    """The hull of a link in n states, expressed in the frame of the other link in the pair, which is a single box.
+    """The hull of one link in n states, expressed in the frame of a second link that is a single box.
 
     Attributes:
         field: Distance field of the box.
@@ -300,17 +306,23 @@ class FromBox(NamedTuple):
     up: NDArray[np.float32]
 
     def lower(self, raised: float = 0.0) -> Array:
-        """Return a lower bound on the distance [m], shape (n,), with the first link raised by ``raised`` [m]."""
+        """Return a lower bound on the distance [m] with the first link raised by ``raised`` [m].
+
+        The bound is an array of shape (n,).
+        """
         move = np.float32(raised) * self.up
         return self.field.lower(self.low + move, self.high + move)
 
     def upper(self) -> Array:
-        """Return an upper bound on the distance [m], shape (n,)."""
+        """Return an upper bound on the distance [m], as an array of shape (n,)."""
         return self.field.upper(self.local, self.radius)
 
 
 def from_box(pair: LinkPair) -> FromBox | None:
-    """Express a pair of links in the frame of the link that is a single box, or return None if neither link is one."""
+    """Express a pair of links in the frame of the link that is a single box.
+
+    Returns None if neither link is a single box.
+    """
     one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
     if box_field(other) is None:
         one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
@@ -328,7 +340,7 @@ def from_box(pair: LinkPair) -> FromBox | None:
 
 
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """Return a lower bound on the distance between two links [m], shape (n,).
+    """Return a lower bound on the distance between two links [m], as an array of shape (n,).
 
     The bound is the distance from each link's bounding sphere to the other link's bounding box.
     """
@@ -342,7 +354,12 @@ def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
 
 
 def candidates(pair: LinkPair, most: Array) -> Candidates:
-    """Return the pairs of parts that may be closer than ``most`` [m], shape (n,), in order of state and distance."""
+    """Return the pairs of parts that may be closer than a distance, sorted by state and distance.
+
+    Args:
+        pair: The two links.
+        most: The distance in each state [m], shape (n,).
+    """
     X_AB = pair.X_WA.inverse() @ pair.X_WB
     low_a, high_a, ball_a, size_a = pair.one.pieces
     low_b, high_b, ball_b, size_b = pair.other.pieces
@@ -360,6 +377,6 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:
-    """Return the distances from points to boxes [m], which are 0 for points inside."""
+    """Return the distances [m] from points to boxes, which are 0 for points inside a box."""
     off = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

@@ -1,4 +1,4 @@
-"""Rigid bodies that are preprocessed for measurements, with convex parts, extents and bounding spheres."""
+"""Rigid bodies that are preprocessed for measurements, including convex parts, extents and bounding spheres."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Form:
 
     @classmethod
     def of(cls, shapes: Iterable[tuple[Geometry, Pose]], solid: bool = True) -> Form:
-        """Create a form from posed shapes; in a solid form, all meshes must be convex."""
+        """Create a form from posed shapes. In a solid form, all meshes must be convex."""
         shapes = tuple(shapes)
         return cls(shapes, solid, hulls_of((geometry, pose, 0) for geometry, pose in shapes))
 
@@ -51,35 +51,38 @@ class Form:
         return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
 
     def support(self, states: int) -> tuple[Array, Array]:
-        """Return centers [m], shape (m, 3), and radii [m], shape (m,), of balls with the same convex hull as the parts.
+        """Return balls that have the same convex hull as the parts.
 
         Corners inside the hull are removed only if there are many states, because removing them for a few states does
         not save time.
+
+        Returns:
+            The centers [m], shape (m, 3), and the radii [m], shape (m,).
         """
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
     @cached_property
     def low(self) -> Array:
-        """Lower extents along :data:`TURNED` [m], shape (5,)."""
+        """The lower extents [m] along the directions in :data:`TURNED`."""
         points, radius = self.support(1)
         return np.asarray((points @ TURNED.T - radius[:, None]).min(axis=0))
 
     @cached_property
     def high(self) -> Array:
-        """Upper extents along :data:`TURNED` [m], shape (5,)."""
+        """The upper extents [m] along the directions in :data:`TURNED`."""
         points, radius = self.support(1)
         return np.asarray((points @ TURNED.T + radius[:, None]).max(axis=0))
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
-        """Center [m], shape (3,), and radius [m] of the bounding sphere."""
+        """The center [m] and the radius [m] of the bounding sphere."""
         middle = (self.low[:3] + self.high[:3]) / 2
         points, radius = self.support(1)
         return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
 
     @cached_property
     def digest(self) -> bytes:
-        """SHA-256 hash of the parts."""
+        """The SHA-256 hash of the parts."""
         arrays = (self.parts.corners, self.parts.part, self.parts.radius, self.parts.triangles)
         return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in arrays)).digest()
 
@@ -101,7 +104,7 @@ class Form:
         return np.array(low), np.array(high), np.array(middle), np.array(size)
 
     def part_shape(self, number: int) -> tuple[Array, Array, Array]:
-        """Return the corners [m], unit face normals and unit edge directions of a part."""
+        """Return the corners [m], the unit face normals and the unit edge directions of a part."""
         if number not in self._part_shapes:
             parts = self.parts
             own = parts.part == number
@@ -124,7 +127,7 @@ def _distinct(ways: Array) -> Array:
 
 
 def _is_backward(ways: Array) -> NDArray[np.bool_]:
-    """Return a mask of directions whose first nonzero coordinate is negative.
+    """Return a mask of the directions whose first nonzero coordinate is negative.
 
     Exactly one of two opposite directions is marked.
     """
@@ -134,7 +137,7 @@ def _is_backward(ways: Array) -> NDArray[np.bool_]:
 
 
 def _hull_corners(points: Array) -> Array:
-    """Return the points on the convex hull, in their original order, or all points if the hull has no volume."""
+    """Return the points on the convex hull in their original order, or all points if the hull has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 5:

@@ -1,6 +1,6 @@
 """Rigid transforms (single poses and batches), and the project's only conversion between quaternion orders.
 
-``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
+``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project.
 :func:`to_xyzw` and :func:`from_xyzw` convert to and from formats that use the ``xyzw`` order (PyBullet, numpy views of
 USD quaternions).
 """
@@ -30,14 +30,19 @@ def frozen_array(values: object, shape: tuple[int, ...] | None = None) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A rigid transform ``X_AB``: translation ``p`` [m], shape (3,), and unit quaternion ``q`` (wxyz), shape (4,)."""
+    """A rigid transform ``X_AB``.
+
+    Attributes:
+        p: Translation [m], shape (3,).
+        q: Unit quaternion (wxyz), shape (4,).
+    """
 
     p: Array
     q: Array
 
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
-        """Build a pose from any position and any nonzero quaternion, which is normalized, with ``w >= 0``."""
+        """Build a pose from any position and any nonzero quaternion, which is normalized so that ``w >= 0``."""
         w, x, y, z = map(float, q)  # for four numbers, plain Python is faster than numpy arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
@@ -55,12 +60,12 @@ class Pose:
 
     @classmethod
     def about(cls, axis: Array, angle: float) -> Pose:
-        """Build a rotation by ``angle`` [rad] about a unit axis, shape (3,)."""
+        """Build a rotation by ``angle`` [rad] about a unit axis."""
         return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
 
     @property
     def matrix(self) -> Array:
-        """The homogeneous matrix, shape (4, 4)."""
+        """The homogeneous 4x4 matrix of the transform."""
         out = np.eye(4)
         out[:3, :3] = self.rotation
         out[:3, 3] = self.p
@@ -68,7 +73,7 @@ class Pose:
 
     @cached_property
     def rotation(self) -> Array:
-        """The rotation matrix, shape (3, 3)."""
+        """The 3x3 rotation matrix of the transform."""
         return frozen_array(matrix_from_quat(self.q))
 
     @cached_property
@@ -88,11 +93,11 @@ class Pose:
         return Pose.of(self.p + self.rotation @ other.p, quat_multiply(self.q, other.q))
 
     def apply(self, points: Array) -> Array:
-        """Transform points, shape (..., 3), from frame B to frame A."""
+        """Transform points of shape (..., 3) from frame B to frame A."""
         return np.asarray(points) @ self.rotation.T + self.p
 
     def angle_about(self, axis: Array) -> float:
-        """Return the twist angle of the rotation about a unit axis, shape (3,), in the range [-pi, pi] rad."""
+        """Return the twist angle of the rotation about a unit axis, in the range [-pi, pi] rad."""
         return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
@@ -116,7 +121,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 
 def matrix_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to a rotation matrix, shape (3, 3)."""
+    """Convert a unit wxyz quaternion to a 3x3 rotation matrix."""
     return np.array(_rotation_rows(*map(float, q)))  # numpy scalars are slower than Python floats
 
 
@@ -164,7 +169,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def rpy_from_quat(q: Array) -> Array:
-    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad], shape (3,)."""
+    """Convert a unit wxyz quaternion to URDF's fixed-axis roll, pitch and yaw [rad]."""
     r = matrix_from_quat(q).tolist()
     level = math.hypot(r[0][0], r[1][0])
     pitch = math.atan2(-r[2][0], level)
@@ -194,7 +199,7 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return cross products along the last axis; for a few vectors, this is five times as fast as ``np.cross``.
+    """Return cross products along the last axis. For a few vectors, this is five times as fast as ``np.cross``.
 
     Swapping the arguments changes only the sign, so two triangles compute the same values for a shared edge.
     """
@@ -206,7 +211,7 @@ def cross(a: Array, b: Array) -> Array:
 def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
     """Return the pose ``X_WC`` of a camera at ``eye`` that looks at ``target``.
 
-    The camera frame uses OpenCV axes: x right, y down, z forward.
+    The camera frame uses OpenCV axes: x points right, y points down, and z points forward.
     """
     forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
     norm = float(np.linalg.norm(forward))
@@ -234,14 +239,19 @@ Index = NDArray[np.int64]
 
 
 class Poses(NamedTuple):
-    """A batch of n poses ``X_AB``: positions ``p`` [m], shape (n, 3), and rotation matrices ``R``, shape (n, 3, 3)."""
+    """A batch of n poses ``X_AB``.
+
+    Attributes:
+        p: Positions [m], shape (n, 3).
+        R: Rotation matrices, shape (n, 3, 3).
+    """
 
     p: Array
     R: Array
 
     @classmethod
     def of(cls, p: Array, q: Array) -> Poses:
-        """Create poses from positions, shape (n, 3), and nonzero wxyz quaternions, shape (n, 4).
+        """Create poses from n positions and n nonzero wxyz quaternions.
 
         The quaternions do not need to be normalized.
         """
@@ -272,18 +282,26 @@ class Poses(NamedTuple):
 
 
 def rotate(turn: Array, v: Array) -> Array:
-    """Rotate each vector in ``v``, shape (n, 3), by the corresponding matrix in ``turn``, shape (n, 3, 3)."""
+    """Rotate each vector in ``v`` by the corresponding matrix in ``turn``.
+
+    Args:
+        turn: Rotation matrices, shape (n, 3, 3).
+        v: Vectors, shape (n, 3).
+
+    Returns:
+        Rotated vectors, shape (n, 3).
+    """
     return np.asarray((turn @ v[:, :, None])[:, :, 0])
 
 
 def rotations(q: Array) -> Array:
-    """Convert wxyz quaternions, shape (n, 4), to rotation matrices, shape (n, 3, 3)."""
+    """Convert wxyz quaternions of shape (n, 4) to rotation matrices of shape (n, 3, 3)."""
     rows = np.array(_rotation_rows(*(q / np.linalg.norm(q, axis=1, keepdims=True)).T))
     return np.ascontiguousarray(np.moveaxis(rows, -1, 0))
 
 
 class Turn:
-    """Rotations about a fixed unit axis, shape (3,)."""
+    """Rotations about a fixed unit axis."""
 
     def __init__(self, axis: Array) -> None:
         x, y, z = axis
@@ -291,6 +309,13 @@ class Turn:
         self._square = self._skew @ self._skew
 
     def by(self, angle: Array) -> Array:
-        """Return the rotation matrices, shape (n, 3, 3), for angles [rad], shape (n,)."""
+        """Return the rotation matrices for an array of angles.
+
+        Args:
+            angle: Angles [rad], shape (n,).
+
+        Returns:
+            Rotation matrices, shape (n, 3, 3).
+        """
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
         return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

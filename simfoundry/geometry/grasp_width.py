@@ -10,7 +10,7 @@ the object above the fingertips. A grasp is valid if all of these conditions are
 * The object does not taper upward between the pads (:data:`WEDGE`). For example, a ball can be grasped at its equator,
   but a plate cannot be grasped by its rim.
 
-Only the shape is considered; reachability and neighboring objects are checked elsewhere.
+Only the shape is considered. Reachability and neighboring objects are checked elsewhere.
 """
 
 from __future__ import annotations
@@ -84,9 +84,9 @@ def grasp_width(solid: HalfSpaces) -> float:
 
 
 def _main_direction(solid: HalfSpaces) -> float:
-    """Return the azimuth of the upright faces' dominant normal [rad], in [0, pi), or 0 if there are no upright faces.
+    """Return the azimuth [rad] of the dominant normal of the upright faces, or 0 if there are no upright faces.
 
-    The dominant normal is chosen from a histogram with bins of one degree.
+    The azimuth is in [0, pi). The dominant normal is chosen from a histogram with bins of one degree.
     """
     upright = solid.normals[np.abs(solid.normals[:, 2]) < UPRIGHT]
     if not len(upright):
@@ -97,7 +97,7 @@ def _main_direction(solid: HalfSpaces) -> float:
 
 
 class _Closing:
-    """Candidate grasps for fingers that close along one horizontal direction."""
+    """The candidate grasps for fingers that close along one horizontal direction."""
 
     def __init__(self, solid: HalfSpaces, azimuth: float) -> None:
         self._solid = solid
@@ -128,7 +128,7 @@ class _Closing:
                     self._met[at // lines][at % lines].append(SolidRun(first, last, (at, part), (at, part)))
 
     def narrowest(self, best: float) -> float:
-        """Return the smallest width of a valid grasp [m], or ``best`` if none is smaller."""
+        """Return the smallest width of a valid grasp [m], or ``best`` if no width is smaller."""
         lines = len(self._met[0])
         above: list[list[SolidRun]] = [[] for _ in range(lines)]
         for row, met in enumerate(self._met):
@@ -144,7 +144,10 @@ class _Closing:
         return best
 
     def _between(self, above: Sequence[list[SolidRun]], best: float) -> float:
-        """Return the width [m] of the narrowest part that a pad can grasp along its lines, but at most ``best``."""
+        """Return the width [m] of the narrowest part that a pad can grasp along its lines.
+
+        The result is ``best`` if that width is smaller.
+        """
         runs = union(sorted(run for line in above for run in line))
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:

@@ -52,21 +52,28 @@ class Hulls:
     link: Index
 
     def extent(self, axis: Array) -> tuple[float, float]:
-        """Return the minimum and maximum coordinate along a unit vector [m]."""
+        """Return the minimum and maximum coordinates [m] along a unit vector."""
         along, radius = self.corners @ axis, self.radius[self.part]
         return float((along - radius).min()), float((along + radius).max())
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return the minimum and maximum corners of the axis-aligned bounding box of all parts [m], shape (3,) each."""
+        """Return the minimum and maximum corners of the axis-aligned bounding box of all parts.
+
+        Returns:
+            Minimum and maximum corners [m], shape (3,) each.
+        """
         radius = self.radius[self.part][:, None]
         return (self.corners - radius).min(axis=0), (self.corners + radius).max(axis=0)
 
     def middle(self, rotation: Array) -> Array:
-        """Return the center of the bounding box aligned with the columns of ``rotation`` [m], shape (3,)."""
+        """Return the center [m] of the bounding box aligned with the columns of ``rotation``.
+
+        The center is an array of shape (3,).
+        """
         return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
 
     def size(self) -> Array:
-        """Return the extents along the world axes [m], shape (3,)."""
+        """Return the extents [m] along the world axes, as an array of shape (3,)."""
         low, high = self.bounds()
         return np.asarray(high - low)
 
@@ -84,7 +91,7 @@ class Hulls:
         return replace(self, corners=self.corners * mirror, normals=self.normals * mirror)
 
     def of_link(self, link: int) -> Hulls:
-        """Return only the parts of one link; the other parts keep their indices but have no corners."""
+        """Return a copy that contains only the parts of one link, without renumbering the parts."""
         kept = self.link[self.part] == link
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
@@ -188,7 +195,7 @@ def _prism(radius: float, height: float) -> Core:
 
 
 def _normals(corners: Array, triangles: Index) -> Array:
-    """Return the unit normals of triangles; degenerate triangles have zero normals."""
+    """Return the unit normals of triangles. Degenerate triangles have zero normals."""
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)

@@ -34,9 +34,9 @@ def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Arra
         points: One point per state [m], shape (n, 3).
 
     Returns:
-        Four arrays with one element for each line and each part that it may hit: the state, the depth of the line
-        inside the outline of the part [m], and the heights above the point at which the line enters and leaves the part
-        [m].
+        Four arrays with one element for each pair of a line and a part that it may hit: the index of the state, the
+        depth of the line inside the outline of the part [m], and the heights above the point at which the line enters
+        and leaves the part [m].
     """
     form = _convex(own)
     local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
@@ -58,7 +58,7 @@ def _convex(form: Form) -> Form:
 
 
 def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
-    """Return lower bounds on the distances between lines and boxes [m], shape (n, k).
+    """Return lower bounds on the distances [m] between lines and boxes, as an array of shape (n, k).
 
     Only directions perpendicular to both the line and an axis of the box are tested.
 
@@ -87,7 +87,7 @@ class _Faces(NamedTuple):
         sides: Sum of the two adjacent face normals, crossed with the unit vector along the edge, shape (k, e, 3).
         beside: The two face normals adjacent to each edge, shape (k, e, 2, 3).
         axis: The two end points of each round part [m], shape (k, 2, 3).
-        radius: Radius of each part [m], shape (k,); positive only for round parts.
+        radius: Radius of each part [m], which is positive only for round parts, shape (k,).
         small: Mask of the parts with few faces and edges, shape (k,).
     """
 
@@ -146,7 +146,11 @@ def _faces(form: Form) -> _Faces:
 
 
 def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Intersect lines along ``up`` through ``points``, shape (m, 3) each, with parts.
+    """Intersect lines along ``up`` through ``points`` with parts.
+
+    Args:
+        points: A point on each line [m], shape (m, 3).
+        up: Unit vector along each line, shape (m, 3).
 
     Returns:
         The depth of each line inside the outline of its part [m], and the heights above the point at which the line
@@ -217,7 +221,7 @@ def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
-    """Return the heights at which lines enter and leave spheres, which are NaN for lines that miss."""
+    """Return the heights at which lines enter and leave spheres. The heights are NaN for lines that miss."""
     middle = np.einsum("mi,mi->m", away, up)
     with np.errstate(invalid="ignore"):
         half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)

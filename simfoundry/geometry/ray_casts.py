@@ -27,7 +27,7 @@ _CHUNK = 1_000_000
 class Grid:
     """A grid of cells on the plane z = 1.
 
-    Column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide; row ``r`` starts at ``y0 + r * dy`` and is ``wy`` high.
+    Column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide. Row ``r`` starts at ``y0 + r * dy`` and is ``wy`` high.
     """
 
     x0: float
@@ -79,17 +79,21 @@ class Hits:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Return the row-wise dot products, shape (n,), of ``a`` and ``b``, which are broadcast to shape (n, 3)."""
+    """Return the row-wise dot products of ``a`` and ``b``, which are broadcast to shape (n, 3).
+
+    Returns:
+        Dot products, shape (n,).
+    """
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def unit(a: Array) -> Array:
-    """Normalize the rows of ``a``, shape (..., 3); rows of zeros are left unchanged."""
+    """Normalize the rows of an array of shape (..., 3). Rows of zeros are left unchanged."""
     return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
 
 
 def turned(R_AB: Array, vectors: Array) -> Array:
-    """Rotate ``vectors``, shape (..., 3), from frame B to frame A.
+    """Rotate ``vectors`` of shape (..., 3) from frame B to frame A.
 
     BLAS is not used, because the last bits of its results differ between machines.
     """
@@ -98,15 +102,26 @@ def turned(R_AB: Array, vectors: Array) -> Array:
 
 
 def blend(corners: Array, weights: Array) -> Array:
-    """Interpolate values at triangle corners, shape (n, 3, d), with barycentric ``weights``, shape (n, 3)."""
+    """Interpolate values that are given at the corners of triangles.
+
+    Args:
+        corners: Values at the corners, shape (n, 3, d).
+        weights: Barycentric coordinates, shape (n, 3).
+    """
     a, b, c = weights[:, 0, None], weights[:, 1, None], weights[:, 2, None]
     return np.asarray(a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2])
 
 
 def area_normals(corners: Array) -> Array:
-    """Return the normals, shape (m, 3), of triangles with the given ``corners``, shape (m, 3, 3).
+    """Return the area normals of triangles.
 
-    Corners are counterclockwise as seen from outside. The length of a normal is twice the area of its triangle.
+    The length of a normal is twice the area of its triangle.
+
+    Args:
+        corners: Corners of the triangles, counterclockwise as seen from outside, shape (m, 3, 3).
+
+    Returns:
+        Normals, shape (m, 3).
     """
     return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -177,7 +192,7 @@ def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:
-    """Return the minimum and maximum (x, y) of each triangle projected onto the plane z = 1, shape (m, 2) each.
+    """Return the minimum and maximum (x, y) of each triangle projected onto the plane z = 1, as arrays of shape (m, 2).
 
     The part of a triangle in front of the near clipping plane (:data:`NEAREST`) is cut off.
     """
@@ -202,7 +217,7 @@ def _bounds(triangles: Array) -> tuple[Array, Array]:
 
 
 def _cells(low: Array, high: Array, origin: float, step: float, width: float, count: int) -> tuple[Index, Index]:
-    """Return the first and last cell that an interval may touch along one axis.
+    """Return the first and last cells that an interval may touch along one axis.
 
     If the last cell precedes the first, the interval does not touch any cell.
     """

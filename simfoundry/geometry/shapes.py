@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, frozen_array
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box centered on its frame; ``size`` contains its full extents [m], shape (3,)."""
+    """A box centered on its frame, with the full extents ``size`` [m] along its three axes."""
 
     size: Array
 
@@ -40,7 +40,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A capsule along z, centered on its frame; ``height`` [m] is the length of the cylinder, excluding the caps."""
+    """A capsule along z, centered on its frame. ``height`` [m] is the length of the cylinder, excluding the caps."""
 
     radius: float
     height: float
@@ -80,7 +80,7 @@ Faces = NDArray[np.int32]
 
 
 def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
-    """Return the surface of a primitive as a mesh in the primitive's own frame; meshes are returned unchanged.
+    """Return the surface of a primitive as a mesh in the primitive's own frame. Meshes are returned unchanged.
 
     ``segments`` is the number of edges around z, which must be at least 3. All vertices are on the true surface, so the
     radius of a round shape shrinks by at most ``radius * (1 - cos(pi / segments))`` [m]. The result is always
@@ -122,9 +122,10 @@ def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list
 
 
 def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
-    """Revolve a profile of (radius, height) points [m], shape (k, 2), about z and return the solid as a closed mesh.
+    """Revolve a profile about z and return the solid as a closed mesh.
 
-    The profile must start on the axis at the top, run down the outside, and end on the axis at the bottom.
+    The profile consists of (radius, height) points [m], shape (k, 2). It must start on the axis at the top, run down
+    the outside, and end on the axis at the bottom.
     """
     from simfoundry.assets.solids import lathe_mesh
 
@@ -141,7 +142,11 @@ def closed_mesh(
 
 
 def hull_mesh(points: Array) -> Mesh | None:
-    """Return the convex hull of points [m], shape (n, 3), with at most 64 vertices, or None if they are coplanar."""
+    """Return the convex hull of points with at most 64 vertices, or None if the points are coplanar.
+
+    Args:
+        points: Points [m], shape (n, 3).
+    """
     from simfoundry.assets.convex import hull
     from simfoundry.assets.errors import MeshError
 

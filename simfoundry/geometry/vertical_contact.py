@@ -1,4 +1,4 @@
-"""Height at which an object comes to rest when lowered onto another, computed exactly for rounded polyhedra.
+"""Height at which an object comes to rest when lowered onto another object, computed exactly for rounded polyhedra.
 
 Two convex parts that approach each other along z first touch corner to face, face to corner, or edge to edge. If one of
 them is rounded, they may also touch corner to edge or corner to corner. In each case, there is a closed-form expression
@@ -88,7 +88,7 @@ class _Group:
         radius: Rounding radius of each element [m], shape (n,).
         low: Minimum corner of each bounding box in the xy plane [m], shape (n, 2).
         high: Maximum corner of each bounding box in the xy plane [m], shape (n, 2).
-        normals: Unit normals of faces, shape (n, 3); empty for corners and edges.
+        normals: Unit normals of faces, shape (n, 3), or an empty array for corners and edges.
     """
 
     points: Array
@@ -137,9 +137,9 @@ _landing = lru_cache(maxsize=16)(_upper)
 
 
 def _pairs(a: _Group, b: _Group, rounded: bool = False) -> Iterator[tuple[Index, Index]]:
-    """Yield index pairs whose bounding boxes overlap in the xy plane.
+    """Yield pairs of indices of elements whose bounding boxes overlap in the xy plane.
 
-    If ``rounded``, only pairs in which at least one element is rounded are included.
+    If ``rounded`` is set, only pairs in which at least one element is rounded are included.
     """
     if not len(a.part) or not len(b.part):
         return
@@ -197,7 +197,7 @@ def _edges_on_edges(a: _Upper, b: _Upper) -> Meetings:
 def _corners_on_edges(a: _Upper, b: _Upper) -> Meetings:
     """Yield contacts between a corner and an edge, at least one of which is rounded.
 
-    The corner is treated as a sphere whose radius is the sum of both radii, lowered until it touches the edge.
+    The corner is treated as a sphere that is lowered until it touches the edge. Its radius is the sum of both radii.
     """
     for i, j in _pairs(a.corners, b.edges, rounded=True):
         q = b.edges.points[j, 0]

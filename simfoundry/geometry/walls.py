@@ -1,4 +1,4 @@
-"""Walls around a point at the same height, for example the sides of bowls, drawers and boxes."""
+"""Walls that surround a point at the same height, for example the sides of bowls, drawers and boxes."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
 
 
 def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
-    """Return the distance along a ray to the first part [m], or inf if the ray hits nothing."""
+    """Return the distance [m] along a ray to the first part, or inf if the ray hits nothing."""
     return float(free_distances(shape, start, ray[None])[0])
 
 
 def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
-    """Return the distance along each ray from one point to the first part [m].
+    """Return the distance along each ray from one point to the first part.
 
     Args:
         shape: Convex parts that the rays may hit.
@@ -78,7 +78,7 @@ def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
         rays: Unit directions of the rays, shape (n, 3).
 
     Returns:
-        Distances [m], shape (n,); inf for rays that hit nothing.
+        Distances [m], shape (n,), which are inf for rays that hit nothing.
     """
     rounded = [_to_rounded(shape, start, ray) for ray in rays] if (shape.radius > 0).any() else math.inf
     return np.asarray(np.minimum(_to_triangles(shape, start, rays), rounded))
@@ -104,7 +104,7 @@ def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
 
 
 def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
-    """Return the distance along a ray to the first sphere or capsule [m], or inf if the ray hits none.
+    """Return the distance [m] along a ray to the first sphere or capsule, or inf if the ray does not hit any.
 
     A capsule is represented by an edge: a tube between the spheres at its two ends.
     """
@@ -127,7 +127,10 @@ def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
 
 
 def _entry(offset: Array, ray: Array, radius: Array) -> Array:
-    """Return the distances at which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
+    """Return the distances at which rays from ``offset`` come within ``radius`` of the origin.
+
+    A distance is inf if the ray never comes that close.
+    """
     square = (ray * ray).sum(axis=1)
     half = (offset * ray).sum(axis=1)
     inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)

@@ -21,7 +21,7 @@ def pending(subject: Subject) -> list[tuple[Call, Path_]]:
 
 
 def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
-    """Yield the predicates that must all become true; predicates inside `any` or `not` are not included."""
+    """Yield the predicates that must all become true. Predicates inside `any` or `not` are not included."""
     tag, below = parts(condition)
     if tag == "text":
         yield parse_call(condition), path

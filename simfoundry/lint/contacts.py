@@ -26,7 +26,7 @@ MOST_PAIRS = 6_000
 
 
 def overlaps(subject: Subject) -> Iterator[Diagnostic]:
-    """Find pairs of interpenetrating objects, unless both are fixed or their contacts are excluded."""
+    """Find pairs of interpenetrating objects, except pairs that are both fixed or whose contacts are excluded."""
     draft = subject.scene
     silent = {frozenset(pair) for pair in draft.spec.no_contact}
     for a, b in neighbors(draft)[:MOST_PAIRS]:
@@ -57,7 +57,7 @@ def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
 
 
 def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
-    """Return the finding for the object that can be moved, or for the second object if both can be moved."""
+    """Return a finding about the object that can be moved, or about the second object if both can be moved."""
     draft, loaded = subject.scene, subject.loaded
     moved, other = (a, b) if b.fixed else (b, a)
     depth = draft.overlap(a.name, b.name)
@@ -87,7 +87,7 @@ MOST_MEASURED = 20_000
 
 
 def unsupported(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects that would fall; only scenes with a fixed object and downward gravity are checked."""
+    """Find free objects that would fall. Only scenes with a fixed object and downward gravity are checked."""
     draft = subject.scene
     gx, gy, gz = draft.spec.gravity
     if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
@@ -129,12 +129,12 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Return True if the poses of some objects are uncertain, in which case other objects may rest on them."""
+    """Return True if the poses of some objects are uncertain, because other objects might then rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 
 def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
-    """Return the finding, which states how far the object falls and what it lands on."""
+    """Return a finding that states how far the object falls and what it lands on."""
     draft = subject.scene
     low, high = draft.bounds[item.name]
     below: list[tuple[float, str]] = []

@@ -1,9 +1,9 @@
 """Draft scenes for lints, and the evaluation of conditions in their initial states.
 
-A draft is lowered by the same passes as in a compilation, but without expensive steps: meshes are not decomposed into
-convex parts. Instead, the draft uses the cached parts of a mesh if there are any, or else its convex hull. If only the
-hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if the
-findings are certain.
+A draft is lowered by the same passes as a compiled scene, but without the expensive decomposition of meshes into convex
+parts. Instead, the draft uses the cached parts of a mesh if there are any, or else its convex hull. If only the hull of
+an object is known, lints report findings about the object, and about objects placed on or in it, only if the findings
+are certain.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class DraftScene:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Minimum and maximum corners of each object's bounding box [m], shape (3,) each."""
+        """Minimum and maximum corners of each object's bounding box [m], as two arrays of shape (3,)."""
         return {name: shape.bounds() for name, shape in self.shapes.items()}
 
     @cached_property
@@ -84,12 +84,15 @@ class DraftScene:
         return {name: found[name] for name in self.spec.cameras if name in found}
 
     def distance(self, a: str, b: str, threshold: float) -> float:
-        """Return a value [m] on the same side of ``threshold`` as the signed distance between two objects."""
+        """Return an approximate signed distance [m] between two objects.
+
+        The result is always on the same side of ``threshold`` as the exact distance.
+        """
         things = self._bodies.thing(a), self._bodies.thing(b)
         return float(self._distances.between(self._view, *things, threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
-        """Return the penetration depth of two objects [m]."""
+        """Return the penetration depth [m] of two objects."""
         things = self._bodies.thing(a), self._bodies.thing(b)
         return -float(Distances(self._bodies).between(self._view, *things)[0])
 
@@ -111,7 +114,10 @@ def _is_usable(shape: Hulls) -> bool:
 
 
 def drafted_start(loaded: Loaded) -> DraftScene | None:
-    """Return the draft of a scene document, or of the initial state of a task; None if it could not be read.
+    """Return the draft of a scene document or of the initial state of a task.
+
+    Returns:
+        The draft, or None if the scene could not be read.
 
     Raises:
         SpecError: If lowering fails.
@@ -158,7 +164,7 @@ NEEDS_TOUCH = ("OnTop", "Inside", "Touching")
 
 
 class StartJudge:
-    """Evaluates conditions in the initial state of a scene, before any robot has moved."""
+    """A judge of conditions in the initial state of a scene, before any robot has moved."""
 
     def __init__(self, draft: DraftScene) -> None:
         self._draft = draft
@@ -186,7 +192,7 @@ class StartJudge:
         return None if None in values or not values else not decisive
 
     def explanation(self, condition: Any) -> str:
-        """Explain the value of a condition, including measured values; the value must be certain."""
+        """Explain the value of a condition, including measured quantities. The value must be certain."""
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(below[0])
@@ -216,7 +222,7 @@ class StartJudge:
         return self._judged(call)
 
     def _is_apart(self, call: Call) -> bool:
-        """Return True if a predicate's two objects are certain not to touch, because their hulls do not touch."""
+        """Return True if a predicate's two objects are certain not to touch because their hulls do not touch."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
         may_be_apart = bool(approximate) and call.predicate in NEEDS_TOUCH
         return may_be_apart and self._judged(Call("Touching", call.args)) is False

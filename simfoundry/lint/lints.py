@@ -52,7 +52,10 @@ def where(loaded: Loaded, name: str) -> Path_:
 
 @dataclass(frozen=True)
 class Lint:
-    """A check that yields findings with one code for some kinds of documents (``scene/1``, ``asset/1``, ``task/1``)."""
+    """A check that yields findings with a single code for some kinds of documents.
+
+    Kinds are specified as in ``scene/1``, ``asset/1`` or ``task/1``.
+    """
 
     code: str
     kinds: tuple[str, ...]
@@ -63,7 +66,7 @@ class Lint:
 class Subject:
     """A document without errors, and its draft scene.
 
-    For a task, ``draft`` is the scene in which the task starts; for an asset, it is None.
+    For a task, ``draft`` is the scene in which the task starts. For an asset, ``draft`` is None.
     """
 
     loaded: Loaded
@@ -85,7 +88,7 @@ class Subject:
 
     @cached_property
     def pending(self) -> list[tuple[Call, Path_]]:
-        """Predicates that the goals of the task require but that do not hold initially, each with its path."""
+        """Predicates that the task's goals require but that do not hold initially, each with the path of its goal."""
         from simfoundry.lint.conditions import pending
 
         return pending(self)
@@ -110,13 +113,13 @@ LINTS = Registry(
 
 
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
-    """Run the lints on a document and on the documents that it uses, each only once.
+    """Run the lints once on a document and on each document that it uses.
 
     Findings that are suppressed by a document's ``allow`` are omitted. An ``allow`` entry that does not suppress
     anything is itself a finding.
 
     Args:
-        loaded: The document; if it has errors, it is not linted.
+        loaded: The document. If it has errors, it is not linted.
         seen: Paths of documents to skip. Documents that are linted are added to this set.
 
     Returns:
@@ -139,7 +142,7 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
 
 
 def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
-    """Yield the findings for one document: the errors from lowering or, if there are none, the lint findings."""
+    """Yield the findings for one document: the errors from lowering or, if there are no errors, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
         return

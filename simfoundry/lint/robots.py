@@ -67,7 +67,7 @@ TOO_WIDE = Lint("SF407", ("task/1",), too_wide)
 
 
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
-    """Find objects that are out of reach but must be reached, either initially or in a corner of their reset region."""
+    """Find objects that must be reached but are out of reach initially or in a corner of their reset region."""
     from simfoundry.robots.reach import hands_of, nearest_miss
 
     draft, hands = subject.scene, hands_of(acting_robots(subject))

@@ -1,4 +1,4 @@
-"""HTTP requests to model servers, with limits on time and size; every failure is reported as a one-sentence error."""
+"""HTTP requests to model servers, with limits on time and size. Every failure is reported as a one-sentence error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_QUOTE = 300  # Maximum length of a quoted server error [characters], enough 
 
 
 class ModelError(SimfoundryError):
-    """Raised if a model returns no usable response; the message states the model, the reason, and the remedy."""
+    """Raised if a model returns no usable response. The message states the model, the reason, and the remedy."""
 
 
 def post(url: str, server: str, timeout_s: float = TIMEOUT_S, max_bytes: int = MAX_BYTES, **request: Any) -> bytes:
@@ -33,8 +33,8 @@ def post(url: str, server: str, timeout_s: float = TIMEOUT_S, max_bytes: int = M
         **request: Content of the request, as accepted by ``httpx.stream``: ``json``, ``data``, ``files``, ``headers``.
 
     Raises:
-        ModelError: The URL is invalid, the server does not respond in time or returns an error status, or the response
-            is too large.
+        ModelError: If the URL is invalid, if the server does not respond in time or returns an error status, or if the
+            response is too large.
     """
     import httpx
 
@@ -71,9 +71,10 @@ class HttpImages:
     """An image editor behind the OpenAI images API, ``POST {url}/images/edits``, which several servers implement.
 
     See https://platform.openai.com/docs/api-reference/images/createEdit. The request is a multipart form with up to 16
-    images as ``image[]``. ``background: transparent`` requires ``output_format`` png or webp, and only GPT image models
-    accept these two parameters; these models return ``data[0].b64_json`` and reject ``response_format``. OpenAI's
-    client documents the same: https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
+    images as ``image[]``. Setting ``background`` to ``transparent`` requires an ``output_format`` of png or webp. Only
+    GPT image models accept these two parameters. They return ``data[0].b64_json`` and reject ``response_format``.
+    OpenAI's client documents the same behavior:
+    https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
     """
 
     url: str
@@ -84,7 +85,8 @@ class HttpImages:
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
         """Edit the first of ``pictures`` (PNG or JPEG), and return the result with a transparent background.
 
-        Raises :class:`ModelError` if the model did not return an image.
+        Raises:
+            ModelError: If the model did not return an image.
         """
         if not pictures:
             raise ModelError("the image model requires an image to edit")
@@ -97,9 +99,10 @@ class HttpImages:
 
 
 def images_from_environment(environment: Mapping[str, str] | None = None, model: str | None = None) -> HttpImages:
-    """Return the image model configured in the environment; ``model`` overrides the model name.
+    """Return the image model configured in the environment. If ``model`` is given, it overrides the model name.
 
-    Raises :class:`ModelError` if a variable is missing.
+    Raises:
+        ModelError: If an environment variable is missing.
     """
     env = os.environ if environment is None else environment
     missing = [name for name in (IMAGES_URL, IMAGES_MODEL) if not (env.get(name) or (name == IMAGES_MODEL and model))]
@@ -137,13 +140,14 @@ SEEDS = 2**32  # Exclusive upper bound on the seeds that servers accept
 
 @dataclass(frozen=True)
 class HttpMeshes:
-    """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``, where ``POST {url}/generate`` returns a GLB.
+    """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``, where ``POST {url}/generate`` returns a GLB file.
 
     The API is defined in https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py for Hunyuan3D-2 and in
     https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py for Hunyuan3D-2.1. The fields are ``image``
     in base64, ``seed`` below 2^32, ``texture`` and, only with texture, ``face_count`` from 1,000 to 100,000. Only
-    Hunyuan3D-2 accepts ``type``; both versions return a GLB by default. Texturing requires a server that was started
-    with ``--enable_tex``. All failures are reported with status 404. ``faces`` is the number of triangles to keep.
+    Hunyuan3D-2 accepts ``type``, but both versions return a GLB file by default. Texturing requires a server that was
+    started with ``--enable_tex``. All failures are reported with status 404. ``faces`` is the number of triangles to
+    keep.
     """
 
     url: str
@@ -158,7 +162,7 @@ class HttpMeshes:
             A GLB with y up and arbitrary units.
 
         Raises:
-            ModelError: The model did not return a usable mesh.
+            ModelError: If the model did not return a usable mesh.
         """
         image = base64.b64encode(picture).decode()
         fields = {
@@ -182,7 +186,11 @@ class HttpMeshes:
 
 
 def meshes_from_environment(environment: Mapping[str, str] | None = None, texture: bool = True) -> HttpMeshes:
-    """Return the mesh model configured in the environment; raises :class:`ModelError` if the variable is missing."""
+    """Return the mesh model configured in the environment.
+
+    Raises:
+        ModelError: If the environment variable is missing.
+    """
     env = os.environ if environment is None else environment
     if not env.get(MESHES_URL):
         raise ModelError(f"no mesh model is configured: set {MESHES_URL} to the URL of a server with Hunyuan3D-2's API")

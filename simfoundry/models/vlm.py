@@ -40,7 +40,7 @@ Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class VlmError(SimfoundryError):
-    """Raised if a model returns no usable response; the message states the reason and the remedy."""
+    """Raised if a model returns no usable response. The message states the reason and the remedy."""
 
 
 class Vlm:
@@ -64,7 +64,10 @@ class Vlm:
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[Answer]) -> Answer:
         """Send a prompt and return a response of the type ``answer``.
 
-        ``pictures`` contains the bytes of PNG or JPEG files. Raises :class:`VlmError`.
+        ``pictures`` contains the bytes of PNG or JPEG files.
+
+        Raises:
+            VlmError: If the model returns no usable response.
         """
         from pydantic_ai import NativeOutput, PromptedOutput, ToolOutput
 
@@ -74,7 +77,11 @@ class Vlm:
         return found
 
     def ask_text(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
-        """Send a prompt and return the response as text. Raises :class:`VlmError`."""
+        """Send a prompt and return the response as text.
+
+        Raises:
+            VlmError: If the model returns no usable response.
+        """
         return str(self._run(prompt, pictures, str))
 
     def _run(self, prompt: str, pictures: Sequence[bytes], output: Any) -> Any:

@@ -1,7 +1,7 @@
-"""Predicates that describe spatial relations and states of objects, evaluated the same way for every simulator.
+"""Predicates that describe spatial relations and states of objects, evaluated in the same way for every simulator.
 
-Each module in this package defines a group of related predicates; :mod:`~simfoundry.predicates.judging` measures and
-evaluates them. Because ``simfoundry check`` imports these modules and must not load numpy, the judge is imported on
+Each module in this package defines a group of related predicates, which :mod:`~simfoundry.predicates.judging` measures
+and evaluates. Because ``simfoundry check`` imports these modules and must not load numpy, the judge is imported on
 first use.
 """
 

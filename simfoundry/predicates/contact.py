@@ -1,4 +1,4 @@
-"""``Touching``, ``OnTop`` and ``Inside``: contact, support and containment."""
+"""The predicates ``Touching``, ``OnTop`` and ``Inside``, which describe contact, support and containment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``Grasped``, ``Lifted`` and ``Released``: relations between an object and the robots that may hold it."""
+"""The predicates ``Grasped``, ``Lifted`` and ``Released``, which relate an object to the robots that may hold it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ RISE = 0.02
 
 
 def lifted(terms: Terms, a: Entity) -> None:
-    """Require that ``a`` is higher than in the initial state and touches no object except those that it supports."""
+    """Require that ``a`` is higher than in the initial state, and touches no objects except those that it supports."""
     from simfoundry.predicates.judging.measurements import gap_to_others
 
     rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
@@ -80,7 +80,7 @@ LIFTED = Predicate(
 
 
 def released(terms: Terms, a: Entity) -> None:
-    """Require that ``a`` is at rest and farther than :data:`TOUCH` from every robot."""
+    """Require that ``a`` is at rest, and that its distance from every robot is greater than :data:`TOUCH`."""
     terms.require_at_rest(a)
     for name in terms.context.bodies.robots:
         robot = terms.context.bodies.thing(name)

@@ -1,4 +1,4 @@
-"""``At``, ``Upright``, ``Open`` and ``Closed``: the pose of an object, or the positions of its joints."""
+"""The predicates ``At``, ``Upright``, ``Open`` and ``Closed``, which describe an object's pose or joint positions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AT_DISTANCE = 0.02
 
 
 def at(terms: Terms, a: Entity, *point: float) -> None:
-    """Require that the origin of ``a`` is close to ``point``, given as two or three world coordinates [m]."""
+    """Require that the origin of ``a`` is close to ``point``, which consists of two or three world coordinates [m]."""
     import numpy as np
 
     off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
@@ -65,7 +65,10 @@ OPEN_SHARE = 0.10
 
 
 def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
-    """Require that each joint is open by more than :data:`OPEN_SHARE`, or by at most that if ``closed`` is set."""
+    """Require that each joint is open by more than the share :data:`OPEN_SHARE` of its range.
+
+    If ``closed`` is set, require that each joint is open by at most this share.
+    """
     import numpy as np
 
     for joint in joints.joints:

@@ -1,4 +1,7 @@
-"""``LeftOf``, ``RightOf``, ``InFrontOf``, ``Behind``, ``NextTo``, ``Above`` and ``Under``: relative positions."""
+"""The predicates for relative positions.
+
+These are ``LeftOf``, ``RightOf``, ``InFrontOf``, ``Behind``, ``NextTo``, ``Above`` and ``Under``.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,15 @@ AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf
 
 
 def viewer_axis(viewer: Pose | None, column: int) -> Array:
-    """Return the horizontal unit vector that points away from the viewer (0) or to its left (1), shape (3,)."""
+    """Return one of the two horizontal unit vectors that a viewer defines.
+
+    Args:
+        viewer: The frame of the viewer, or None for the world frame.
+        column: 0 for the vector that points away from the viewer, or 1 for the vector to the viewer's left.
+
+    Returns:
+        The unit vector, shape (3,).
+    """
     import numpy as np
 
     x, y = (1.0, 0.0) if viewer is None else viewer.rotation[:2, 0]
@@ -118,7 +129,10 @@ NEXT_TO = Predicate(
 
 
 def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that ``b`` is ``over`` or ``under`` the middle of ``a``, depending on ``side``, but not both."""
+    """Require that ``b`` is above or below the middle of ``a``, but not both.
+
+    ``side`` is ``over`` or ``under``.
+    """
     import numpy as np
 
     from simfoundry.predicates.judging.measurements import Meeting, meet

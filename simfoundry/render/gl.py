@@ -1,4 +1,4 @@
-"""Choose a renderer; GL drivers are tried in a separate process, so that this process can still use any of them."""
+"""Choose a renderer. GL drivers are tried in a separate process, so that this process can still use any of them."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ DRIVERS = (Engine.EGL, Engine.OSMESA)
 
 
 class RenderError(SimfoundryError):
-    """Raised if an image cannot be rendered as requested; the message states the reason and the fix."""
+    """Raised if an image cannot be rendered as requested. The message states the reason and the fix."""
 
 
 def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
-    """Return the engine to use; ``auto`` selects the first engine that works.
+    """Return the engine to use. ``auto`` selects the first engine that works.
 
-    Raises :class:`RenderError` if the requested engine does not work on this machine.
+    Raises:
+        RenderError: If the requested engine does not work on this machine.
     """
     try:
         wanted = Engine(engine)
@@ -67,7 +68,10 @@ def _obstacle(engine: Engine) -> str | None:
 
 @cache
 def _probe(engine: Engine) -> str | None:
-    """Try the driver in a separate process, because after a failed attempt a process cannot use the other driver."""
+    """Return the reason why a driver does not work, or None if it works.
+
+    The driver is tried in a separate process, because a process cannot use another driver after a failed attempt.
+    """
     own = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE.format(engine=engine.value)]
     try:

@@ -46,7 +46,7 @@ def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Im
 
     Args:
         color: The image to draw on.
-        objects: Object labels, shape (h, w); 0 is the background.
+        objects: Object labels as an array of shape (h, w), where 0 is the background.
         alpha: Opacity of the tint.
     """
     if objects.shape != color.shape[:2]:
@@ -62,13 +62,13 @@ def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Im
 
 
 def label_color(label: int) -> tuple[int, int, int]:
-    """Return a bright color for a positive label; consecutive labels are far apart on the color wheel."""
+    """Return a bright color for a positive label. Consecutive labels are far apart on the color wheel."""
     r, g, b = colorsys.hsv_to_rgb((label * 0.6180339887) % 1.0, 0.72 + 0.2 * (label % 2), 0.95)
     return round(255 * r), round(255 * g), round(255 * b)
 
 
 def png_bytes(image: Image) -> bytes:
-    """Encode an image as PNG; identical images produce identical bytes."""
+    """Encode an image as PNG. Identical images produce identical bytes."""
     from PIL import Image as Pillow
     from PIL.PngImagePlugin import PngInfo
 
@@ -84,14 +84,14 @@ def save_png(path: Path, image: Image) -> None:
 
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return a mask of the object pixels with a horizontal or vertical neighbor that has a different label."""
+    """Return a mask of the object pixels that have a horizontal or vertical neighbor with a different label."""
     near = np.pad(objects, 1, mode="edge")
     around = np.stack([near[:-2, 1:-1], near[2:, 1:-1], near[1:-1, :-2], near[1:-1, 2:]])
     return np.asarray((around != objects).any(axis=0) & (objects > 0), dtype=np.bool_)
 
 
 def _captioned(caption: str, image: Image) -> Image:
-    """Return the image with a caption above it, which is scaled down if it is wider than the image."""
+    """Return the image with a caption above it. The caption is scaled down if it is wider than the image."""
     from PIL import Image as Pillow
     from PIL import ImageDraw, ImageFont
 
@@ -117,5 +117,5 @@ def _scaled(image: Image, height: int) -> Image:
 
 
 def _padded(image: Image, bottom: int, right: int) -> Image:
-    """Return the image with white margins [px]."""
+    """Return the image with white margins at the bottom and on the right, whose widths are in pixels."""
     return np.pad(image, ((0, bottom), (0, right), (0, 0)), constant_values=PAPER)

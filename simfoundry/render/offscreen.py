@@ -31,7 +31,7 @@ BACKDROP_EMISSION = 1e3  # Emission of the backdrop; high enough that lights in 
 
 
 class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
-    """An offscreen renderer for a MuJoCo model; close it after use, or use it in a ``with`` statement.
+    """An offscreen renderer for a MuJoCo model. Close it after use, or use it in a ``with`` statement.
 
     On a CPU, a ``quick`` renderer takes a third of the usual time for small images. It uses simplified meshes
     (:func:`coarsened`), smaller shadow maps, and four rendered pixels per image pixel instead of the driver's
@@ -70,7 +70,11 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
         return width <= self.size[0] and height <= self.size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
-        """Render the image seen by ``camera``: sRGB, uint8, shape (h, w, 3)."""
+        """Render the image seen by ``camera``.
+
+        Returns:
+            The sRGB image as a uint8 array of shape (h, w, 3).
+        """
         picture = self._draw(data, camera, self._fine)
         if self._fine == 1:
             return picture
@@ -79,7 +83,11 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
         return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
-        """Return the ID of the geom at each pixel plus 1, or 0 if there is no geom, shape (h, w)."""
+        """Return the geom that is visible at each pixel.
+
+        Returns:
+            An array of shape (h, w) that contains the geom's ID plus 1, or 0 if there is no geom.
+        """
         import mujoco
 
         labels = [mujoco.mjtRndFlag.mjRND_SEGMENT.value, mujoco.mjtRndFlag.mjRND_IDCOLOR.value]
@@ -119,7 +127,7 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
         return np.ascontiguousarray(picture[::-1])  # GL counts rows from the bottom
 
     def close(self) -> None:
-        """Release the driver's resources; the renderer cannot be used afterward."""
+        """Release the driver's resources. The renderer cannot be used afterward."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()
@@ -130,7 +138,10 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
 
 
 def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
-    """Set the pose and frustum of a GL camera; the image starts at -0.5, because pixel centers are integers."""
+    """Set the pose and frustum of a GL camera.
+
+    The image starts at -0.5 because pixel centers lie at integer coordinates.
+    """
     R_WC = camera.X_WC.rotation
     view.pos, view.forward, view.up = camera.X_WC.p, R_WC[:, 2], -R_WC[:, 1]
     view.orthographic = 0
@@ -142,7 +153,7 @@ def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
 
 
 def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Move MuJoCo's headlight to the camera, and light a model without lights in the same way as the ray caster."""
+    """Move MuJoCo's headlight to the camera. A model without lights is lit in the same way as by the ray caster."""
     import mujoco
 
     for light in scene.lights[: scene.nlight]:
@@ -193,7 +204,7 @@ FLAT_LEVELS, FLAT = 3, 0.985
 
 
 def coarsened(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model for rendering, with meshes reduced to the level of detail visible in a small image.
+    """Return a copy of a model for rendering, with meshes simplified to the level of detail visible in a small image.
 
     Triangles that are degenerate or duplicated after merging are omitted. The copy cannot be used for physics, because
     its collision meshes are not updated.
@@ -219,9 +230,14 @@ def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
 
 
 def _clusters(corners: Floats, faces: Index) -> Index:
-    """Return the index of the vertex that each vertex is merged into, shape (n,).
+    """Return the index of the vertex that each vertex is merged into.
 
-    The vertices ``corners`` [m] have shape (n, 3).
+    Args:
+        corners: The vertices [m], as an array of shape (n, 3).
+        faces: The vertex indices of each triangle.
+
+    Returns:
+        An array of shape (n,).
     """
     a, b, c = (corners[faces[:, k]] for k in range(3))
     normals = _unit(np.cross(b - a, c - a))
@@ -240,20 +256,23 @@ def _clusters(corners: Floats, faces: Index) -> Index:
 
 
 def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Normalize vectors, shape (n, 3); vectors with zero length are unchanged."""
+    """Normalize an array of vectors with shape (n, 3). Vectors of zero length are unchanged."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, 1e-20), dtype=np.float64)
 
 
 def _cubes(corners: Floats, size: float) -> Index:
-    """Return the index of the cube that contains each vertex, shape (n,); empty cubes are not counted."""
+    """Return the index of the cube that contains each vertex, as an array of shape (n,).
+
+    Empty cubes are not counted.
+    """
     x, y, z = np.floor((corners - corners.min(axis=0)) / size).astype(np.int64).T
     along = int(max(x.max(), y.max(), z.max())) + 1
     return np.asarray(np.unique((x * along + y) * along + z, return_inverse=True)[1], dtype=np.int64)
 
 
 def _distinct(faces: Index) -> Index:
-    """Return the indices, in ascending order, of non-degenerate triangles that do not duplicate an earlier triangle."""
+    """Return the indices of non-degenerate triangles that do not duplicate an earlier triangle, in ascending order."""
     a, b, c = np.sort(faces, axis=1).T
     size = int(c.max()) + 1
     _, first = np.unique((a * size + b) * size + c, return_index=True)

@@ -26,11 +26,13 @@ class Raycast:
     """An image with per-pixel geometry.
 
     Attributes:
-        color: The sRGB color, uint8, shape (h, w, 3).
-        depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, shape (h, w).
-        objects: 1 + the index in ``scene.objects``, or 0 if no surface is hit, int32, shape (h, w).
-        normals: Unit normals in the world toward the camera, or NaN if no surface is hit, shape (h, w, 3).
-        camera: The camera of the image.
+        color: The sRGB color, as a uint8 array of shape (h, w, 3).
+        depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, as an array of
+            shape (h, w).
+        objects: The index in ``scene.objects`` plus 1, or 0 if no surface is hit, as an int32 array of shape (h, w).
+        normals: The unit normal in the world, pointing toward the camera, or NaN if no surface is hit, as an array of
+            shape (h, w, 3).
+        camera: The camera from which the image was rendered.
     """
 
     color: NDArray[np.uint8]
@@ -41,7 +43,7 @@ class Raycast:
 
 
 def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, samples: int = 1) -> Raycast:
-    """Render ``scene`` in ``state`` (by default the state described by the scene) through ``camera``.
+    """Render ``scene`` as seen by ``camera``.
 
     Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` in the camera frame, so the center of the first pixel
     is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Depth, objects and normals are evaluated at the
@@ -51,9 +53,9 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     Args:
         scene: The scene to render.
         camera: The camera.
-        state: The state of the scene.
-        samples: The number of rays along each side of a pixel; the color of the pixel is their mean. With 1, shadows
-            are hard and there is no ambient occlusion; larger values darken corners and soften shadows.
+        state: The state of the scene; defaults to the state described by the scene.
+        samples: The number of rays along each side of a pixel, whose color is the mean over all rays. With a value of
+            1, shadows are hard and there is no ambient occlusion. Larger values darken corners and soften shadows.
     """
     if samples < 1:
         raise ValueError(f"samples must be at least 1, not {samples}")
@@ -91,7 +93,10 @@ def _pixels(camera: Camera, samples: int) -> Rays:
 
 
 def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
-    """Return the first hit of each ray, skipping back faces of closed surfaces, whose insides are never visible."""
+    """Return the first hit of each ray.
+
+    Back faces of closed surfaces are skipped because their insides are never visible.
+    """
     alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
     faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
     kept = faces_camera | ~surface.closed
@@ -104,14 +109,17 @@ def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool =
 
 
 def _directions(rays: Rays, camera: Camera) -> Array:
-    """Return ray directions in the world, shape (n, 3), with unit length along the optical axis."""
+    """Return ray directions in the world, as an array of shape (n, 3).
+
+    Each direction has unit length along the optical axis.
+    """
     return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
 
 
 def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
-    """Return unit shading normals toward the camera, shape (n, 3).
+    """Return unit shading normals toward the camera, as an array of shape (n, 3).
 
-    Each of the rays along ``directions``, shape (n, 3), must have a hit.
+    Each of the rays along ``directions``, which has shape (n, 3), must hit a surface.
     """
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
     away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
@@ -119,7 +127,7 @@ def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
 
 
 def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
-    """Return the linear color of each ray, shape (n, 3).
+    """Return the linear color of each ray, as an array of shape (n, 3).
 
     The color of a translucent surface is blended with the color of the opaque surface behind it.
     """

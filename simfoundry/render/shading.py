@@ -62,7 +62,10 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """The lighting of a scene: lamps, and ambient light (linear rgb) for surfaces facing up and facing down."""
+    """The lighting of a scene, which consists of lamps and ambient light.
+
+    The ambient light has one linear color for surfaces that face up and another for surfaces that face down.
+    """
 
     lamps: tuple[Lamp, ...]
     up: Array
@@ -99,10 +102,10 @@ class Points:
     Each subpixel uses different samples of the lamps and the sky, so that the mean over subpixels has soft shadows.
 
     Attributes:
-        p: Positions in the world [m], shape (n, 3).
-        normals: Unit normals, shape (n, 3).
-        to_eye: Unit vectors toward the camera, shape (n, 3).
-        group: The index of the subpixel of each point, shape (n,).
+        p: The positions in the world [m], as an array of shape (n, 3).
+        normals: The unit normals, as an array of shape (n, 3).
+        to_eye: The unit vectors toward the camera, as an array of shape (n, 3).
+        group: The index of the subpixel of each point, as an array of shape (n,).
         groups: The number of subpixels in a pixel.
     """
 
@@ -114,7 +117,7 @@ class Points:
 
 
 def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
-    """Return the linear color of each of the n hits, shape (n, 3).
+    """Return the linear color of each of the n hits, as an array of shape (n, 3).
 
     ``focal_squared`` [px^2] determines the size of a pixel on the surface.
     """
@@ -149,7 +152,10 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
 
 
 def _openness(surface: SceneSurface, at: Points) -> Array:
-    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,), or 1 if there is only one group."""
+    """Return the visible fraction of the sky at each point, in [0, 1], as an array of shape (n,).
+
+    All values are 1 if there is only one group.
+    """
     open_sky = np.ones(len(at.p))
     if at.groups == 1:
         return open_sky
@@ -172,7 +178,7 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 
 
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
-    """Return a mask of the points at which an opaque surface blocks the lamp, shape (n,).
+    """Return a mask of the points at which an opaque surface blocks the lamp, as an array of shape (n,).
 
     Only the far sides of closed surfaces cast shadows. Other surfaces receive the same shadows as they would from the
     near sides, and the transition to the unlit side of a smooth surface stays soft.
@@ -200,7 +206,14 @@ def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.b
 
 
 def background(directions: Array) -> Array:
-    """Return the linear color of the sky along world ``directions``, shape (n, 3), a soft gradient by elevation."""
+    """Return the linear color of the sky, which is a soft gradient by elevation.
+
+    Args:
+        directions: Directions in the world, as an array of shape (n, 3).
+
+    Returns:
+        The colors, as an array of shape (n, 3).
+    """
     rise = unit(directions)[:, 2:]
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
@@ -208,7 +221,11 @@ def background(directions: Array) -> Array:
 
 
 def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Return the linear base color of each hit, shape (n, 3): the visual's rgba times its texture."""
+    """Return the linear base color of each hit, which is the visual's rgba times its texture.
+
+    Returns:
+        The colors, as an array of shape (n, 3).
+    """
     visual = surface.visual[hits.triangle]
     rgb = np.array([v.rgba[:3] for v in surface.visuals], dtype=np.float64)
     color = decode_srgb(np.clip(rgb, 0, 1))[visual]
@@ -222,7 +239,10 @@ def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: flo
 
 
 def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Return the texture color of each hit, shape (n, 3), using the mipmap level whose texels match the pixel size."""
+    """Return the texture color of each hit, as an array of shape (n, 3).
+
+    The mipmap level is the one whose texels match the pixel size.
+    """
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
     at = blend(uv, hits.weights)
@@ -241,7 +261,10 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
 
 
 def _bilinear(image: Array, uv: Array) -> Array:
-    """Sample an image with shape (h, w, 3) at ``uv`` with shape (n, 2), where v points up; the image repeats."""
+    """Sample a repeating image of shape (h, w, 3) at texture coordinates.
+
+    The coordinates ``uv`` have shape (n, 2), and v points up.
+    """
     h, w = image.shape[:2]
     x, y = uv[:, 0] * w - 0.5, (1 - uv[:, 1]) * h - 0.5
     left, top = np.floor(x), np.floor(y)
@@ -255,7 +278,7 @@ def _bilinear(image: Array, uv: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _pyramid(png: bytes) -> tuple[Array, ...]:
-    """Return the texture in linear light as a mipmap pyramid; each level has half the size of the previous one."""
+    """Return the texture in linear light as a mipmap pyramid. Each level has half the size of the previous one."""
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:
@@ -274,7 +297,7 @@ def decode_srgb(values: Array) -> Array:
 
 
 def encode_srgb(linear: Array) -> NDArray[np.uint8]:
-    """Convert linear light to sRGB bytes; values brighter than white are clipped."""
+    """Convert linear light to sRGB bytes. Values brighter than white are clipped."""
     c = np.clip(linear, 0, 1)
     encoded = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * encoded), dtype=np.uint8)

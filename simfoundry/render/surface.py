@@ -19,8 +19,8 @@ SEGMENTS = 96  # Segments around round primitives; the surface of a 5 cm cup is 
 
 CREASE_DEG = 35.0  # Faces that meet at a smaller angle than this are shaded as a single smooth surface
 
-# Vertices with more corners than this, such as the hub of a fan, are not smoothed, because the number of pairs of
-# corners is quadratic.
+# Vertices with more corners than this, such as the hub of a fan, are not smoothed, because the number of corner pairs
+# grows quadratically.
 _CROWDED = 512
 
 
@@ -29,13 +29,13 @@ class SceneSurface:
     """All m visible triangles in a scene.
 
     Attributes:
-        corners: Corners in the world [m], shape (m, 3, 3).
-        normals: Unit normals in the world at each corner, shape (m, 3, 3).
-        uv: Texture coordinates, shape (m, 3, 2); zero for surfaces without texture coordinates.
-        visual: Index into ``visuals``, shape (m,).
-        object: Index into the scene's objects, shape (m,).
-        closed: True for triangles of watertight, outward-oriented surfaces, whose insides are never visible; shape
-            (m,).
+        corners: The corners in the world [m], as an array of shape (m, 3, 3).
+        normals: The unit normals in the world at each corner, as an array of shape (m, 3, 3).
+        uv: The texture coordinates, as an array of shape (m, 3, 2). They are zero for surfaces that have none.
+        visual: The index of each triangle's visual in ``visuals``, as an array of shape (m,).
+        object: The index of each triangle's object in the scene's objects, as an array of shape (m,).
+        closed: A mask of the triangles of watertight, outward-oriented surfaces, as an array of shape (m,). The insides
+            of these surfaces are never visible.
         visuals: The visuals that the triangles belong to.
     """
 
@@ -50,7 +50,7 @@ class SceneSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """The triangles of one geometry in its own frame; for the array shapes, see :class:`SceneSurface`."""
+    """The triangles of a geometry in its own frame. For the array shapes, see :class:`SceneSurface`."""
 
     corners: Array
     normals: Array
@@ -59,7 +59,7 @@ class _Patch:
 
 
 def scene_surface(scene: Scene, state: SceneState | None = None) -> SceneSurface:
-    """Return the visible triangles of ``scene`` in ``state``, by default the state described by the scene."""
+    """Return the visible triangles of ``scene`` in ``state``, which defaults to the state described by the scene."""
     state = SceneState.initial(scene) if state is None else state
     patches: list[_Patch] = []
     visuals: list[Visual] = []
@@ -112,7 +112,10 @@ def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
 
 
 def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
-    """Return unit normals, shape (m, 3, 3), as the area-weighted mean of adjacent faces that do not form a crease."""
+    """Return unit normals at the corners, as an array of shape (m, 3, 3).
+
+    Each normal is the area-weighted mean of the adjacent faces that do not form a crease.
+    """
     area = area_normals(corners)
     facet = unit(area)
     vertex = faces.ravel()

@@ -99,7 +99,10 @@ def _label(side: Side | None) -> str:
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Return both scenes or the reasons why they cannot be shown; the result is empty for other document kinds."""
+    """Return both scenes, or the reasons why they cannot be shown.
+
+    The result is empty for other document kinds.
+    """
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()
@@ -107,7 +110,7 @@ def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
 
 
 def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
-    """Return the template variables for both scenes, each with an image or the reason why there is no image."""
+    """Return the template variables for both scenes, each with an image or the reason why there is none."""
     sides = (comparison.old, comparison.new)
     views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
     # The viewpoint of the new document takes precedence.
@@ -126,7 +129,7 @@ def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], ke
 
 
 def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
-    """Return the tints of objects in both scenes; a renamed object keeps its tint."""
+    """Return the tints of objects in both scenes. A renamed object keeps its tint."""
     was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
     now = {old: new for new, old in was.items()}
     names = [[] if isinstance(scene, str) else [item.name for item in scene.objects] for scene in lowered]

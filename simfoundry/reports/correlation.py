@@ -24,7 +24,7 @@ PATHS = {
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:
-    """Return a scatter plot of all series as SVG; colors represent the series, and markers represent the tasks."""
+    """Return a scatter plot of all series as SVG. Colors represent the series, and markers represent the tasks."""
     tasks = list(dict.fromkeys(a.task for found in series.values() for a in found))
     marks = {task: list(PATHS)[k % len(PATHS)] for k, task in enumerate(tasks)}
     colors = {name: COLORS[k % len(COLORS)] for k, name in enumerate(series)}

@@ -28,7 +28,7 @@ GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
 
 @dataclass(frozen=True)
 class RateCell:
-    """A table cell that contains a rate with its interval, or else a text; ``trouble`` is shown below it."""
+    """A table cell that contains either a rate with its interval or a text. ``trouble`` is shown below it."""
 
     rate: Rate | None = None
     text: str = "–"
@@ -41,9 +41,9 @@ class RateRow:
 
     Attributes:
         head: The heading of the row.
-        each: One cell for each policy.
-        count: The number of tasks that the row combines, which is not shown if it is 0.
-        step: True if the row is about a step.
+        each: The cells of the row, with one cell for each policy.
+        count: The number of tasks that the row combines. It is not shown if it is 0.
+        step: True if the row describes a step.
     """
 
     head: str
@@ -135,7 +135,10 @@ def _grids(records: Sequence[Record]) -> list[dict[str, Any]]:
 
 
 def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
-    """Return the grid of an object's initial positions; x points up and y to the left, as seen from the robot."""
+    """Return the grid of an object's initial positions.
+
+    The x axis points up and the y axis points to the left, as seen from the robot.
+    """
     here = [record for record in records if name in record["cells"]]
     region = here[0]["regions"][name]
     cells_ = [

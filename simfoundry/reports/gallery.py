@@ -19,7 +19,7 @@ PICTURES = "pictures"
 
 
 def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write the page, and render missing images for at most ``most`` cousins."""
+    """Write the page, rendering missing images for at most ``most`` cousins."""
     with Reader() as reader:
         places = islice((place for place in ledger.counted() if place.accepted), most)
         shown = [reader.candidate(place) for place in places]
@@ -63,7 +63,7 @@ def page(
         shown: The cousins to show.
         pictures: Image paths by cousin index.
         reasons: One example for each rejection reason.
-        variants: A text with the variant results for each object.
+        variants: A text that describes the variant results for each object.
     """
     return render(
         "gallery.html.j2",

@@ -19,7 +19,7 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480  # Default and maximum image size [px]; two images fit side by side on a page 1320 px wide
 
-VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]; wider views distort upright objects at the edges
+VIEW_DEG = 40.0  # Vertical field of view [deg] of the default camera; wider views distort upright objects at the edges
 
 # Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)
@@ -63,9 +63,9 @@ class Picture:
 def picture(
     scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]], tints: Mapping[str, Tint] | None = None
 ) -> Picture:
-    """Render ``scene`` from ``camera``, with the objects in ``colors`` outlined in their color (sRGB bytes).
+    """Render ``scene`` from ``camera``, outlining the objects in ``colors`` in their color (sRGB bytes).
 
-    Objects without their own color are shown in their tint (sRGB, 0 to 1).
+    Objects that are not in ``colors`` are shown in their tint (sRGB, 0 to 1).
     """
     painted = tuple(_tinted(item, (tints or {}).get(item.name)) for item in scene.objects)
     seen = raycast(replace(scene, objects=painted), camera, samples=2)
@@ -79,13 +79,16 @@ def picture(
 
 
 def tints_of(names: Iterable[str]) -> dict[str, Tint]:
-    """Return a pale tint for each name; the tints are as distinct as possible and depend only on names and order."""
+    """Return a pale tint for each name.
+
+    The tints are as distinct as possible and depend only on the names and their order.
+    """
     hues = {name: k * GOLDEN % 1.0 for k, name in enumerate(dict.fromkeys(names))}
     return {name: colorsys.hls_to_rgb(hue, 0.68, 0.42) for name, hue in hues.items()}
 
 
 def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
-    """Return an object with its default-gray parts tinted; fixed objects remain gray because they are background."""
+    """Return an object with its default-gray parts tinted. Fixed objects remain gray because they are background."""
     if tint is None or item.fixed:
         return item
     rgba, links = frozen_array((*tint, 1.0)), []
@@ -130,7 +133,10 @@ def _overview(scenes: list[Scene]) -> Camera:
 
 
 def _corners(scene: Scene, free: bool) -> Array:
-    """Return the corners of the visible triangles in the world [m], shape (n, 3); if ``free``, only of free objects."""
+    """Return the corners of the visible triangles in the world [m], as an array of shape (n, 3).
+
+    If ``free`` is set, only free objects are included.
+    """
     surface = scene_surface(scene)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
@@ -170,7 +176,9 @@ _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
 
 @dataclass(frozen=True)
 class Label:
-    """A label in an image, and the line that connects it to its object; all values are fractions of the image size.
+    """A label in an image, and the line that connects it to its object.
+
+    All values are fractions of the image size.
 
     Attributes:
         name: The name of the object.
@@ -205,7 +213,7 @@ class Label:
 
 
 def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
-    """Return a label for each tag, above its object if there is space; labels that do not fit are omitted.
+    """Return a label for each tag, above its object if there is space. Labels that do not fit are omitted.
 
     ``aspect`` is the width of the image divided by its height.
     """
@@ -217,7 +225,10 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
 
 
 def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
-    """Yield possible labels inside the image, nearest first; labels above the object come before labels below it."""
+    """Yield possible labels inside the image, starting with those nearest to the object.
+
+    Labels above the object come before labels below it.
+    """
     height = (_LINE + _GAP) * FONT * aspect
     width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
     above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: Any) -> str:
-    """Render a template from ``reports/templates``; a missing variable is an error."""
+    """Render a template from ``reports/templates``. A missing variable is an error."""
     return _environment().get_template(template).render(values)
 
 

@@ -30,7 +30,7 @@ def page(
     pictures: Mapping[str, bytes],
     rested: Sequence[RestResult] = (),
 ) -> str:
-    """Render the complete page; ``pictures`` contains a PNG image for each scene, by name."""
+    """Render the complete page. ``pictures`` contains a PNG image for each scene, by name."""
     stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
     measured = _rows(((m.behavior, m) for m in results), stepping)
@@ -55,7 +55,7 @@ def page(
 
 
 def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, dict[str, C | None]]:
-    """Group the cells into rows by name; a row contains None for each engine without a cell."""
+    """Group the cells into rows by name. A row contains None for each engine without a cell."""
     rows: dict[str, dict[str, C | None]] = {}
     for name, cell in cells:
         rows.setdefault(name, dict.fromkeys(engines))[cell.engine] = cell

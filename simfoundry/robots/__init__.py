@@ -1,1 +1,1 @@
-"""Robots: gripper geometry measured from robot models, and inverse kinematics of arms."""
+"""Robots, including gripper geometry measured from robot models, and the inverse kinematics of arms."""

@@ -1,4 +1,4 @@
-"""A robot arm with its gripper: inverse kinematics with rigid fingers, and the gap between the fingers.
+"""A robot arm with its gripper, including inverse kinematics with rigid fingers and the gap between the fingers.
 
 The fingers are measured by casting rays at the model.
 """
@@ -40,7 +40,7 @@ FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class Jaws:
-    """The finger geometry at several gripper positions, in the hand frame; the fingers close along y.
+    """The finger geometry at several gripper positions, in a hand frame in which the fingers close along y.
 
     Attributes:
         share: The gripper positions, from 0 (open) to 1 (closed), shape (k,).
@@ -60,7 +60,11 @@ class Jaws:
         return float(self.width.max())
 
     def at_width(self, width: float) -> tuple[float, float, float]:
-        """Return the gripper position and the z coordinates of the pads' ends [m] at a gap of ``width`` [m]."""
+        """Return the finger geometry at a gap of ``width`` [m].
+
+        Returns:
+            The gripper position, and the z coordinates at which the pads start and end [m].
+        """
         order = np.argsort(self.width)
         columns = (self.share, self.low, self.tip)
         share, low, tip = (float(np.interp(width, self.width[order], column[order])) for column in columns)
@@ -104,7 +108,7 @@ def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
 
 
 def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
-    """Return the gap between the pads and the z coordinates of their ends [m]; None if no ray hits two fingers."""
+    """Return the gap between the pads and the z coordinates of their ends [m], or None if no ray hits two fingers."""
     import mujoco
 
     depth, hit = np.arange(0.0, DEEPEST, STEP), np.zeros(1, np.int32)
@@ -149,7 +153,7 @@ SEEDS = 3
 class Arm:
     """The arm of a robot.
 
-    A configuration ``q`` contains the positions of the arm's joints in the scene's order [rad or m], shape (n,).
+    A configuration ``q`` contains the positions of the arm's joints [rad or m] in the scene's order, shape (n,).
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -210,14 +214,14 @@ class Arm:
     def is_too_short(self, X_WH: Pose, slack: float = 0.0) -> bool:
         """Return True if the arm is too short to bring the hand within ``slack`` [m] of a pose.
 
-        If the result is False, the hand may still be unable to reach the pose.
+        If the result is False, it is still possible that the hand cannot reach the pose.
         """
         start, end, longest = self._longest
         X_BL = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
         return float(np.linalg.norm(X_BL.apply(end) - start)) > longest + BEYOND + slack
 
     def _posed(self, q: Array) -> Any:
-        """Return Mink's configuration at ``q``."""
+        """Return Mink's configuration with the joints at ``q``."""
         configuration = self._ik[0]
         full = np.array(configuration.q)
         full[self._order] = q
@@ -230,7 +234,10 @@ class Arm:
         return self.robot.X_WB @ Pose.of(data.xpos[link], data.xquat[link]) @ self._X_LH
 
     def solve(self, X_WH: Pose, near: Array) -> Array | None:
-        """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if it fails."""
+        """Return a configuration in which the hand is at ``X_WH``, or None if none is found.
+
+        The search starts at the configuration ``near``.
+        """
         import mink
 
         if self.is_too_short(X_WH):
@@ -260,7 +267,7 @@ class Arm:
         return None
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """Solve like :meth:`solve`; on failure, retry from the home configuration and from random ones near it."""
+        """Solve like :meth:`solve`, but on failure, retry from the home configuration and from random ones near it."""
 
         def starts() -> Iterator[Array]:
             yield from (near, self.home)

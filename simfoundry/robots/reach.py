@@ -1,6 +1,6 @@
 """Robot reach, estimated by horizontal distance from published data or computed by inverse kinematics.
 
-Both methods consider only the arm: obstacles are ignored, and the fingers may not fit the object.
+Both methods consider only the arm. They ignore obstacles, and do not check whether the fingers fit the object.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Hand(NamedTuple):
         reach: Its reach [m], or None if unknown.
         opening: The maximum opening of its gripper [m], or None if unknown.
         payload: Its payload [kg].
-        kind: The name of the robot model if it is a known robot, otherwise an empty string.
+        kind: The name of the robot model if it is a known robot, or otherwise an empty string.
     """
 
     name: str
@@ -92,9 +92,13 @@ def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> t
 
 
 def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | None:
-    """Return the hand that comes closest to reaching a place, given the horizontal distance from each base [m].
+    """Return the hand that comes closest to reaching a place.
 
     Returns None if a hand can reach the place or if the reach of any hand is unknown.
+
+    Args:
+        hands: The hands.
+        distances: The horizontal distance of the place from the base of each hand [m].
     """
     misses = [Miss(h, d, h.reach) for h, d in zip(hands, distances, strict=True) if h.reach is not None]
     nearest = min(misses, key=lambda miss: miss.lacking, default=None)
@@ -110,7 +114,7 @@ class Reached:
         checked: False if no arm has a model or the solver is not installed.
         robot: The robot that can reach the place, or otherwise the nearest robot.
         away: The horizontal distance of the place from the base of that robot [m].
-        why: The reason why reach was not checked.
+        why: The reason why the reach was not checked.
     """
 
     reached: bool
@@ -121,7 +125,7 @@ class Reached:
 
 
 class ArmReach:
-    """A test of which grasps the arms in a scene can reach."""
+    """A test that determines which grasps the arms in a scene can reach."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
         self._names, self._robots = robots, [robot for robot in scene.robots if robot.name in robots]
@@ -138,7 +142,7 @@ class ArmReach:
 
     @cached_property
     def missing(self) -> str:
-        """The reason why reach cannot be checked, or an empty string if it can be checked."""
+        """The reason why the reach cannot be checked, or an empty string if it can be checked."""
         missing = EXTRAS["expert"].missing
         if missing:
             return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
@@ -167,7 +171,7 @@ class ArmReach:
     def is_too_short(self, low: Array, high: Array, slack: float) -> bool:
         """Return True if no arm is long enough to grasp a box from above, even if the box moves by ``slack`` [m].
 
-        This test is much faster than inverse kinematics. The result is False if reach cannot be checked.
+        This test is much faster than inverse kinematics. The result is False if the reach cannot be checked.
         """
         up = np.array(UP)
         return not self.missing and not any(
@@ -210,9 +214,9 @@ class ArmReach:
 
 
 def _hand_turns(side: Array) -> list[Array]:
-    """Return wxyz quaternions for hands that approach from ``side``.
+    """Return the orientations of hands that approach from ``side``, as wxyz quaternions.
 
-    From above, the hand may have any rotation; from other sides, the fingers are level.
+    From above, the hand may have any rotation. From all other sides, the fingers are level.
     """
     if side[2] > 1 - 1e-9:
         turns = [2 * math.pi * k / YAWS for k in range(YAWS)]
@@ -227,7 +231,7 @@ def _hand_turns(side: Array) -> list[Array]:
 def _toward(arm: Arm, hand: Array) -> Array:
     """Return the home configuration with the first joint rotated to point the hand toward its target.
 
-    This is a good initial configuration if the axis of the first joint is vertical, as in most arms, and harmless
+    This is a good initial configuration if the axis of the first joint is vertical, as in most arms, and does no harm
     otherwise.
     """
     base, now = arm.robot.X_WB.p, arm.hand(arm.home).p

@@ -57,18 +57,22 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
 
 
 class MissingExtraError(SimfoundryError):
-    """Raised if optional packages are missing; the message names the feature and the install command."""
+    """Raised if optional packages are missing. The message names the feature and the install command."""
 
 
 def need_extra(extra: str, what: str) -> None:
-    """Raise :class:`MissingExtraError` if the feature ``what`` requires an extra that is not fully installed."""
+    """Ensure that the extra that the feature ``what`` requires is fully installed.
+
+    Raises:
+        MissingExtraError: If a package of the extra is missing.
+    """
     missing = EXTRAS[extra].missing
     if missing:
         raise MissingExtraError(f"{what} requires {', '.join(missing)}; install with `{install_line(extra)}`")
 
 
 def how_to_install(module: str) -> str:
-    """Return the command that installs a module, either through the extra that contains it or as a separate package."""
+    """Return the command that installs a module, either with the extra that contains it or as a separate package."""
     top = module.partition(".")[0]
     extra = next((extra.name for extra in EXTRAS.values() if top in extra.packages.values()), None)
     return install_line(extra) if extra is not None else f"pip install {top.replace('_', '-')}"

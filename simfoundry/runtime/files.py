@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import json
 import os
 import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +23,9 @@ BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 # Age [s] after which a staging folder counts as abandoned on systems that cannot lock folders; no run takes this long.
 STALE_S = 3600.0
 
+# Permissions of new files: readable by everyone, as with the usual umask of 022.
+NEW_FILE_MODE = 0o644
+
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file atomically."""
@@ -29,15 +33,23 @@ def write_atomically(path: Path, data: bytes) -> None:
         stream.write(data)
 
 
+def write_in_place(path: Path, data: bytes) -> None:
+    """Write a file atomically, preserving its permissions; a symbolic link remains, and its target is written."""
+    target = path.resolve()
+    mode = target.stat().st_mode & 0o7777 if target.exists() else NEW_FILE_MODE
+    with writing_atomically(target, mode) as stream:
+        stream.write(data)
+
+
 @contextmanager
-def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
-    """Yield a stream to a file that appears atomically if the block succeeds; use it for content larger than memory."""
+def writing_atomically(path: Path, mode: int = NEW_FILE_MODE) -> Iterator[IO[bytes]]:
+    """Yield a stream to a file that appears atomically if the block succeeds. Use it for content larger than memory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with naming(path), os.fdopen(handle, "wb") as stream:
             yield stream
-        Path(staging).chmod(0o644)
+        Path(staging).chmod(mode)
         os.replace(staging, path)
     except BaseException:
         Path(staging).unlink(missing_ok=True)
@@ -45,7 +57,7 @@ def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file in a staging folder, creating parent folders as needed; the write itself is not atomic."""
+    """Write a file in a staging folder, creating parent folders as needed. The write itself is not atomic."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path):
         path.write_bytes(data)
@@ -64,7 +76,10 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder next to ``folder`` that replaces it if the block succeeds, and is removed otherwise."""
+    """Yield an empty folder next to ``folder``.
+
+    The new folder replaces ``folder`` if the block succeeds and is removed otherwise.
+    """
     with scratch(folder.parent, folder.name) as staging:
         yield staging
         replace_folder(staging, folder)
@@ -74,7 +89,8 @@ def staged(folder: Path) -> Iterator[Path]:
 def scratch(parent: Path, name: str) -> Iterator[Path]:
     """Yield a new temporary folder ``parent/.NAME.new.*``, which is removed at the end.
 
-    The folder is locked during the run, so that the next run can detect and remove folders left by killed runs.
+    The folder is locked while it is in use, so that later runs can detect and remove folders left behind by killed
+    runs.
     """
     parent.mkdir(parents=True, exist_ok=True)
     _clear(parent, name)
@@ -91,7 +107,10 @@ def scratch(parent: Path, name: str) -> Iterator[Path]:
 
 
 def _clear(parent: Path, name: str) -> None:
-    """Remove unlocked staging folders, left by killed runs, and those that have not changed for ``STALE_S``."""
+    """Remove staging folders that were left behind by killed runs.
+
+    These are folders that are not locked or that have not changed for ``STALE_S``.
+    """
     head = tuple(f".{name}.{step}." for step in ("new", "making"))
     with os.scandir(parent) as entries:
         left = [Path(entry.path) for entry in entries if entry.name.startswith(head)]
@@ -107,7 +126,7 @@ def _clear(parent: Path, name: str) -> None:
 
 
 def _lock(folder: Path) -> int | None:
-    """Lock a folder and return the file descriptor; the lock is held until it is closed or the process ends.
+    """Lock a folder and return the file descriptor. The lock is held until it is closed or the process ends.
 
     Returns None if the folder is already locked, or if folders cannot be locked (on Windows and on some network file
     systems).
@@ -126,7 +145,7 @@ def _lock(folder: Path) -> int | None:
 
 
 def replace_folder(new: Path, folder: Path) -> None:
-    """Swap the folders ``new`` and ``folder``; both must be on the same file system.
+    """Swap the folders ``new`` and ``folder``, which must be on the same file system.
 
     The swap is atomic if the system supports it. Otherwise, if the process is killed between the two renames, the old
     folder remains next to its original location as ``.NAME.old.*``.
@@ -151,7 +170,7 @@ def replace_folder(new: Path, folder: Path) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files below ``folder``, keyed by relative POSIX path; each parent folder is created only once."""
+    """Write files below ``folder``, keyed by relative POSIX path. Each parent folder is created only once."""
     for parent in sorted({(folder / path).parent for path in files}):
         parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
@@ -160,14 +179,17 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def strangers(folder: Path, written: Iterable[str]) -> list[str]:
-    """Return the sorted relative POSIX paths of the files in ``folder`` that are not in ``written``."""
+    """Return the relative POSIX paths of the files in ``folder`` that are not in ``written``, in sorted order.
+
+    Files and folders listed in :data:`BYSTANDERS` are ignored.
+    """
     known = set(written)
     files = (p.relative_to(folder) for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
     return sorted(p.as_posix() for p in files if p.as_posix() not in known and not set(p.parts) & set(BYSTANDERS))
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Swap two paths atomically; return False if the operating system or file system does not support this."""
+    """Swap two paths atomically, or return False if the operating system or file system does not support this."""
     if not sys.platform.startswith("linux"):
         return False
     try:
@@ -187,9 +209,12 @@ LISTED = 3  # Maximum number of files listed in a message
 
 
 def ensure_replaceable(path: Path, inputs: Iterable[Path] = (), force: bool = False) -> None:
-    """Raise :class:`OutputError` if writing a file would destroy user data.
+    """Ensure that writing a file would not destroy user data.
 
-    ``inputs`` are the files that the command reads; they are never overwritten, even with ``force``.
+    ``inputs`` are the files that the command reads. They are never overwritten, even with ``force``.
+
+    Raises:
+        OutputError: If user data would be destroyed.
     """
     if not path.exists():
         return
@@ -204,27 +229,37 @@ def ensure_replaceable(path: Path, inputs: Iterable[Path] = (), force: bool = Fa
 
 
 def is_generated(path: Path) -> bool:
-    """Return True if a file contains :data:`MARK` near its start; special files, such as pipes, count as generated."""
+    """Return True if a file contains :data:`MARK` near its start. Special files, such as pipes, count as generated."""
     if not path.is_file():
         return True
     with path.open("rb") as stream:
         return MARK.encode() in stream.read(HEAD_BYTES)
 
 
-def ensure_folder_replaceable(folder: Path, written: Mapping[str, str], index: str, advice: str = "") -> None:
-    """Raise :class:`OutputError` if ``folder`` contains files that were not generated there or were edited since.
+def ensure_folder_replaceable(folder: Path, index: str, advice: str = "", how: str = "with --force") -> None:
+    """Ensure that ``folder`` contains no files that were generated elsewhere or edited after they were generated.
 
     Args:
-        folder: The folder to be replaced.
-        written: SHA-256 digests of the generated files, keyed by relative POSIX path.
-        index: The file in the folder that lists the generated files.
+        folder: The folder to be replaced; it may be missing.
+        index: The JSON file in the folder with the result of :func:`file_digests` under the key ``files``.
         advice: Advice for the user on how to keep the edits, as a clause in the message.
+        how: How the user can replace the folder anyway.
+
+    Raises:
+        OutputError: If the folder contains such files.
     """
+    if not folder.is_dir():
+        return
+    try:
+        listed = json.loads((folder / index).read_bytes())["files"]
+        written = {str(path): str(digest) for path, digest in listed.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        written = {}
     foreign = strangers(folder, [*written, *([index] if written else [])])
     if foreign:
         raise OutputError(
             f"{folder} contains files that were not generated there ({_names(foreign)}); choose another folder, "
-            "or replace the entire folder with --force"
+            f"or replace the entire folder {how}"
         )
     # Deleted files do not count as edited.
     present = ((path, folder / path) for path in sorted(written) if (folder / path).is_file())
@@ -233,8 +268,44 @@ def ensure_folder_replaceable(folder: Path, written: Mapping[str, str], index: s
         keep = f"{advice}; " if advice else ""
         raise OutputError(
             f"{folder} contains files that were edited since they were generated ({_names(edited)}); {keep}choose "
-            "another folder, or discard the edits with --force"
+            f"another folder, or discard the edits {how}"
         )
+
+
+def file_digests(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 digest of every file in a folder, keyed by relative POSIX path."""
+    files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+    return {path: hashlib.sha256(files[path].read_bytes()).hexdigest() for path in sorted(files)}
+
+
+@contextmanager
+def copied_folder(source: Path, folder: Path, index: str) -> Iterator[None]:
+    """Replace ``folder`` with a copy of ``source``, and restore the previous state if the block fails.
+
+    The copy contains the file ``index``, by which a later call recognizes that it may replace the folder. Raises
+    :class:`OutputError` if the existing folder contains other files or was edited.
+    """
+    ensure_folder_replaceable(folder, index, how="by deleting it first")
+    is_new_parent, is_new = not folder.parent.exists(), not folder.exists()
+    try:
+        with scratch(folder.parent, folder.name) as staging:
+            copy = staging / folder.name
+            shutil.copytree(source, copy)
+            (copy / index).write_text(json.dumps({"files": file_digests(copy)}, indent=2) + "\n", encoding="utf-8")
+            replace_folder(copy, folder)  # the previous folder is now in the staging folder
+            try:
+                yield
+            except BaseException:
+                if is_new:
+                    shutil.rmtree(folder)
+                else:
+                    replace_folder(copy, folder)
+                raise
+    except BaseException:
+        if is_new_parent:
+            with suppress(OSError):
+                folder.parent.rmdir()
+        raise
 
 
 def _names(paths: list[str]) -> str:
@@ -243,10 +314,10 @@ def _names(paths: list[str]) -> str:
 
 
 def shipped(path: str) -> Path:
-    """Return the location of the repository folder ``path``, in a checkout or an installed wheel.
+    """Return the location of the repository folder ``path``, in a checkout or in an installed wheel.
 
-    In a wheel, the folder is located in ``simfoundry/shipped``; ``force-include`` in pyproject.toml lists the folders
-    that are available there.
+    In a wheel, the folder is located in ``simfoundry/shipped``. The folders that are available there are listed under
+    ``force-include`` in pyproject.toml.
     """
     package = Path(__file__).parents[1]
     installed = package / "shipped"

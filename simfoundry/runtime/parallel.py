@@ -1,4 +1,4 @@
-"""Parallel map, executed in this process if that is fast enough, otherwise across the CPU cores."""
+"""A parallel map that runs in this process if that is fast enough, and otherwise across the CPU cores."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def map_parallel(
     startup_s: float = STARTUP_S,
     processes: int | None = None,
 ) -> list[R]:
-    """Map ``function`` over ``inputs``, in this process if that is fast enough, otherwise across the CPU cores.
+    """Map ``function`` over ``inputs``, in this process if that is fast enough, and otherwise across the CPU cores.
 
     Args:
-        function: A module-level function, or a partial of a module-level function, so that other processes can
-            import it.
+        function: A module-level function, or a partial of a module-level function, so that other processes can import
+            it.
         inputs: The inputs of the function.
         progress: Callback that receives the number of completed inputs.
         startup_s: Minimum estimated time for the remaining inputs [s] that justifies starting processes.

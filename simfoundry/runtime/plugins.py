@@ -42,15 +42,18 @@ GROUPS: Mapping[str, str] = {
 
 
 class UnknownExtensionError(SimfoundryError):
-    """Raised for an unknown extension; the message lists the available names."""
+    """Raised for an unknown extension. The message lists the available names."""
 
 
 class PluginError(SimfoundryError):
-    """Raised for a plug-in that cannot be loaded or that fails; the message states its package and the cause."""
+    """Raised for a plug-in that cannot be loaded or that fails. The message states its package and the cause."""
 
 
 def fault_text(error: BaseException, package: str = "") -> str:
-    """Format an exception as one line with the last line of code in ``package``, by default outside SimFoundry."""
+    """Format an exception as a single line that includes its source location.
+
+    The location is the last line of code in ``package``, or outside SimFoundry if no package is given.
+    """
     frames = [(f.f_globals.get("__name__", ""), f.f_code, line) for f, line in traceback.walk_tb(error.__traceback__)]
     codes = [found for found in frames if (found[0].partition(".")[0] == (package or "simfoundry")) is bool(package)]
     where = [f" ({'/'.join(Path(code.co_filename).parts[-2 if package else -1 :])}:{line})" for _, code, line in codes]
@@ -62,8 +65,8 @@ def fault_text(error: BaseException, package: str = "") -> str:
 class Plugin:
     """An extension provided by an installed package.
 
-    ``value`` is the entry point, and ``distribution`` is the name and version of the package. ``rival`` is another
-    package that provides an extension with the same name, if any; in that case, neither can be used.
+    ``value`` is the entry point, and ``distribution`` is the name and version of the package. If another package
+    provides an extension with the same name, ``rival`` is that package, and neither extension can be used.
     """
 
     name: str
@@ -79,7 +82,7 @@ class Plugin:
             return resolve_name(self.value)
 
     def folder(self) -> Path:
-        """Return the folder of the package that the entry point refers to; targets and robots require a folder."""
+        """Return the folder of the package that the entry point refers to. Targets and robots require a folder."""
         self._check_unique()
         with self.running("cannot be loaded"):  # finding the package imports its parent
             spec = find_spec(self.value)
@@ -94,7 +97,10 @@ class Plugin:
 
     @contextmanager
     def running(self, outcome: str = "failed", kind: type[SimfoundryError] = PluginError) -> Iterator[None]:
-        """Convert exceptions in this plug-in to ``kind``, except those that SimFoundry defines and words itself."""
+        """Convert exceptions in this plug-in to ``kind``.
+
+        Exceptions that SimFoundry defines are not converted, because their messages already state the cause.
+        """
         try:
             yield
         except Exception as error:
@@ -103,7 +109,7 @@ class Plugin:
             raise kind(str(self.error(error, outcome))) from error
 
     def error(self, cause: str | Exception, outcome: str = "cannot be loaded") -> PluginError:
-        """Return an error that explains why this plug-in cannot be used; an exception is stated with its line."""
+        """Return an error that explains why this plug-in cannot be used. An exception is stated with its line."""
         what = f"the `{self.name}` {GROUPS.get(self.group, 'extension')} from the package {self.distribution}"
         text = cause if isinstance(cause, str) else fault_text(cause, re.split("[.:]", self.value)[0])
         return PluginError(
@@ -114,7 +120,7 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Registry(Generic[T]):
-    """A registry of all extensions of one kind; an extension is not imported until it is used.
+    """A registry of all extensions of one kind. An extension is not imported until it is used.
 
     ``built_in`` maps names to ``module:attribute``. A plug-in cannot replace a built-in extension, so installing a
     package never changes the meaning of an existing document. Installed packages are not even searched if the name is
@@ -126,7 +132,7 @@ class Registry(Generic[T]):
     kind: type[T] | None = field(default=None, compare=False)
 
     def names(self) -> list[str]:
-        """Return all names: the built-in names in the order of definition, then the sorted names of plug-ins."""
+        """Return all names: first the built-in names in the order of definition, then the sorted names of plug-ins."""
         return [*self.built_in, *(name for name in plugins(self.group) if name not in self.built_in)]
 
     def __contains__(self, name: object) -> bool:
@@ -140,8 +146,8 @@ class Registry(Generic[T]):
         """Import and return the extension called ``name``.
 
         Raises:
-            UnknownExtensionError: The name is unknown; the message lists the available names.
-            PluginError: The plug-in cannot be loaded.
+            UnknownExtensionError: If the name is unknown; the message lists the available names.
+            PluginError: If the plug-in cannot be loaded.
         """
         if name in self.built_in:
             return cast(T, resolve_name(self.built_in[name]))
@@ -155,7 +161,11 @@ class Registry(Generic[T]):
         return cast(T, found)
 
     def load_all(self) -> tuple[dict[str, T], dict[str, SimfoundryError]]:
-        """Import all extensions; return those that can be loaded, and the errors of the others, keyed by name."""
+        """Import all extensions of this kind.
+
+        Returns:
+            The extensions that can be loaded, and the errors of all others, keyed by name.
+        """
         found, errors = dict[str, T](), dict[str, SimfoundryError]()
         for name in self.names():
             try:
@@ -166,10 +176,10 @@ class Registry(Generic[T]):
 
     @contextmanager
     def running(self, name: str, kind: type[SimfoundryError] = PluginError) -> Iterator[None]:
-        """Convert exceptions in the code of a plug-in to ``kind``; all code of extensions runs inside this context.
+        """Convert exceptions in the code of a plug-in to ``kind``. All code of extensions runs inside this context.
 
-        It is also a decorator: ``IMPORTERS.running(name)(reader)`` is a reader. Exceptions in the built-in
-        extensions are bugs of SimFoundry, so they are not converted.
+        It is also a decorator: ``IMPORTERS.running(name)(reader)`` is a reader. Exceptions in built-in extensions are
+        not converted, because they are bugs in SimFoundry.
         """
         plugin = self.plugin(name)
         with nullcontext() if plugin is None else plugin.running("failed", kind):
@@ -183,7 +193,7 @@ def plugins(group: str) -> Mapping[str, Plugin]:
 
 @lru_cache(maxsize=64)
 def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: ARG001 - used only as a cache key
-    """Read the metadata of every package on ``path``; this takes 2 ms per 100 packages, plus 20 ms for the import."""
+    """Read the metadata of every package on ``path``. This takes 2 ms per 100 packages, plus 20 ms for the import."""
     from importlib.metadata import entry_points
 
     found: dict[str, Plugin] = {}
@@ -195,7 +205,7 @@ def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: A
 
 
 def import_file(path: Path, place: Path | None = None) -> ModuleType:
-    """Execute a file as a module without adding it to ``sys.modules``; ``place`` overrides its apparent location."""
+    """Execute a file as a module without adding it to ``sys.modules``. ``place`` overrides its apparent location."""
     spec = spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is not a Python file")

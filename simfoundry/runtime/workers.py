@@ -1,8 +1,8 @@
 """Worker processes, which turn a crash, hang or memory exhaustion in a native library into an error message.
 
 A :class:`Worker` calls module-level functions by name. Its process is started on the first call, handles many calls,
-and is restarted after a failure. Output from the functions is written to a log, whose last line is quoted if a call
-fails. A :class:`WorkerPool` runs several workers in parallel.
+and is restarted after a failure. Output from the functions is written to a log, whose last line is quoted in the error
+message if a call fails. A :class:`WorkerPool` runs several workers in parallel.
 
 Unlike with multiprocessing, loky and pebble, the caller's script does not need ``if __name__ == "__main__"``, the
 timeout restarts with every progress report, and memory is limited.
@@ -41,7 +41,7 @@ _LENGTH = 8  # Size of the length field before each message [bytes]
 
 
 class WorkerError(SimfoundryError):
-    """Raised for a failed call; ``how`` describes the failure, and ``doing`` is the last progress report."""
+    """Raised for a failed call. ``how`` describes the failure, and ``doing`` is the last progress report."""
 
     def __init__(self, how: str, doing: str = "") -> None:
         super().__init__(how)
@@ -50,7 +50,7 @@ class WorkerError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a call: the time [s] without a progress report, and the address space [bytes]."""
+    """The limits of a call: the maximum time between progress reports [s] and the address space [bytes]."""
 
     seconds: float
     memory: int
@@ -65,7 +65,7 @@ class Limits:
 
 
 class Worker:
-    """A subprocess that executes function calls one at a time; it can be used from multiple threads."""
+    """A subprocess that executes function calls one at a time. It can be used from multiple threads."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -91,7 +91,7 @@ class Worker:
             wait: Callback that is called every :data:`WAIT_S` seconds with the elapsed time of the call [s].
 
         Raises:
-            WorkerError: The function raised an exception, crashed, or exceeded the limits.
+            WorkerError: If the function raised an exception, crashed, or exceeded the limits.
         """
         with self._busy:
             last = ""
@@ -107,7 +107,7 @@ class Worker:
                 progress(content)
 
     def close(self, grace_s: float = 0.0) -> None:
-        """Terminate the process even if it is busy; an idle process has ``grace_s`` seconds to run exit functions."""
+        """Terminate the process even if it is busy. An idle process has ``grace_s`` seconds to run exit functions."""
         process, self._process = self._process, None
         atexit.unregister(self.close)
         if process is not None and self._owner == os.getpid():  # otherwise, the process belongs to the parent of a fork
@@ -163,7 +163,7 @@ class Worker:
         raise WorkerError(how, last)
 
     def _start(self) -> None:
-        """Start the process in a thread that forwards its responses, and sends None when it exits.
+        """Start the process in a thread that forwards its responses and sends None when the process exits.
 
         The thread must live as long as the process, because on Linux the process dies with the thread that started it.
         """
@@ -215,7 +215,10 @@ _exit_functions: list[Callable[[], object]] = []
 
 
 def report_progress(text: str) -> None:
-    """Report progress to the caller of a :class:`Worker` and restart its timeout; outside a worker, do nothing."""
+    """Report progress to the caller of a :class:`Worker`, and restart its timeout.
+
+    Outside a worker, this function does nothing.
+    """
     if _send_message is not None:
         _send_message("progress", text)
 
@@ -223,15 +226,15 @@ def report_progress(text: str) -> None:
 def at_worker_exit(function: Callable[[], object]) -> None:
     """Register a function that runs when this worker shuts down, before the interpreter's own exit functions.
 
-    Functions registered with ``atexit`` would run too late, because MuJoCo registers a function there that terminates
-    the GL driver, and worlds must be closed before that.
+    Functions registered with ``atexit`` would run too late. MuJoCo registers a function there that terminates the GL
+    driver, and worlds must be closed before that.
     """
     if function not in _exit_functions:
         _exit_functions.append(function)
 
 
 def serve() -> None:
-    """Handle calls from standard input until it is closed; this is the main loop of a worker process."""
+    """Handle calls from standard input until it is closed. This is the main loop of a worker process."""
     global _send_message
     parent, memory = map(int, sys.argv[1:])
     _confine(parent, memory)
@@ -275,14 +278,14 @@ def _confine(parent: int, memory: int) -> None:
 
 
 class WorkerPool:
-    """A pool of workers that call functions in parallel; results are returned in order of completion."""
+    """A pool of workers that call functions in parallel. Results are returned in order of completion."""
 
     def __init__(
         self, size: int, limits: Limits, progress: Callable[[Any, str], object] = lambda key, text: None
     ) -> None:
         """Start ``size`` worker threads.
 
-        ``progress`` receives the key of a call and each text that it reports; it may be called from any thread.
+        ``progress`` receives the key of a call and each text that the call reports. It may be called from any thread.
         """
         self.size, self._progress, self._closed = size, progress, False
         self._calls: queue.SimpleQueue[tuple[Any, str, tuple[Any, ...], int] | None] = queue.SimpleQueue()
@@ -293,15 +296,18 @@ class WorkerPool:
             thread.start()
 
     def submit(self, key: Any, function: str, *arguments: Any, attempts: int = 1) -> None:
-        """Queue a call to ``module:function``; if it fails, it is retried, up to ``attempts`` calls in total."""
+        """Queue a call to ``module:function``. If the call fails, it is retried, up to ``attempts`` calls in total."""
         self._calls.put((key, function, arguments, attempts))
 
     def next(self) -> tuple[Any, Any]:
-        """Wait for a call to finish; return its key, and its result or :class:`WorkerError`."""
+        """Wait for a call to finish, and return its key and either its result or a :class:`WorkerError`."""
         return self._results.get()
 
     def close(self, grace_s: float = 0.0) -> None:
-        """Terminate all processes, even if they are busy; idle ones have ``grace_s`` seconds to run exit functions."""
+        """Terminate all processes, even if they are busy.
+
+        Idle processes have ``grace_s`` seconds to run exit functions.
+        """
         self._closed = True  # set first, so that calls interrupted now are not retried
         for worker in self._workers:
             self._calls.put(None)

@@ -1,1 +1,1 @@
-"""Lowered scenes, in which everything is explicit and nothing is left to simulator defaults."""
+"""Lowered scenes, in which everything is explicit and nothing depends on the defaults of a simulator."""

@@ -1,4 +1,4 @@
-"""Build a rigid body from shapes and meshes: its visuals, colliders, mass, center of mass and inertia."""
+"""Build a rigid body from shapes and meshes, including its visuals, colliders, mass, center of mass and inertia."""
 
 from __future__ import annotations
 
@@ -57,11 +57,14 @@ class MeshUse(NamedTuple):
 
 @dataclass
 class BodyBuilder:
-    """Collects the parts of a link and computes the finished link; raises :class:`MeshError` for unusable meshes.
+    """A builder that collects the parts of a link and computes the finished link.
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
     ``is_approximate`` is set.
+
+    Raises:
+        MeshError: If a mesh is unusable.
     """
 
     name: str
@@ -78,7 +81,10 @@ class BodyBuilder:
     report: Callable[[str], object] = lambda said: None
 
     def add_shape(self, name: str, shape: base.Shape, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
-        """Add a primitive at a pose in the link frame; ``show`` is False if a mesh is shown instead."""
+        """Add a primitive at a pose in the link frame.
+
+        ``show`` is False if a mesh is shown instead of the primitive.
+        """
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
             self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
@@ -130,7 +136,11 @@ class BodyBuilder:
             self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
-        """Return the finished link; raises :class:`MeshError` if it has no mass."""
+        """Return the finished link.
+
+        Raises:
+            MeshError: If the link has no mass.
+        """
         total = base.quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
@@ -186,7 +196,10 @@ class BodyBuilder:
         return base.Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """Return the first color that is set for the part, the body, the mesh file or the material; gray by default."""
+        """Return the first color that is set for the part, the body, the mesh file or the material.
+
+        The default is gray.
+        """
         colors = part.color if part is not None else None, self.body.color, default, self._material(part).color
         return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
 
@@ -209,7 +222,7 @@ CUT_VERSION = "cut shape 1"
 
 
 class ShapeBody(NamedTuple):
-    """A shape's body in the shape's own frame: a ``visual``, a ``solid`` with density 1, and ``colliders``.
+    """The body of a shape in the shape's own frame: a ``visual``, a ``solid`` with density 1, and ``colliders``.
 
     ``error`` [m] is the maximum distance between the colliders and the shape.
     """
@@ -222,10 +235,13 @@ class ShapeBody(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
-    """Return the body of a shape; raises :class:`MeshError` if a profile or outline does not enclose an area.
+    """Return the body of a shape.
 
     Decomposing a lathe or prism takes up to 40 ms and imports two large libraries, so ``cache`` stores the parts for
     later runs.
+
+    Raises:
+        MeshError: If a profile or outline does not enclose an area.
     """
     geometry: Geometry
     match shape:

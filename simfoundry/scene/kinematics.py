@@ -1,4 +1,4 @@
-"""Kinematics of objects: link poses, kinematic trees, effective inertias, and pairs of links that can touch."""
+"""The kinematics of objects: link poses, kinematic trees, effective inertias, and pairs of links that can touch."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
 def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = None) -> dict[str, Pose]:
     """Return the pose ``X_OL`` of every link in the object frame, keyed by link name.
 
-    ``joints`` maps joint names to positions [rad or m], or to motions of ball and free joints, that override the
-    object's own.
+    ``joints`` maps joint names to the positions [rad or m] or the motions (of ball and free joints) that replace those
+    of the object.
     """
     poses = {item.root.name: IDENTITY}
     for link in item.links[1:]:
@@ -45,9 +45,9 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The links of an object that are connected by constraining joints; the first link is the root.
+    """The links of an object that are connected by constraining joints. The first link is the root.
 
-    ``free_joint`` is the free joint above the root, or None if the root is the object's own root. ``joints`` are the
+    ``free_joint`` is the free joint above the root, or None if the root is the root of the object. ``joints`` are the
     joints within the tree. ``X_WT`` is the pose of the root link's frame in the world.
     """
 
@@ -78,11 +78,11 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
     Args:
         item: The object.
-        positions: Positions of the object's other joints, by joint name.
-        X_OT: Poses of the free joints' child links in the object frame, by link name.
+        positions: Positions of the object's other joints, keyed by joint name.
+        X_OT: Poses of the free joints' child links in the object frame, keyed by link name.
 
     Returns:
-        The motion of each free joint, by joint name.
+        The motion of each free joint, keyed by joint name.
     """
     known, motions = dict(positions), dict[str, Pose]()
     for joint in (tree.free_joint for tree in trees(item)):
@@ -93,7 +93,7 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
-    """Return an object's kinematic trees in the order of their roots; without free joints, there is only one tree."""
+    """Return an object's kinematic trees in the order of their roots. Without free joints, there is only one tree."""
     free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)
@@ -115,7 +115,7 @@ def trees(item: SceneObject) -> tuple[Tree, ...]:
 
 
 def effective_inertias(tree: Tree) -> dict[str, float]:
-    """Return the effective inertia at each single-axis joint in the initial state [kg m^2 or kg], by joint name.
+    """Return the effective inertia [kg m^2 or kg] at each single-axis joint in the initial state, keyed by joint name.
 
     All other joints move freely, without friction or motors, so the result is the smallest possible value.
     """
@@ -161,7 +161,7 @@ def _columns(tree: Tree) -> list[_Column]:
 
 
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links (by name, in link order) whose contacts are disabled within an object."""
+    """Return the pairs of links within an object whose contacts are disabled, by name and in link order."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
@@ -178,7 +178,7 @@ def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links (by name, in link order) that can be in contact within an object."""
+    """Return the pairs of links within an object that can be in contact, by name and in link order."""
     if len(item.links) == 1:
         return ()
     excluded = set(excluded_link_pairs(item))

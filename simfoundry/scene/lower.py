@@ -1,4 +1,4 @@
-"""Lower a SceneSpec to a Scene: all defaults resolved, frames composed, masses and convex parts computed.
+"""Lower a SceneSpec to a Scene. This resolves all defaults, composes frames, and computes masses and convex parts.
 
 Identical documents produce identical scenes on every machine. Mesh errors are reported at the line that refers to the
 mesh.
@@ -33,7 +33,7 @@ from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
 class Lowering:
     """The state shared by all passes that lower a scene: the document, the options, and the approximate objects.
 
-    ``fetch`` allows robot models to be downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
+    If ``fetch`` is set, robot models are downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
     parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
     depends on an approximate object may then fail without an error; ``unplaced`` contains the objects whose poses are
     uncertain for this reason.
@@ -55,11 +55,15 @@ class Lowering:
 
     @property
     def places(self) -> dict[str, Place]:
-        """The placements to be solved, by object name."""
+        """The placements to be solved, keyed by object name."""
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
     def run(self, passes: tuple[Pass, ...]) -> Scene:
-        """Run the passes and return the scene; raises :class:`SpecError` with all findings from the failing pass."""
+        """Run the passes and return the scene.
+
+        Raises:
+            SpecError: If a pass fails. The error contains all findings from this pass.
+        """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
@@ -72,17 +76,24 @@ Pass = Callable[[Lowering, Scene], Scene]
 
 
 def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
-    """Lower a checked scene document; raises :class:`SpecError` with all findings.
+    """Lower a checked scene document.
 
     ``cache`` stores convex decompositions for later runs. ``progress`` is called with a name, the number of finished
     objects, and the total number of objects. Robot models are downloaded only if ``fetch`` is set. Robots whose models
     are missing are left out.
+
+    Raises:
+        SpecError: If the document cannot be lowered. The error contains all findings.
     """
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
 
 
 def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
-    """Load, check and lower the scene document at ``path`` (see :func:`lower`); raises :class:`SpecError`."""
+    """Load, check and lower the scene document at ``path``; see :func:`lower`.
+
+    Raises:
+        SpecError: If the document is invalid or cannot be lowered.
+    """
     from simfoundry.spec.load import load_scene
 
     return lower(load_scene(path), cache, progress, fetch)
@@ -92,11 +103,14 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 
 
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the objects without their placements; raises :class:`SpecError` with all findings.
+    """Lower the objects without their placements.
 
     Objects placed inside others are lowered first, together with all objects on which they depend. If one of them does
-    not fit, the error is detected before the remaining meshes are decomposed, a process that may take minutes. In that
-    case, the remaining meshes are only checked.
+    not fit, the error is detected before the remaining meshes are decomposed, which may take minutes. In that case, the
+    remaining meshes are only checked.
+
+    Raises:
+        SpecError: If an object cannot be lowered. The error contains all findings.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
@@ -132,7 +146,10 @@ def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
 
 
 def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
-    """Return findings for `inside` placements that are certain to fail, before uncached meshes are decomposed."""
+    """Return findings for `inside` placements that are certain to fail.
+
+    These are found before meshes that are not cached are decomposed.
+    """
     from simfoundry.scene.misfits import certain_misfits, uncut
 
     spec, loaded = lowering.spec, lowering.loaded
@@ -149,7 +166,7 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
-    """Return findings for failed placements, located at the keys that specify the placements."""
+    """Return a finding for each failed placement, located at the keys that specify the placement."""
     return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
 
 
@@ -201,7 +218,7 @@ def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the robots whose models are available, and leave out the others along with their cameras."""
+    """Lower the robots whose models are available. All other robots and their cameras are left out."""
     spec = lowering.spec
     if not spec.robots:
         return scene
@@ -220,7 +237,7 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the cameras; leave out cameras mounted on a link that does not exist in the selected variant."""
+    """Lower the cameras, leaving out cameras mounted on a link that does not exist in the selected variant."""
     fixed, mounted, lost = [], [], []
     robots = {robot.name for robot in scene.robots}
     for name, spec in lowering.spec.cameras.items():
@@ -238,7 +255,7 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower lights and the background, and leave out unusable object textures."""
+    """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
     lights = tuple(_light(name, light) for name, light in spec.lights.items())
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
@@ -271,8 +288,8 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 def viewer(spec: SceneSpec) -> Pose | None:
     """Return the frame that defines left, right, front and behind, or None for the world frame.
 
-    In this frame, x points away from the viewer, and y points to the viewer's left. A robot looks along the x axis of
-    its base, as does a camera mounted on the robot.
+    In this frame, x points away from the viewer, and y points to the viewer's left. If the viewer is a robot or a
+    camera mounted on one, the viewer looks along the x axis of the robot's base.
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
@@ -295,7 +312,7 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:
-    """Return a camera with its principal point and pose resolved."""
+    """Return a camera whose principal point and pose are resolved."""
     width, height = spec.size
     cx = (width - 1) / 2 if spec.cx is None else spec.cx
     cy = (height - 1) / 2 if spec.cy is None else spec.cy
@@ -307,7 +324,7 @@ def camera(name: str, spec: CameraSpec) -> Camera:
 
 
 def _light(name: str, spec: LightSpec) -> Light:
-    """Convert a light; it shines along -z of its frame."""
+    """Convert a light, which shines along -z of its frame."""
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))

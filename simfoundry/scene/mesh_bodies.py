@@ -1,4 +1,7 @@
-"""Bodies and backgrounds from mesh files. Meshes are decomposed for builds, and looked up in the cache for drafts."""
+"""Bodies and backgrounds from mesh files.
+
+Meshes are decomposed for builds, but only looked up in the cache for drafts.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ class MeshBody(NamedTuple):
         pieces: The visuals.
         solid: A solid with density 1, or None if the mass is already specified.
         colliders: The colliders with their poses in the mesh frame.
-        error: The maximum distance of the colliders from the mesh [m].
+        error: The maximum distance between the colliders and the mesh [m].
         is_approximate: True if the convex hull is used because the convex parts are not known.
     """
 
@@ -46,7 +49,11 @@ class MeshBody(NamedTuple):
 
 
 def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[str], object]) -> MeshBody:
-    """Read a mesh file and decompose it into convex parts, using ``cache``; raise :class:`MeshError` on failure."""
+    """Read a mesh file and decompose it into convex parts, using ``cache``.
+
+    Raises:
+        MeshError: If the file cannot be used.
+    """
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
@@ -61,9 +68,12 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
 
 
 def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
-    """Return a mesh file's solid and its cached convex parts (or its hull), without decomposing the mesh.
+    """Return the solid of a mesh file and its cached convex parts, without decomposing the mesh.
 
-    Raises the same :class:`MeshError` as :func:`read_body`.
+    If the convex parts are not cached, the convex hull is returned instead of them.
+
+    Raises:
+        MeshError: If the file cannot be used, as in :func:`read_body`.
     """
     summary = mesh_facts(path, cache)
     if use.touches:
@@ -86,7 +96,7 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
 
 
 def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
-    """Return the geometry of each collider with its pose in the mesh frame."""
+    """Return the geometry of each collider along with its pose in the mesh frame."""
     if (primitive := found.primitive) is None:
         return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
     if primitive.kind == "sphere":
@@ -96,7 +106,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> mass.SolidMoments:
-    """Return the solid that defines the mass of a mesh, whose faces must be oriented outward."""
+    """Return the solid that defines the mass of a mesh. The faces of the mesh must be oriented outward."""
     if how == "hull":
         return mass.mesh(*convex.hull(vertices, limit=len(vertices)))
     if gaps := open_edges(faces):
@@ -108,7 +118,11 @@ def _solid(name: str, vertices: Array, faces: Faces, how: str) -> mass.SolidMome
 
 
 def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
-    """Return the background of a scene; raises :class:`SpecError` if its file cannot be used."""
+    """Return the background of a scene.
+
+    Raises:
+        SpecError: If the background file cannot be used.
+    """
     key = "mesh" if written.mesh is not None else "splat"
     path, X_WB = loaded.file(written.mesh or written.splat or ""), pose(written.pose)
     try:
@@ -120,7 +134,7 @@ def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """Yield the visual pieces of a mesh file, with unchanged textures and gray for pieces without a color."""
+    """Yield the visual pieces of a mesh file. Textures are unchanged, and pieces without a color are gray."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))

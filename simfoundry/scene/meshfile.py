@@ -1,4 +1,4 @@
-"""Mesh and texture files, which are named by their content so that identical files are written only once."""
+"""Mesh and texture files, which are named after their content so that identical files are written only once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simfoundry.geometry.shapes import Mesh
 def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:
     """Return a mesh as a Wavefront OBJ file in meters, including texture coordinates (v up) if the mesh has any.
 
-    ``material_file`` is the name of an adjacent MTL file with a single material, ``skin``, which is assigned to every
+    ``material_file`` is the name of an MTL file in the same folder. Its only material, ``skin``, is assigned to every
     face.
     """
     parts = [] if material_file is None else [f"mtllib {material_file}\n"]
@@ -45,8 +45,8 @@ def has_texture(mesh: Mesh) -> bool:
 def obj_with_material(mesh: Mesh, name: str = "") -> dict[str, bytes]:
     """Return an OBJ file, plus MTL and PNG files if the mesh has a texture, keyed by file name.
 
-    The OBJ file comes first. The base name of the files is ``name``; by default, the mesh and the texture are named by
-    their content.
+    The OBJ file comes first. The base name of the files is ``name``. By default, the mesh and the texture are named
+    after their content.
     """
     digest = name or mesh.digest
     if mesh.texture is None or mesh.uv is None:

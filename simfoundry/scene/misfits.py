@@ -1,4 +1,4 @@
-"""Detect infeasible `inside` placements based on the original meshes, before a convex decomposition that takes minutes.
+"""Detect infeasible `inside` placements from the original meshes, before a convex decomposition that takes minutes.
 
 The convex parts of a mesh contain the mesh and fill its shallow hollows. If an object's mesh collides with its
 container's mesh at every height at which the container has walls around the object, the convex parts of the two collide
@@ -33,7 +33,7 @@ RESOLUTION = 0.02
 
 
 def uncut(item: SceneObject) -> SceneObject:
-    """Return the object with its visual meshes as colliders instead of their hulls."""
+    """Return the object with its visual meshes instead of their hulls as colliders."""
     return replace(item, links=tuple(_uncut_link(link) for link in item.links))
 
 
@@ -109,7 +109,10 @@ def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float
 
 
 def _surface_points(shape: Hulls) -> Array:
-    """Return :data:`POINTS` points [m] distributed over the faces of a shape and some of its corners, shape (n, 3)."""
+    """Return :data:`POINTS` points [m] on a shape, as an array of shape (n, 3).
+
+    The points are distributed over the faces of the shape and include some of its corners.
+    """
     corners = shape.corners[:: max(1, len(shape.corners) // POINTS)]
     if not len(shape.triangles):
         return corners
@@ -124,7 +127,11 @@ def _surface_points(shape: Hulls) -> Array:
 
 
 def _crossings(triangles: Array, point: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Intersect the vertical line through ``point`` with triangles, shape (k, 3, 3).
+    """Intersect the vertical line through ``point`` with triangles.
+
+    Args:
+        triangles: Corners of the triangles [m], shape (k, 3, 3).
+        point: A point on the line [m], shape (3,).
 
     Returns:
         A mask of the triangles that are hit, shape (k,), and the heights of the hits [m].

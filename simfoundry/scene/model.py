@@ -7,10 +7,12 @@ capsules are aligned with their local z axis. Camera frames use OpenCV axes (x r
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,11 +25,20 @@ if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
 
 
+def _read_only(mapping: Mapping[str, Any]) -> MappingProxyType[str, Any]:
+    """Return a read-only view of a mapping."""
+    return MappingProxyType(mapping)
+
+
+# Scenes and states contain read-only mappings, which Python cannot pickle or copy by default.
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
+
+
 @dataclass(frozen=True, eq=False)
 class Visual:
     """A geometry that is visible to cameras, with its pose in the link.
 
-    ``rgba`` is the color in [0, 1], shape (4,), by which the texture of a mesh is multiplied.
+    ``rgba`` is the color in [0, 1], shape (4,), by which any texture of the geometry is multiplied.
     """
 
     name: str
@@ -38,7 +49,7 @@ class Visual:
 
 @dataclass(frozen=True, eq=False)
 class Collider:
-    """A collider: a primitive or a *convex* mesh, with its pose in the link.
+    """A collider, which is a primitive or a *convex* mesh, with its pose in the link.
 
     Attributes:
         friction: The Coulomb coefficient of the surface. A contact uses the geometric mean of both coefficients
@@ -68,10 +79,10 @@ class Link:
     Attributes:
         mass: The mass [kg].
         com: The center of mass in the link frame [m], shape (3,).
-        inertia: The inertia about the center of mass, expressed in link axes [kg m^2]. It is symmetric positive
-            definite, shape (3, 3).
+        inertia: The inertia about the center of mass [kg m^2], expressed in link axes as a symmetric positive definite
+            matrix, shape (3, 3).
         collision_error: The maximum distance between the surfaces of the colliders and the shapes that they
-            approximate [m]; 0 if the colliders are exact.
+            approximate [m], or 0 if the colliders are exact.
     """
 
     name: str
@@ -104,7 +115,7 @@ class Mimic:
     """A coupling to another ``joint`` in the same object.
 
     The position of the coupled joint is ``multiplier * position + offset``, where ``position`` is the position of the
-    other joint.
+    joint that it follows.
     """
 
     joint: str
@@ -172,7 +183,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """The closed position [rad or m]: the limit in ``closed`` or, by default, zero or the limit nearest to zero."""
+        """The closed position [rad or m]. By default, it is zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -186,14 +197,14 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A named object: either a single link or a tree of links and joints whose first link is the root.
+    """A named object, which is either a single link or a tree of links and joints whose first link is the root.
 
     Attributes:
-        fixed: True if the object is welded to the world; all other objects have a free root.
+        fixed: True if the object is welded to the world. All other objects have a free root.
         X_WO: The pose of the root link's frame in the world.
         links: The links in topological order, so that parents come before their children.
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
-        labels: The semantic labels; if empty, the category is used.
+        labels: The semantic labels. If they are empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
         variants: All other variants, each of which is a complete object with the same name.
     """
@@ -221,11 +232,11 @@ class SceneObject:
 
     @cached_property
     def joint_above(self) -> dict[str, Joint]:
-        """The joint between each link and its parent, by link name; the root link has no entry."""
+        """The joint between each link and its parent, keyed by link name. The root link has no entry."""
         return {joint.child: joint for joint in self.joints}
 
     def qualified(self, link_or_joint: str) -> str:
-        """Return a link's or joint's qualified name: ``object.name``, or only the object's name for the root link."""
+        """Return the qualified name of a link or joint: ``object.name``, or only ``object`` for the root link."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
 
 
@@ -245,7 +256,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class MountedCamera:
-    """A camera mounted on a link; ``camera.X_WC`` is its pose in the frame of that link.
+    """A camera mounted on a link, with its pose in the frame of that link as ``camera.X_WC``.
 
     ``carrier`` is the name of a robot or an object, and ``link`` is the name of one of its frames or links. If ``link``
     is empty, the camera is mounted on the base or root.
@@ -266,7 +277,7 @@ class LightType(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or everywhere (dome).
+    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or from all sides (dome).
 
     ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
     [0, 1], shape (3,).
@@ -294,7 +305,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation stated in the spec, such as ``OnTop(cup, desk)``, between objects or joints (``object.joint``)."""
+    """A relation between objects or joints (``object.joint``) that the spec states, such as ``OnTop(cup, desk)``."""
 
     predicate: str
     args: tuple[str, ...]
@@ -307,7 +318,7 @@ class Relation:
 class LeftOut:
     """A part of the spec that is missing from every target, with its path and the reason.
 
-    ``X_WB`` is the base pose of a robot.
+    ``X_WB`` is the base pose if the part is a robot.
     """
 
     path: str
@@ -320,8 +331,8 @@ class Scene:
     """A lowered scene, in which world poses, inertias, convex parts and materials are all explicit.
 
     Attributes:
-        left_out: The parts of the spec that could not be lowered; every target reports them as lost.
-        no_contact: The pairs of links in different objects, by qualified name, whose contacts are disabled.
+        left_out: The parts of the spec that could not be lowered. Every target reports them as lost.
+        no_contact: The pairs of links in different objects whose contacts are disabled, by qualified name.
         source: The document, for targets that embed it.
         viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y points to the
             viewer's left. If None, the world axes are used.
@@ -343,17 +354,17 @@ class Scene:
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:
-        """The objects in the scene, by name."""
+        """The objects in the scene, keyed by name."""
         return {item.name: item for item in self.objects}
 
     def object(self, name: str) -> SceneObject:
-        """Return the object called ``name``; the KeyError for an unknown name lists the available names."""
+        """Return the object called ``name``. The KeyError for an unknown name lists the available names."""
         if name in self.by_name:
             return self.by_name[name]
         raise KeyError(f"no object {name!r}; available objects: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
-        """Return the robot called ``name``; the KeyError for an unknown name lists the available names."""
+        """Return the robot called ``name``. The KeyError for an unknown name lists the available names."""
         for item in self.robots:
             if item.name == name:
                 return item
@@ -361,7 +372,7 @@ class Scene:
 
 
 def pair_friction(a: float, b: float) -> float:
-    """Return the Coulomb coefficient of a contact between two surfaces, which is the geometric mean."""
+    """Return the Coulomb coefficient of a contact, which is the geometric mean of the coefficients of both surfaces."""
     return float(np.sqrt(a * b))
 
 

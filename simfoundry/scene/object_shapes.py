@@ -1,4 +1,4 @@
-"""Posed shapes of scene objects, for use with the measures in :mod:`simfoundry.geometry`."""
+"""Posed shapes of scene objects, to be measured by :mod:`simfoundry.geometry`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def hulls(*items: SceneObject) -> Hulls:
-    """Return the posed colliders of all links in these objects; for links without colliders, visuals are used."""
+    """Return the posed colliders of all links in these objects. For links without colliders, visuals are used."""
     return hulls_of(
         (piece.geometry, item.X_WO @ X_OL @ piece.X_LG, number)
         for item in items
@@ -40,7 +40,7 @@ def solid(
         item: The object.
         state: The state; by default, the initial state of the scene.
         links: Names of the links to include; by default, all links.
-        keep: Predicate on the corners [m] of a collider; colliders that do not satisfy the predicate are excluded.
+        keep: Predicate on the corners [m] of a collider. Colliders that do not satisfy the predicate are excluded.
     """
     from simfoundry.geometry.crossings import solid_of
 
@@ -61,7 +61,7 @@ def solid(
 def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
     """Return the minimum and maximum corners [m] of the world-aligned bounding box of each link with a shape.
 
-    ``part`` selects the link with this name, or the link moved by the joint with this name.
+    ``part`` is the name of a link or of the joint that moves it, and limits the result to this link.
     """
     moved = {joint.name: joint.child for joint in item.joints}
     links = [link for link in item.links if link.name == moved.get(part, part)] or list(item.links)
@@ -87,7 +87,7 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
 
 
 def geometry_bounds(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
-    """Return the minimum and maximum corners [m] of a geometry with a pose in some frame."""
+    """Return the minimum and maximum corners [m] of a posed geometry, in the frame in which the pose is expressed."""
     axes = np.abs(X_OG.rotation)
     match geometry:
         case Mesh():
@@ -105,7 +105,7 @@ def geometry_bounds(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
 
 
 def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
-    """Return the minimum and maximum world coordinates [m] of an object's own bounding box when posed at ``X_WO``."""
+    """Return the minimum and maximum world coordinates [m] of an object's own bounding box at the pose ``X_WO``."""
     low, high = bounds(item)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     moved = X_WO.apply(corners)

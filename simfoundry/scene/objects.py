@@ -27,7 +27,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass
 class ObjectLowering:
-    """Lowers the objects in a document and collects findings about their meshes.
+    """A pass that lowers the objects in a document and collects findings about their meshes.
 
     Unless ``cuts`` is set, meshes are represented by their convex hulls instead of being decomposed into convex parts.
     In a ``draft``, meshes also have no visuals (see :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate``
@@ -64,7 +64,7 @@ class ObjectLowering:
     def _builder(
         self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
-        """Return a builder for a link of the ``owner`` object; the builder reports slow steps."""
+        """Return a builder for a link of the ``owner`` object. The builder reports slow steps."""
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
         builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft)
@@ -102,7 +102,7 @@ class ObjectLowering:
         return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, no_contact, item.labels)
 
     def _rigid(self, item: scene.ObjectSpec, place: tuple[str, ...], owner: str) -> list[Link]:
-        """Return the single link of a primitive or mesh object, in a list."""
+        """Return a list with the single link of a primitive or mesh object."""
         before, show = len(self.findings), item.visual is None
         builder = self._builder(owner, "base", item, self._spec.materials, False)
         with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
@@ -148,7 +148,7 @@ class ObjectLowering:
 
 
 def _topological(spec: AssetSpec) -> Iterator[str]:
-    """Yield the links from the root outward, with siblings in the order of their joints."""
+    """Yield the links from the root outward. Siblings are in the order of their joints."""
     todo = [next(iter(spec.links))]
     while todo:
         link = todo.pop(0)
@@ -157,7 +157,7 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, scene.Written]) -> tuple[Joint, ...]:
-    """Return the joints of an asset at the ``given`` positions, by name; mimic joints follow their leaders."""
+    """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders."""
     return tuple(_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
 
 

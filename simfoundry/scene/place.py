@@ -1,6 +1,6 @@
 """Compute the poses of objects placed on, inside or beside other objects.
 
-An object keeps its specified rotation, is moved to its position in the plane, and is lowered along z until it nearly
+An object keeps its specified rotation, is moved to its horizontal position, and is lowered along z until it nearly
 touches its support, leaving a gap of :data:`CLEARANCE`. Only the support stops the object; collisions with other
 objects do not move it.
 """
@@ -42,7 +42,7 @@ RELATIONS = {
 
 
 class PlaceError(Exception):
-    """Raised if a placement is infeasible; the message contains the relevant sizes, and the hint suggests a fix."""
+    """Raised if a placement is infeasible. The message contains the relevant sizes, and the hint suggests a fix."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -68,7 +68,7 @@ def order(places: Mapping[str, Place]) -> list[str]:
 
 
 def needs(place: Place) -> list[str]:
-    """Return the objects that must be placed first: the support and the anchors."""
+    """Return the objects that must be placed first, which are the support and the anchors."""
     named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
     return [name.partition(".")[0] for name in named if name is not None]
 
@@ -81,7 +81,7 @@ def place_all(
     Objects that depend on a failed placement are not placed either, but no errors are reported for them.
 
     Returns:
-        All objects, with their placements solved, and the errors for failed placements.
+        All objects with their placements solved, and the errors for failed placements.
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     errors: dict[str, PlaceError] = {}
@@ -103,8 +103,8 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
         item: The object to place.
         place: The placement of the object.
         placed: The objects that are already placed.
-        viewer: The frame that defines left, right, front and behind, with x pointing away from the viewer; None for the
-            world frame.
+        viewer: The frame that defines left, right, front and behind, with x pointing away from the viewer, or None for
+            the world frame.
 
     Raises:
         PlaceError: If the placement is infeasible.
@@ -134,7 +134,7 @@ def approach(
 def seen_by_camera(X_WC: Pose) -> Pose:
     """Return the frame of a viewer looking through a camera, with x pointing away from the viewer and y to the left.
 
-    If the camera looks straight down, x is the image's up direction.
+    If the camera looks straight down, x is the up direction of the image.
     """
     forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
     x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
@@ -156,7 +156,10 @@ def _rotation(place: Place) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Carrier:
-    """The support for a placement: the ``whole`` object, the named ``part``, and the frame of this part."""
+    """The support for a placement.
+
+    It consists of the ``whole`` object, the named ``part``, and the frame of this part.
+    """
 
     name: str
     whole: Hulls
@@ -186,7 +189,10 @@ class _Carrier:
 def _position(
     place: Place, shape: Hulls, carrier: _Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> Array:
-    """Return the position of the object frame in the plane [m], shape (2,); ``shape`` is posed at the origin."""
+    """Return the horizontal position of the object frame [m], as an array of shape (2,).
+
+    ``shape`` is posed at the origin.
+    """
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
@@ -212,7 +218,7 @@ def _position(
 
 
 def _axes(viewer: Pose | None) -> tuple[Array, Array]:
-    """Return the horizontal unit vectors that point away from the viewer and to the viewer's left, shape (3,)."""
+    """Return the two horizontal unit vectors that point away from the viewer and to the viewer's left."""
     x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
     length = math.hypot(x, y)
     if length < 1e-6:
@@ -244,9 +250,10 @@ def overlap(thing: Hulls, carrier: Hulls) -> bool:
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
-    """Yield the heights at which an object can rest, from highest to lowest, with the part of the support below it.
+    """Yield the heights at which an object can rest, from highest to lowest.
 
-    Part i of the object collides with part j of the support if it is lifted by ``low[i, j]`` to ``high[i, j]``.
+    Each height comes with the part of the support that is below the object. Part i of the object collides with part j
+    of the support if the object is lifted by ``low[i, j]`` to ``high[i, j]``.
     """
     met = np.isfinite(high)
     order = np.argsort(-high[met], kind="stable")

@@ -28,7 +28,7 @@ class ModelFormat(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinkFrame:
-    """A frame that a scene can refer to, at the pose ``X_LF`` in a ``link`` of the model."""
+    """A frame that a scene can refer to, with the pose ``X_LF`` in a ``link`` of the model."""
 
     link: str
     X_LF: Pose = IDENTITY
@@ -36,12 +36,12 @@ class LinkFrame:
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """The joints of a gripper; each pair of values is (open, closed).
+    """The joints of a gripper. Each pair of values is (open, closed).
 
     Attributes:
         command: The values of the model's actuators, or empty if the joints are driven directly.
         joints: The positions of the joints [rad or m]. The first joint indicates how far the gripper is closed.
-        follow: Mimic joints that replace the model's closed loops and equality constraints in engines that do not
+        follow: The mimic joints that replace the model's closed loops and equality constraints in engines that do not
             support them.
     """
 
@@ -65,9 +65,9 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A model that is mounted on a link of another model, with all of its names prefixed with ``name.``.
+    """A model that is mounted on a link of another model. All of its names are prefixed with ``name.``.
 
-    ``X_LB`` is the pose of the base of the mounted model in the frame of the ``to`` link.
+    ``X_LB`` is the mounted model's base pose in the frame of the ``to`` link.
     """
 
     name: str
@@ -110,10 +110,10 @@ class Robot:
     """A robot whose base is welded to the world at ``X_WB``.
 
     Attributes:
-        positions: The positions of the arm joints [rad or m], by their names in the scene; the gripper is open.
+        positions: The positions of the arm joints [rad or m], keyed by their names in the scene. The gripper is open.
         reach: The horizontal reach [m], or None if unknown.
         opening: The gripper opening [m], or None if unknown.
-        models: The available models, at least one.
+        models: The available models, of which there is at least one.
     """
 
     name: str
@@ -148,9 +148,12 @@ _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD:
 
 
 def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) -> Robot:
-    """Lower the robot ``name`` in a scene document; raises :class:`NoModelError` if no model is available.
+    """Lower the robot ``name`` in a scene document.
 
     Packages that download robots on first use do so only if ``fetch`` is set.
+
+    Raises:
+        NoModelError: If no model is available.
     """
     if isinstance(spec.model, str):
         robot_file.own_folder(must_exist=True)
@@ -213,7 +216,11 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path, fetch: bool) -> Na
 
 
 def _first(references: list[str], document: Path, suffix: str, fetch: bool) -> Path:
-    """Return the first file that exists; otherwise, raise the error for the first file whose package is installed."""
+    """Return the first file that exists.
+
+    Raises:
+        NoModelError: If no file exists. The error is that of the first file whose package is installed.
+    """
     reasons = []
     for reference in references:
         try:

@@ -28,7 +28,10 @@ def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) 
 
     A reference is a path, ``pkg:package/path``, ``menagerie:robot/path`` or ``robot_descriptions:name``. The last two
     are resolved by packages that download a robot on first use; nothing is downloaded unless ``fetch`` is set.
-    ``suffix`` (``.xml``, ``.urdf``) selects one of a description's files. Raises :class:`NoModelError`.
+    ``suffix`` (``.xml`` or ``.urdf``) selects one of a description's files.
+
+    Raises:
+        NoModelError: If the file is not available.
     """
     if (packaged := packaged_model(reference)) is not None:
         package, name, path = packaged
@@ -54,7 +57,8 @@ def digest(files: list[Path]) -> str:
 def model_files(file: Path) -> list[Path]:
     """Return a model file and all files that it references, without duplicates and in order of reference.
 
-    Raises :class:`NoModelError` if a file is missing or the model cannot be read.
+    Raises:
+        NoModelError: If a file is missing or the model cannot be read.
     """
     files = list(dict.fromkeys(_needed(file)))
     for needed in files:
@@ -98,12 +102,15 @@ def _mjcf_files(file: Path) -> Iterator[Path]:
 
 
 def urdf_meshes(text: str) -> list[str]:
-    """Return the names of meshes and textures in a URDF, without duplicates."""
+    """Return the names of the meshes and textures in a URDF, without duplicates."""
     return list(dict.fromkeys(re.findall(r"""\bfilename\s*=\s*["']([^"']+)["']""", text)))
 
 
 def urdf_mesh(urdf: Path, name: str) -> Path:
-    """Return the file that ``name`` refers to in a URDF: a relative path, or `package://` below a parent folder."""
+    """Return the file that ``name`` refers to in a URDF.
+
+    The name is a relative path, or a `package://` reference to a file below a parent folder.
+    """
     if name.startswith("file://"):
         return Path(name.removeprefix("file://")).resolve()
     if not name.startswith("package://"):
@@ -138,7 +145,7 @@ _DESCRIPTIONS = "robot_descriptions"
 
 
 class NoModelError(Exception):
-    """Raised for a missing model; the message is a clause that states what is missing and how to fix the problem.
+    """Raised for a missing model. The message is a clause that states what is missing and how to fix the problem.
 
     ``is_known`` is False if the package that may provide the model is not installed. In that case, an error from
     another source is more informative.
@@ -150,10 +157,13 @@ class NoModelError(Exception):
 
 
 def _menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
-    """Return a file of the robot ``name`` in MuJoCo Menagerie: ``path``, or by default its model.
+    """Return a file of the robot ``name`` in MuJoCo Menagerie, which is ``path`` or, by default, the robot's model.
 
-    If ``fetch`` is set, the official package downloads robots that are not in its cache (several megabytes); otherwise,
-    such robots are treated as missing. Raises :class:`NoModelError`.
+    If ``fetch`` is set, the official package downloads robots that are not in its cache (several megabytes). Otherwise,
+    such robots are treated as missing.
+
+    Raises:
+        NoModelError: If the file is not available.
     """
     if not is_installed("mujoco_menagerie"):
         raise NoModelError(f"install the robot models with `{install_line('robots')}`", is_known=False)
@@ -164,7 +174,9 @@ def _menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
         cache = mujoco_menagerie.Cache()
         if cache.root is None and not cache.is_cached(robot) and not fetch:
             command = f"python -m mujoco_menagerie prefetch {name}"
-            raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
+            raise NoModelError(
+                f"the model has not been downloaded; run `{command}`, or use the robot once while online"
+            )
         folder = _fetch(name, str(cache.dir), str(cache.root or ""))
         if isinstance(folder, Exception):
             raise folder
@@ -190,10 +202,13 @@ def _fetch(name: str, cache: str, root: str) -> Path | Exception:
 
 
 def _described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
-    """Return a file of a description in the robot_descriptions package: ``path``, or the file with ``suffix``.
+    """Return a file of a description in the robot_descriptions package, which is ``path`` or the file with ``suffix``.
 
     The package clones the description's repository on first use. If ``fetch`` is not set, a description that has not
-    been cloned is treated as missing. Raises :class:`NoModelError`.
+    been cloned is treated as missing.
+
+    Raises:
+        NoModelError: If the file is not available.
     """
     if not is_installed(_DESCRIPTIONS):
         raise NoModelError(f"install the robot models with `pip install {_DESCRIPTIONS}`", is_known=False)
@@ -219,10 +234,13 @@ def _described_model(name: str, path: str | None, suffix: str, fetch: bool) -> P
 
 
 def _need_cloned(name: str) -> None:
-    """Raise :class:`NoModelError` unless the repository of a description has been cloned.
+    """Check that the repository of a description has been cloned.
 
     The package itself cannot determine this without cloning. Therefore, the repository name is read from the module's
     source code, and the folder name is read from a table in the package.
+
+    Raises:
+        NoModelError: If the repository has not been cloned.
     """
     if f"{_DESCRIPTIONS}.{name}" in sys.modules:
         return
@@ -234,7 +252,7 @@ def _need_cloned(name: str) -> None:
     folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
     if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
         command = f"{_DESCRIPTIONS} pull {name}"
-        raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once online")
+        raise NoModelError(f"the model has not been downloaded; run `{command}`, or use the robot once while online")
 
 
 @contextmanager

@@ -17,17 +17,17 @@ from simfoundry.spec.models.scene import SceneSpec
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """The state of a scene at one time.
+    """The state of a scene at one point in time.
 
     Attributes:
-        poses: The pose ``X_WO`` of each object, by object name.
-        joints: The positions of single-axis joints [rad or m], by ``object.joint``.
-        motions: The motions of ball and free joints, by ``object.joint``. A motion is the pose of the child's frame
-            relative to its pose at position zero; for a ball joint, it has no translation.
-        robots: The joint positions of each robot [rad or m], by the joint names of the object that
+        poses: The pose ``X_WO`` of each object, keyed by object name.
+        joints: The positions of single-axis joints [rad or m], keyed by ``object.joint``.
+        motions: The motions of ball and free joints, keyed by ``object.joint``. A motion is the pose of the child's
+            frame relative to its pose at position zero. For a ball joint, it has no translation.
+        robots: The joint positions of each robot [rad or m], keyed by the joint names of the object that
             :mod:`simfoundry.backends.robot_models.robot_object` creates from the robot. If empty, the positions in the
             scene are used.
-        speeds: The speed of the fastest point on each object [m/s]; objects without an entry are at rest.
+        speeds: The speed of the fastest point on each object [m/s]. Objects without an entry are at rest.
     """
 
     poses: Mapping[str, Pose]
@@ -45,7 +45,7 @@ class SceneState:
         robots: Mapping[str, Mapping[str, float]] | None = None,
         speeds: Mapping[str, float] | None = None,
     ) -> SceneState:
-        """Return a state with immutable copies of the mappings."""
+        """Return a state that contains immutable copies of the mappings."""
         return cls(
             MappingProxyType(dict(poses)),
             MappingProxyType(dict(joints)),
@@ -63,7 +63,10 @@ class SceneState:
         return cls.of({o.name: o.X_WO for o in scene.objects}, positions, motions)
 
     def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
-        """Return the positions and motions of an object's joints, by joint name, using defaults from the scene."""
+        """Return the positions and motions of an object's joints, keyed by joint name.
+
+        Missing values are taken from the scene.
+        """
         found: dict[str, float | Pose] = {}
         for joint in item.joints:
             name = f"{item.name}.{joint.name}"
@@ -79,7 +82,7 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return a copy of an object with its pose and joint positions taken from a state, omitting other variants."""
+    """Return a copy of an object with its pose and joint positions taken from a state. Other variants are omitted."""
     at, joints = state.of_object(item), []
     for joint in item.joints:
         to = at.get(joint.name, joint.position)
@@ -105,7 +108,7 @@ def pose(spec: PoseSpec) -> Pose:
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
-    """Convert a pose to readable form.
+    """Convert a pose to a form that is easy to read.
 
     The position is rounded to 0.1 mm. The rotation is specified by yaw if the pose is upright, and otherwise by roll,
     pitch and yaw.
@@ -125,7 +128,10 @@ def _rpy_deg(pose: Pose) -> tuple[float, float, float]:
 
 
 def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
-    """Return the spec for ``scene``, with poses of free objects and positions of moved joints taken from ``state``."""
+    """Return the spec for ``scene`` with the state applied.
+
+    The poses of free objects and the positions of joints that moved are taken from ``state``.
+    """
     moved = with_poses(spec, state.poses)
     objects = dict(moved.objects)
     for item in scene.objects:
@@ -147,7 +153,7 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
-    """Return the spec with new poses for objects that are not fixed, replacing their poses and placements."""
+    """Return the spec with new poses for objects that are not fixed. They replace the previous poses and placements."""
     objects = dict(spec.objects)
     for name, item in spec.objects.items():
         if name in poses and not item.fixed:

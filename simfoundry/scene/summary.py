@@ -1,4 +1,4 @@
-"""Summary of a scene in a few lines."""
+"""Short summaries of scenes."""
 
 from __future__ import annotations
 

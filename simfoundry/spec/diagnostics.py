@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from simfoundry.errors import PicklableError
+
 # Maximum displayed length of a source line [columns], which is the width of a wide terminal.
 SHOWN = 160
 
@@ -22,10 +24,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
+    """A finding at a location.
 
-    ``about`` contains names that the finding concerns in addition to those in ``path``. Like those, they can be used in
-    ``allow`` to silence the finding.
+    ``line`` and ``column`` count from 1, and 0 means the whole file. ``about`` contains names that the finding concerns
+    in addition to those in ``path``. Like the names in ``path``, they can be used in ``allow`` to silence the finding.
     """
 
     code: str
@@ -44,12 +46,12 @@ class Diagnostic:
         return self.file.partition("</")[0]
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for ``--json``."""
+        """Return the finding as a plain mapping for ``--json``."""
         return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
-class SpecError(Exception):
-    """Raised if findings prevent further processing; the message contains all of the findings."""
+class SpecError(PicklableError):
+    """Raised if findings prevent further processing. The message contains all of the findings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)
@@ -63,7 +65,10 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Return a mapping from synonyms, including terms from other formats, to keys and values of our language."""
+    """Return a mapping from synonyms to keys and values of the document language.
+
+    The synonyms include terms from other formats.
+    """
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
@@ -91,7 +96,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """Normalize a name: lower case, without underscores."""
+    """Normalize a name by converting it to lower case and removing underscores."""
     return name.casefold().replace("_", "")
 
 

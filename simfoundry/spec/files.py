@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.yaml.text import Document
@@ -21,8 +22,8 @@ _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
-class FileError(Exception):
-    """Raised if a document cannot use a file; the message states the reason."""
+class FileError(PicklableError):
+    """Raised if a document cannot use a file. The message states the reason."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -46,7 +47,8 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
 def located(reference: str, document: Path) -> Path:
     """Return the file that ``reference`` in ``document`` refers to: a relative path, or ``pkg:package/path``.
 
-    Raises :class:`FileError` if the package does not exist.
+    Raises:
+        FileError: If the package does not exist.
     """
     named = _PACKAGE.match(reference)
     if named is None:
@@ -66,9 +68,10 @@ def located(reference: str, document: Path) -> Path:
 
 
 def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
-    """Return the file that ``reference`` refers to, which must be in the project ``root`` or an installed package.
+    """Return the file that ``reference`` refers to.
 
-    Raises :class:`FileError` otherwise.
+    Raises:
+        FileError: If the file is neither in the project ``root`` nor in an installed package.
     """
     if "\0" in reference or "\\" in reference or len(reference) > MAX_PATH:
         hint = f"separate folders with `/`, and use at most {MAX_PATH} characters"
@@ -100,7 +103,7 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
 
 
 def _or_mark(target: Path, root: Path) -> str:
-    """Suggest a project marker in a folder that contains both files, for a document without a project."""
+    """Suggest adding a project marker to a folder that contains both files, if the document has no project."""
     from simfoundry.spec.project import Project
 
     common = Path(os.path.commonpath([target.parent, root]))
@@ -110,7 +113,7 @@ def _or_mark(target: Path, root: Path) -> str:
 
 
 def shown(reference: str, document: Path) -> Path:
-    """Return the path of a file for display, which is relative if the document's own path is relative."""
+    """Return the path of a file for display. The path is relative if the document's own path is relative."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
     return plain if plain.resolve() == target else target
 
@@ -162,5 +165,5 @@ class Loaded:
         return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
-        """Return the path of a file for display, which is relative if this document's own path is relative."""
+        """Return the path of a file for display. The path is relative if this document's own path is relative."""
         return shown(reference, self.path)

@@ -27,7 +27,7 @@ def _is_current(path: Path, text: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Write files that are out of date, or only report them with ``--check``; return the exit status."""
+    """Write files that are out of date, or only report them with ``--check``. Returns the exit status."""
     root = Path.cwd()
     if not (root / "schemas").is_dir():
         print("run this in the root of the repository, which contains the `schemas` folder", file=sys.stderr)

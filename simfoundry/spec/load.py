@@ -25,7 +25,7 @@ _USD = (".usda", ".usdc", ".usd", ".usdz")
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
-    """Read and check one document; errors are returned as findings instead of being raised.
+    """Read and check one document. Errors are returned as findings instead of being raised.
 
     Documents that this document uses are looked up in ``known`` and added to it. If ``text`` is given, it is used
     instead of the content of the file. A USD file is read as the scene from which it was compiled.
@@ -63,17 +63,29 @@ def checked(read: Loaded, kind: str, known: Known) -> Loaded:
 
 
 def load_scene(path: Path) -> Loaded:
-    """Load a scene; raises :class:`SpecError` with all findings if it has errors."""
+    """Load a scene.
+
+    Raises:
+        SpecError: If the scene has errors; the exception contains every finding.
+    """
     return load_kind(path, "scene/1")
 
 
 def load_capture(path: Path) -> Loaded:
-    """Load a capture; raises :class:`SpecError` with all findings if it has errors."""
+    """Load a capture.
+
+    Raises:
+        SpecError: If the capture has errors; the exception contains every finding.
+    """
     return load_kind(path, "capture/1")
 
 
 def load_kind(path: Path, *kinds: str) -> Loaded:
-    """Load a document of one of the kinds; raises :class:`SpecError` with all findings if it has errors."""
+    """Load a document of one of the kinds.
+
+    Raises:
+        SpecError: If the document has errors; the exception contains every finding.
+    """
     loaded = load(path)
     if loaded.errors:
         raise SpecError(loaded.errors)
@@ -86,7 +98,10 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
 
 
 def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
-    """Load a document that another document uses, or return None if its kind is not in ``kinds``, to avoid cycles."""
+    """Load a document that another document uses.
+
+    To avoid cycles, returns None if the kind of the document is not in ``kinds``.
+    """
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:
@@ -120,8 +135,10 @@ MAX_BASES = 16
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
     """Join a document with the documents that it extends.
 
-    Returns the joined document, the findings, and the files that it extends, nearest first. If a base cannot be used,
-    the document is returned unchanged, and a finding states the reason.
+    If a base cannot be used, the document is returned unchanged, and a finding states the reason.
+
+    Returns:
+        The joined document, the findings, and the files that the document extends, nearest first.
     """
     chained, findings, bases = [document], list[Diagnostic](), list[Path]()
     path = Path(document.file)
@@ -193,7 +210,7 @@ def _own(node: Node, file: str) -> None:
 
 @dataclass
 class _Joining:
-    """State that is needed while joining a document with its base; ``file`` is the document's path."""
+    """The state needed while joining a document with its base. ``file`` is the document's path."""
 
     kind: str
     file: str
@@ -224,7 +241,7 @@ class _Joining:
         return Node(value, over.line, over.column, children, places, "", weight, over.file)
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
-        """Return the keys that ``key`` replaces; the result is empty for named mappings."""
+        """Return the keys that ``key`` replaces. The result is empty for named mappings."""
         from simfoundry.spec.models.types import RIVALS, is_mapping, models_at
 
         rivals = sorted(RIVALS.get(key, set()) & children.keys())

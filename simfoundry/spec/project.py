@@ -28,7 +28,7 @@ MARKING = "# Root of a SimFoundry project, which contains all files that its doc
 
 
 class ProjectSpec(Model):
-    """Contents of ``simfoundry.yaml``."""
+    """The contents of ``simfoundry.yaml``."""
 
     exclude: tuple[str, ...] = Field(
         (),
@@ -56,9 +56,10 @@ class Project:
 
     @cached_property
     def exclude(self) -> tuple[str, ...]:
-        """Return the patterns for files and folders that commands on folders skip.
+        """Return the patterns for files and folders that are skipped by commands on folders.
 
-        Raises :class:`SpecError` if the marker file cannot be read.
+        Raises:
+            SpecError: If the marker file cannot be read.
         """
         if not self.marker.is_file():
             return ()
@@ -74,7 +75,7 @@ class Project:
         return spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
-        """Return True if a command that was given the folder ``named`` skips ``path``.
+        """Return True if a command that is run on the folder ``named`` skips ``path``.
 
         Only paths below ``named`` can be skipped, never ``named`` itself.
         """
@@ -104,8 +105,11 @@ def common_project(*files: Path) -> Project:
     """Return the nearest project that contains all ``files``, which need not exist.
 
     If there is none, return an unmarked project: the working folder if it contains all files, else the closest common
-    folder. Raises :class:`NoProjectError` if that is impossible, because one of the files belongs to a nested project
-    or because the folder is shared and marking it would include unrelated files.
+    folder.
+
+    Raises:
+        NoProjectError: If no such project is possible, because one of the files belongs to a nested project or because
+            the folder is shared and marking it would include unrelated files.
     """
     folders = [Path(os.path.realpath(file.absolute().parent)) for file in files]
     try:
@@ -130,7 +134,7 @@ def common_project(*files: Path) -> Project:
 
 
 class NoProjectError(Exception):
-    """Raised if files cannot belong to one project; the message is one sentence with the reason."""
+    """Raised if files cannot belong to one project. The message is one sentence that states the reason."""
 
 
 def markers(project: Project) -> dict[Path, str]:
@@ -151,7 +155,10 @@ def _listed(files: Iterable[Path]) -> str:
 
 
 def _parts(path: Path, root: Path) -> tuple[str, ...]:
-    """Return the path components from ``root`` to ``path``, without resolving a final link, or () if it is outside."""
+    """Return the path components from ``root`` to ``path``, or () if ``path`` is outside ``root``.
+
+    A link at the end of ``path`` is not resolved.
+    """
     whole = Path(os.path.normpath(path.absolute()))
     real = Path(os.path.realpath(whole.parent)) / whole.name
     return real.relative_to(root).parts if real.is_relative_to(root) else ()

@@ -42,7 +42,7 @@ class CompileOutcome:
         state: Either ``compiled``, ``up to date`` or ``failed``.
         targets: The entry file for each target.
         losses: The number of losses for each target.
-        error: A sentence that explains the failure, if any.
+        error: A sentence that explains the failure, or an empty string.
         findings: The diagnostics reported for the documents.
     """
 
@@ -99,7 +99,7 @@ def _failure(job: CompileJob, error: str = "", findings: Sequence[Diagnostic] = 
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
-    """Compile one scene in this process, unless its build is up to date; errors are reported in the outcome."""
+    """Compile one scene in this process, unless its build is up to date. Errors are reported in the outcome."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
@@ -137,7 +137,7 @@ def _outcome(job: CompileJob, state: str, artifacts: Sequence[Artifact]) -> Comp
 
 
 def _object(loaded: Loaded, name: str) -> str:
-    """Return an activity description with the object's name and asset file."""
+    """Return a description of the current activity, including the name of the object and its asset file."""
     name, colon, doing = name.partition(":")
     asset = loaded.spec.objects[name].asset if isinstance(loaded.spec, SceneSpec) else None
     return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing

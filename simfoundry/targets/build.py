@@ -34,9 +34,9 @@ MANIFEST = "manifest.json"
 
 
 class TargetsError(SimfoundryError):
-    """Raised if some targets could not be compiled; all other targets have been written.
+    """Raised if some targets could not be compiled. All other targets have been written.
 
-    ``artifacts`` contains the artifacts that were written; ``failures`` maps each failed target to the reason.
+    ``artifacts`` contains the artifacts that were written, and ``failures`` maps each failed target to the reason.
     """
 
     def __init__(self, artifacts: list[Artifact], failures: Mapping[str, str]) -> None:
@@ -86,7 +86,10 @@ def build(
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target], failures: dict[str, str]) -> list[Artifact]:
-    """Return the artifacts of the targets that compile; add the reasons why the others fail to ``failures``."""
+    """Return the artifacts of the targets that can be compiled.
+
+    The reasons why all other targets fail are added to ``failures``, keyed by target name.
+    """
     artifacts: list[Artifact] = []
     for target in targets:
         try:
@@ -127,22 +130,22 @@ def _json(data: object) -> bytes:
 
 
 def _ensure_ours(folder: Path) -> None:
-    """Raise :class:`OutputError` if ``folder`` contains edited files or files that are not in its manifest."""
-    if not folder.is_dir():
-        return
+    """Check that ``folder`` contains only unedited files from its manifest.
+
+    Raises:
+        OutputError: If the folder contains edited files or files that are not in the manifest.
+    """
     try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
-        written = {str(path): str(digest) for path, digest in manifest["files"].items()}
-        entry = folder / str(manifest["entry"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        written, entry = {}, folder
+        entry = folder / str(json.loads((folder / MANIFEST).read_bytes())["entry"])
+    except (OSError, ValueError, KeyError, TypeError):
+        entry = folder
     is_stage = entry.suffix in (".usd", ".usda", ".usdc")
     keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if is_stage else ""
-    ensure_folder_replaceable(folder, written, MANIFEST, keeps)
+    ensure_folder_replaceable(folder, MANIFEST, keeps)
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
-    """Return the content of ``loss.json`` by target.
+    """Return the content of ``loss.json``, keyed by target.
 
     For each feature used in the scene, ``features`` counts the elements for which the feature is kept, approximated or
     dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
@@ -180,7 +183,10 @@ def _mark(found: Mapping[str, int]) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], align: str = "<") -> list[str]:
-    """Format the rows of a table as lines; ``align`` is ``<`` or ``>`` and applies to all columns except the first."""
+    """Format the rows of a table as lines.
+
+    ``align`` is ``<`` or ``>`` and applies to all columns except the first.
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     forms = ["<", *align * (len(widths) - 1)]
     return ["  ".join(map("{:{}{}}".format, row, forms, widths)).rstrip() for row in rows]

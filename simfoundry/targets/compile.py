@@ -1,4 +1,4 @@
-"""Compilation of a scene for a target, combining a backend's files with a simulator's loader."""
+"""Compilation of a scene for a target, which combines a backend's files with a simulator's loader."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
 
 
 def target_files(scene: Scene, target: Target) -> Artifact:
-    """Compile the files for ``target``, including only the backend's losses."""
+    """Compile the files for ``target``, including only the losses of the backend."""
     artifact = replace(compile_scene(scene, target.backend, target.profile.options), target=target.name)
     files = dict(artifact.files)
     if target.loader is not None:
@@ -57,7 +57,10 @@ RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
 
 
 def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
-    """Yield one loss for friction and one for restitution, each based on the pair with the largest error."""
+    """Yield one loss for friction and one for restitution.
+
+    Each is based on the pair of surfaces with the largest error.
+    """
     for field in ("friction", "restitution"):
         if getattr(combines, field) is None:
             continue

@@ -1,4 +1,7 @@
-"""Lookup of targets by name or path: plain backends, built-in targets, and targets from packages and users."""
+"""Lookup of targets by name or path.
+
+This includes plain backends, built-in targets, and targets from packages and users.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ SUFFIXES = (".yaml", ".yml")
 
 
 class UnknownTargetError(SimfoundryError):
-    """Raised for an unknown target name."""
+    """Raised if no target has the given name."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Target:
 
     @property
     def loader(self) -> Path | None:
-        """The target's own ``load.py``, or None if builds use the backend's loader."""
+        """The target's own ``load.py``, or None if builds use the loader of the backend."""
         if self.folder is None or self.name == self.backend:
             return None
         if self.profile.loader is not None:
@@ -84,7 +87,7 @@ def find_target(name: str) -> Target:
 
     Raises:
         UnknownTargetError: If the name is unknown.
-        SpecError: If the profile is invalid; the error contains all findings.
+        SpecError: If the profile is invalid. The error contains all findings.
         PluginError: If the package that provides the target is broken.
     """
     if name.endswith(SUFFIXES):
@@ -123,7 +126,7 @@ def find_targets(names: Iterable[str]) -> tuple[list[Target], dict[str, str]]:
 
 
 def _plain(backend: str) -> Target:
-    """Return the target for a backend that has no target folder, whose files are used without a profile."""
+    """Return the target for a backend that has no target folder. The backend's files are used without a profile."""
     from simfoundry.targets.profile import TargetSpec
 
     data = {"simfoundry": "target/1", "name": backend, "backend": backend}
@@ -133,7 +136,11 @@ def _plain(backend: str) -> Target:
 
 
 def read_profile(path: Path) -> Target:
-    """Read the profile at ``path``; raise :class:`SpecError` with all findings if it is invalid."""
+    """Read the profile at ``path``.
+
+    Raises:
+        SpecError: If the profile is invalid. The error contains all findings.
+    """
     from simfoundry.spec.check.validate import sound_part, validate
     from simfoundry.targets.profile import TargetSpec
 

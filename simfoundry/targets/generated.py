@@ -1,4 +1,4 @@
-"""Generator of the support matrix in the documentation: ``python -m simfoundry.targets.generated [--check]``."""
+"""The generator of the support matrix in the documentation: ``python -m simfoundry.targets.generated [--check]``."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def support_page() -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Update the page if it is out of date, or only report that it is if ``--check`` is given.
+    """Update the page if it is out of date.
+
+    If ``--check`` is given, only report whether the page is out of date.
 
     Returns:
         The exit status.

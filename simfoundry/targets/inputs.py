@@ -80,7 +80,7 @@ def _used(loaded: Loaded) -> Iterator[Loaded]:
 
 
 def _files(loaded: Loaded) -> Iterator[Path]:
-    """Yield the meshes and splats named in a document, and the files they reference."""
+    """Yield the meshes and splats named in a document, along with the files that they reference."""
     for reference in _references(loaded.spec):
         path = loaded.file(reference)
         yield path

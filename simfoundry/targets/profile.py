@@ -36,14 +36,14 @@ class Gap(Model):
     """A feature that the simulator does not preserve, in addition to the backend's losses."""
 
     fidelity: Literal["approximated", "dropped"] = Field(
-        description="`approximated` if the feature is partly preserved, `dropped` if it is not preserved."
+        description="`approximated` if the feature is partly preserved, or `dropped` if it is not preserved."
     )
     kind: Literal["notimpl", "notyet", "never"] = Field(
-        description="`notimpl`: not implemented here; `notyet`: the simulator could support it; `never`: it cannot."
+        description="`notimpl`: not implemented here; `notyet`: possible in the simulator; `never`: impossible there."
     )
     reason: Words = Field(description="The reason for the loss, and the size of the error.")
     size: Positive | None = Field(
-        None, description="The largest error in SI units of an approximated feature; `simfoundry verify` checks it."
+        None, description="The largest error of an approximated feature, in SI units, which `simfoundry verify` checks."
     )
 
 
@@ -68,7 +68,7 @@ class Tested(Model):
     """The extent to which a profile has been tested."""
 
     how: Literal["run", "checked"] = Field(
-        description="`run`: loaded in the simulator by its loader; `checked`: only the code was reviewed."
+        description="`run` if builds were loaded in the simulator, or `checked` if only the code was reviewed."
     )
     versions: tuple[str, ...] = Field((), description="The simulator releases with which the target was run.")
     note: Words | None = Field(None, description="Observations from the test.")

@@ -20,7 +20,7 @@ SCENE_FILE = "scene.json"
 
 
 def omnigibson_files(scene: Scene) -> dict[str, bytes]:
-    """Return ``scene.json`` and ``objects/<object>.usda`` files, which use meshes and textures from ``assets``."""
+    """Return ``scene.json`` and the ``objects/<object>.usda`` files, which use meshes and textures from ``assets``."""
     files = {f"objects/{item.name}.usda": _object_layer(scene, item) for item in scene.objects}
     return {SCENE_FILE: scene_json(scene), **files}
 
@@ -62,7 +62,10 @@ def _state(item: SceneObject) -> dict[str, object]:
 
 
 def _object_layer(scene: Scene, item: SceneObject) -> bytes:
-    """Return a layer whose default prim is the object, posed in its own frame and with its materials as descendants."""
+    """Return a layer whose default prim is the object, posed in the object's own frame.
+
+    Materials are descendants of the prim.
+    """
     from pxr import Sdf
 
     # Joints are at zero in the file, because OmniGibson sets their positions from its saved state.

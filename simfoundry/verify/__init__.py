@@ -1,1 +1,1 @@
-"""Verification that a build is equivalent in every simulator, based on the data read back and on behavior."""
+"""Verification that a build is equivalent in every simulator, based on the read-back data and on behavior."""

@@ -26,7 +26,7 @@ Moments = Sequence[Moment]
 
 @dataclass(frozen=True)
 class Trial:
-    """A scene and the duration and sampling of its simulation."""
+    """A scene, and the duration and sampling of its simulation."""
 
     scene: Scene
     run: Run
@@ -85,7 +85,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the boxes that slipped during the last second; the boxes settle before the last second."""
+    """Return a mask of the boxes that slipped during the last second. Before that, the boxes have time to settle."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -133,7 +133,10 @@ def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def rebound() -> Measurement:
-    """Measure the ratio of a ball's speeds after and before its first bounce, computed from the ball's heights."""
+    """Measure the ratio of a ball's speeds after and before its first bounce.
+
+    The speeds are computed from the ball's heights.
+    """
     ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
     floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
     moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
@@ -145,26 +148,29 @@ def rebound() -> Measurement:
 
 
 def limit_holds() -> Measurement:
-    """Measure the final distance [mm] of a falling 1 kg slider from its stop at 0.3 m."""
+    """Measure the final distance [mm] between a falling 1 kg slider and its stop at 0.3 m."""
     moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
     return (moments[-1].joints["slider.joint"] - 0.3) * 1000
 
 
 def friction_holds() -> Measurement:
-    """Measure how far [mm] a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N."""
+    """Measure how far [mm] a slider weighing 9.81 N sinks in one second against a Coulomb friction of 12 N."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def friction_slips() -> Measurement:
-    """Measure the acceleration [m/s^2] of a slider weighing 9.81 N with a Coulomb friction of 6 N."""
+    """Measure the acceleration [m/s^2] of a slider that weighs 9.81 N and has a Coulomb friction of 6 N."""
     moments = yield Trial(rigs.scene_of("slip", rigs.slider(friction=6.0)), Run(1.0, 1.0))
     last = moments[-1]
     return 2 * last.joints["slider.joint"] / last.time**2
 
 
 def damped_friction() -> Measurement:
-    """Measure the terminal speed [m/s] of a slider weighing 9.81 N with 4 N s/m damping and 3 N Coulomb friction."""
+    """Measure the terminal speed [m/s] of a slider that weighs 9.81 N.
+
+    The slider has a damping of 4 N s/m and a Coulomb friction of 3 N.
+    """
     moments = yield Trial(rigs.scene_of("both", rigs.slider(damping=4.0, friction=3.0, travel=9.0)), Run(2.5, 0.5))
     before, last = moments[-2], moments[-1]
     return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
@@ -174,9 +180,9 @@ _SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
 
 
 def drive_holds() -> Measurement:
-    """Measure the position [mm] at which a motor with 200 N/m and a target of 50 mm holds a slider weighing 9.81 N.
+    """Measure the position [mm] at which a motor holds a slider that weighs 9.81 N.
 
-    The weight moves this position 49 mm past the target.
+    The motor has a stiffness of 200 N/m and a target of 50 mm. The weight moves the slider 49 mm past the target.
     """
     moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
     return moments[-1].joints["slider.joint"] * 1000
@@ -192,7 +198,7 @@ def follower_keeps() -> Measurement:
 
 
 def passes_through() -> Measurement:
-    """Measure how much farther a box falls if it passes through a shelf, relative to a free fall of 0.3 s."""
+    """Measure how much farther a box falls if it passes through a shelf, compared with a free fall of 0.3 s."""
     shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
     boxes = [
         rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))

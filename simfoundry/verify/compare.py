@@ -75,7 +75,10 @@ Keys = frozenset[tuple[str, str]]
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of the element ``name`` that differs in an engine; ``covered`` is the loss or gap that explains it."""
+    """A quantity of the element ``name`` that differs in an engine.
+
+    ``covered`` is the loss or gap that explains the difference.
+    """
 
     name: str
     quantity: str
@@ -91,7 +94,14 @@ class Difference:
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of compared quantities, the unexplained differences, the explained differences, and stale losses."""
+    """The result of a comparison.
+
+    Attributes:
+        compared: The number of quantities that were compared.
+        mismatches: The differences without an explanation.
+        covered: The differences that are explained by a loss or a gap.
+        stale: The losses that are reported although the engine preserves the quantity.
+    """
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -100,7 +110,7 @@ class ReadbackComparison:
 
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
-    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target whose build was read."""
+    """Compare an engine's read-back with the scene. ``losses`` are the losses of the target whose build was read."""
     # Converting a robot does not explain differences in the compared quantities. Nor do colliders that are simpler than
     # the visuals, because the comparison uses the scene's colliders.
     lost = [
@@ -128,7 +138,10 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
 
 
 def _gap_reason(engine: VerifyEngine, difference: Difference) -> str:
-    """Return a gap's reason if the engine lacks the quantity or if the error is within the gap's size."""
+    """Return the reason for a gap that explains the difference, or an empty string if no gap explains it.
+
+    A gap explains a missing quantity and, if it states a size, an error up to that size.
+    """
     gap = engine.target.profile.gaps.get(_FEATURES.get(difference.quantity, difference.quantity))
     if gap is None:
         return ""
@@ -139,7 +152,7 @@ def _gap_reason(engine: VerifyEngine, difference: Difference) -> str:
 
 
 class _Checker:
-    """Compares two read-backs and collects the differences, with the keys of losses that could explain them."""
+    """A comparison of two read-backs, which collects the differences and the keys of losses that could explain them."""
 
     def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
         self.expected, self.got, self.static, self.engine = expected, got, static, engine
@@ -149,7 +162,7 @@ class _Checker:
         self.found: list[tuple[Difference, Keys]] = []
 
     def run(self) -> None:
-        """Compare all names, then all quantities."""
+        """Compare all names, and then all quantities."""
         expected, got = self.expected, self.got
         self._names("link", expected.links, got.links)
         self._names("joint", expected.joints, got.joints)
@@ -164,7 +177,7 @@ class _Checker:
             self._silent(set(expected.silent or ()), set(got.silent))
 
     def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
-        """Compare a robot; if ``expected`` is None, only its presence is checked."""
+        """Compare a robot. If ``expected`` is None, only its presence is checked."""
         keys = _keys(["robots"], name)
         self.compared += 1
         if got is None:
@@ -265,7 +278,10 @@ class _Checker:
         self._count(name, quantity, expected, got, 0.0 if expected == got else math.inf, keys)
 
     def _pairs(self, expected: Mapping[str, float], got: Mapping[str, float]) -> None:
-        """Compare pairwise frictions; pairs have no entry if they use the engine's own rule or have equal frictions."""
+        """Compare the friction coefficients of pairs of colliders.
+
+        A pair has no entry if it uses the engine's default rule or if both colliders have the same coefficient.
+        """
         surfaces = {
             f"{link}.{c.name}": c.friction for link, facts in self.expected.links.items() for c in facts.colliders or ()
         }
@@ -312,12 +328,12 @@ def _key(loss: Loss) -> tuple[str, str]:
 
 
 def _owners(link: str) -> tuple[str, str]:
-    """Return the object name and the link name, because a loss may refer to a link by either of them."""
+    """Return the object name and the link name. A loss may refer to a link by either name."""
     return link.partition(".")[0], link
 
 
 def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
-    """Return true if a loss explains a difference; an approximation explains errors up to its stated size."""
+    """Return True if a loss explains a difference. An approximation explains errors up to its stated size."""
     if loss.fidelity is Fidelity.DROPPED:
         return _key(loss) in keys or (not loss.element and any(loss.feature == feature for feature, _ in keys))
     if difference.quantity in _WHOLE or _key(loss) not in keys:
@@ -331,7 +347,7 @@ def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadb
 
 
 def _tip(scene: Scene, name: str) -> float:
-    """Return how far [m] the tips of a convex mesh move if all faces are moved inward by Bullet's margin.
+    """Return the distance [m] that the tips of a convex mesh move if all faces are moved inward by Bullet's margin.
 
     Sharper tips move farther.
     """
@@ -348,7 +364,7 @@ def _tip(scene: Scene, name: str) -> float:
 
 
 def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
-    """Return true if a coefficient that applies to a whole link is within the range of the link's coefficients."""
+    """Return True if a coefficient that applies to a whole link is within the range of the link's coefficients."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]

@@ -57,7 +57,10 @@ class VerifyEngine:
 
     @property
     def build(self) -> Target:
-        """The target whose build is read: the plain backend, unless the engine's target has other files or options."""
+        """The target whose build is read.
+
+        This is the plain backend, unless the engine's target has different files or options.
+        """
         profile = self.target.profile
         return self.target if profile.options or profile.writes else find_target(profile.backend)
 
@@ -82,7 +85,7 @@ class VerifyEngine:
 
 @dataclass(frozen=True)
 class InstalledEngine:
-    """An engine, the interpreter in which it is installed, and its version."""
+    """An engine, together with its version and the interpreter in which it is installed."""
 
     engine: VerifyEngine
     python: Path
@@ -90,7 +93,7 @@ class InstalledEngine:
 
 
 class UnknownEngineError(SimfoundryError):
-    """Raised for an unknown engine name; the message lists the valid names."""
+    """Raised for an unknown engine name. The message lists the valid names."""
 
 
 def all_engines() -> tuple[VerifyEngine, ...]:
@@ -115,7 +118,7 @@ def find_engine(name: str) -> VerifyEngine:
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Return the interpreters keyed by engine or family; the ones under ``""`` are for all engines.
+    """Return the interpreters, keyed by engine or family. Interpreters under the key ``""`` are for all engines.
 
     Interpreters specified with ``--python`` precede those in the environment variable.
     """
@@ -137,7 +140,7 @@ def interpreters(
 def find_installed(
     engines: Mapping[str, VerifyEngine], places: Mapping[str, Sequence[Path]]
 ) -> dict[str, InstalledEngine | None]:
-    """Return the first interpreter that meets an engine's requirements, or None, keyed by the name of the engine."""
+    """Return, by engine name, the first interpreter that meets the engine's requirements, or None if there is none."""
     modules = tuple(sorted({module for engine in engines.values() for module in engine.modules}))
     found: dict[str, InstalledEngine | None] = {}
     for engine in engines.values():
@@ -150,7 +153,7 @@ def find_installed(
 
 @cache
 def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions of the given modules in an interpreter, or an empty mapping if it does not start."""
+    """Return the versions of the given modules in an interpreter, or {} if the interpreter does not start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

@@ -33,7 +33,10 @@ _NO_JOINT = (JointType.FIXED, JointType.FREE)
 
 
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
-    """Return the expected read-back for ``scene`` in ``target``, with all collider pairs whose frictions differ."""
+    """Return the expected read-back for ``scene`` in ``target``.
+
+    It contains all pairs of colliders that have different friction coefficients.
+    """
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     for item in scene.objects:
@@ -46,12 +49,12 @@ def expected_readback(scene: Scene, target: str) -> WorldReadback:
 
 
 def static_links(scene: Scene) -> set[str]:
-    """Return the qualified names of links that can never move; their mass has no effect."""
+    """Return the qualified names of links that can never move. The mass of these links has no effect."""
     return {item.qualified(link) for item in scene.objects for link in _held(item)}
 
 
 def _held(item: SceneObject) -> set[str]:
-    """Return the links of an object that are welded to the world."""
+    """Return the names of an object's links that are welded to the world."""
     return {link for link, first in weld_groups(item).items() if item.fixed and first == item.root.name}
 
 
@@ -94,7 +97,7 @@ def _joint(item: SceneObject, joint: Joint) -> JointReadback:
 
 
 def _silent(scene: Scene) -> Iterator[str]:
-    """Yield the pairs of links whose collisions are disabled: pairs listed in the spec, and neighboring links."""
+    """Yield the pairs of links whose collisions are disabled: pairs listed in the spec, plus neighboring links."""
     static = static_links(scene)
     felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
     pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in excluded_link_pairs(o)]
@@ -104,7 +107,10 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield pairs of colliders on different objects that can touch and differ in friction, with the pair's friction."""
+    """Yield the name and the friction coefficient of each relevant pair of colliders.
+
+    The colliders of such a pair belong to different objects, can touch, and have different friction coefficients.
+    """
     excluded = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
@@ -130,9 +136,13 @@ _MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class RobotReadback:
-    """A robot with its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
+    """A robot, as reported by an engine. None means that a value is not reported.
 
-    Only the limits and the position of each joint are compared. None means that a value is not reported.
+    Attributes:
+        pose: The pose of the base link in the world.
+        mass: The total mass [kg].
+        joints: The joints by name. Only the limits and the position of each joint are compared.
+        actuators: The names of the motors.
     """
 
     pose: rb.Numbers | None
@@ -198,7 +208,7 @@ def _expected(robot: Robot, target: str) -> RobotReadback | None:
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
-    """Return the joints in the robot's file in their initial state; ``names`` maps their names to converted names."""
+    """Return the joints in the robot's file in their initial state. ``names`` maps joint names to converted names."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)
@@ -209,7 +219,7 @@ def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadb
 
 
 def _of_urdf(robot: Robot, native: NativeModel) -> RobotReadback:
-    """Return the values specified in the URDF itself; mimic joints have no motor."""
+    """Return the values specified in the URDF. Mimic joints have no motor."""
     root = ET.parse(native.file).getroot()
     mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
     moving = {str(j.get("name")): j for j in root.findall("joint") if j.get("type") in _MOVING}

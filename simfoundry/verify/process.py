@@ -1,7 +1,7 @@
 """Reader processes for engines, which turn a crash or hang into an error result instead of ending the run.
 
-:func:`main` runs in an engine's process; its argument is the ``readback.py`` of a target. Each job is a line of JSON on
-standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each result is a line
+:func:`main` runs in an engine's process. Its argument is the ``readback.py`` of a target. Each job is a line of JSON on
+standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``. Each result is a line
 of JSON on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. The engine's output goes to standard
 error. With ``--probe``, :func:`main` prints a line of JSON with the version of each given package that its interpreter
 can import.
@@ -56,7 +56,7 @@ class Run:
 
 @dataclass(frozen=True)
 class EngineJob:
-    """A build folder to load and, if ``run`` is set, to simulate; ``loader`` overrides the build's own loader."""
+    """A build folder to load and, if ``run`` is set, to simulate. ``loader`` overrides the build's own loader."""
 
     build: Path
     run: Run | None = None
@@ -121,7 +121,7 @@ def ask(
 
 
 def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: float) -> Iterator[EngineAnswer]:
-    """Yield the answers from one process, up to and including the first job that failed in it."""
+    """Yield the answers from one process, ending with the first job that failed in it, if any."""
     with tempfile.TemporaryFile() as log:
         serve = command(python, str(readback.resolve()))
         process = subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -142,7 +142,7 @@ def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: flo
 def _one(
     process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: EngineJob, timeout: float, log: IO[bytes]
 ) -> tuple[EngineAnswer, bool]:
-    """Return the answer to a job, and whether the process can accept another job."""
+    """Return the answer to a job, and a flag that is True if the process can accept another job."""
     start = time.monotonic()
     try:
         assert process.stdin is not None
@@ -186,7 +186,7 @@ def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer all jobs, and return 0 unless the arguments are invalid."""
+    """Answer all jobs and return the exit status, which is 0 unless the arguments are invalid."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # engines print to standard output, which is reserved for answers
     if arguments[:1] == ["--probe"]:
@@ -230,7 +230,10 @@ def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
-    """Simulate and return samples at the start and then about every ``every`` seconds, at whole time steps."""
+    """Simulate a build and return samples of its state.
+
+    The first sample is taken at the start. The others follow about every ``every`` seconds, at whole time steps.
+    """
     steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
     moments = [session.moment(0.0).to_json()]
     for k in range(1, steps + 1):

@@ -1,7 +1,7 @@
-"""Read-back data from an engine, which describes a build in the scene's terms, and its JSON form for other processes.
+"""Data read back from an engine, which describes a build in the scene's terms, and the JSON form of this data.
 
-None means that an engine does not report or store a value. Numbers are in SI units; poses are ``[x, y, z, qw, qx, qy,
-qz]``. Root links are named after the object, other links are named ``object.link``, and joints ``object.joint``.
+None means that an engine does not report or store a value. Numbers are in SI units, and poses are ``[x, y, z, qw, qx,
+qy, qz]``. Root links are named after the object, other links are named ``object.link``, and joints ``object.joint``.
 
 This module requires only numpy, because it runs in each engine's own environment.
 """
@@ -24,10 +24,10 @@ Numbers = tuple[float, ...]
 class ColliderReadback:
     """A collision shape.
 
-    ``name`` is the collider's name in its link, or None if the engine does not store it, in which case shapes are
+    ``name`` is the collider's name in its link, or None if the engine does not store it. In that case, shapes are
     matched by order. ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``. ``bounds`` contains the
     minimum and maximum corners [m] of the bounding box along the link axes. ``friction`` and ``restitution`` are the
-    surface's own values, before any combination rule; ``spinning`` and ``rolling`` are its resistances [m].
+    surface's own values, before any combination rule. ``spinning`` and ``rolling`` are its resistances [m].
     """
 
     name: str | None = None
@@ -63,11 +63,11 @@ class LinkReadback:
 class JointReadback:
     """A movable joint.
 
-    ``axis`` is expressed in the child link's frame. ``limits`` is empty if the engine reports no limits; a revolute
+    ``axis`` is expressed in the child link's frame. ``limits`` is empty if the engine reports no limits. A revolute
     joint without limits may be read back as continuous, and vice versa. ``position`` is an angle, a length, or the
-    quaternion of a ball joint. ``follows`` is the joint that a mimic joint follows, or empty, and ``law`` contains its
-    multiplier and offset. ``drive`` contains the stiffness, damping and target of the motor, and ``effort`` its maximum
-    force; both are empty for a joint without a motor.
+    quaternion of a ball joint. ``follows`` is the joint that a mimic joint follows, or empty for other joints, and
+    ``law`` contains its multiplier and offset. ``drive`` contains the stiffness, damping and target of the motor, and
+    ``effort`` contains its maximum force. Both are empty for a joint without a motor.
     """
 
     type: str | None = None
@@ -101,12 +101,12 @@ class WorldReadback:
     actuators: tuple[str, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> WorldReadback:
-        """Restore the output of :meth:`to_json`."""
+        """Restore an object from the output of :meth:`to_json`."""
         links = {name: _link(entry) for name, entry in data["links"].items()}
         joints = {name: JointReadback(**_tuples(entry)) for name, entry in data["joints"].items()}
         gravity, silent, actuators = (
@@ -124,12 +124,12 @@ class Moment:
     joints: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
-        """Restore the output of :meth:`to_json`."""
+        """Restore an object from the output of :meth:`to_json`."""
         return cls(data["time"], {k: tuple(v) for k, v in data["poses"].items()}, data["joints"])
 
     def pose(self, name: str) -> Pose:
@@ -142,7 +142,7 @@ TIMESTEP = 1e-3
 
 
 class Session(ABC):
-    """A build loaded in an engine, in the scene's initial state; ``timestep`` [s] is 0 if it cannot be stepped."""
+    """A build loaded in an engine, in the scene's initial state. ``timestep`` [s] is 0 if it cannot be stepped."""
 
     timestep = TIMESTEP
 
@@ -152,7 +152,7 @@ class Session(ABC):
 
     @abstractmethod
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
 
     @abstractmethod
     def moment(self, time: float) -> Moment:
@@ -207,7 +207,7 @@ def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Number
 
 
 def mesh_bounds(vertices: Array, X_LG: Pose) -> Numbers:
-    """Return the bounds of vertices, shape (n, 3), in link axes."""
+    """Return the bounds of an array of vertices with shape (n, 3), in link axes."""
     points = X_LG.apply(np.asarray(vertices, dtype=np.float64))
     return numbers([points.min(axis=0), points.max(axis=0)])
 

@@ -39,7 +39,7 @@ def solid(
 
 
 def moments(shape: Primitive, mass: float) -> Array:
-    """Return the principal moments of inertia of a solid box, ball or cylinder [kg m^2], shape (3,)."""
+    """Return the principal moments of inertia [kg m^2] of a solid box, ball or cylinder, as an array of shape (3,)."""
     match shape:
         case Box(size=size):
             x, y, z = size
@@ -66,7 +66,10 @@ def lopsided(name: str, X_WO: Pose) -> SceneObject:
 
 
 def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
-    """Return a wedge of 0.12 m x 0.08 m x 0.05 m, a convex mesh with six vertices that lies on its largest face."""
+    """Return a wedge of 0.12 m x 0.08 m x 0.05 m that lies on its largest face.
+
+    The wedge is a convex mesh with six vertices.
+    """
     x, y, z = 0.12, 0.08, 0.05
     vertices = np.array([[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]) - [x / 3, y / 2, 0.0]
     faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
@@ -77,7 +80,7 @@ def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
 
 
 def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
-    """Return a scene with fixed ramps side by side along y, and a box on each ramp; sliding boxes move toward -x."""
+    """Return a scene with fixed ramps side by side along y, and a box on each ramp. Sliding boxes move toward -x."""
     objects = []
     for k, angle in enumerate(degrees):
         X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))
@@ -91,7 +94,10 @@ def jointed(
     name: str, kind: JointType, axis: Sequence[float], bob: tuple[float, Array, Array], X_WO: Pose,
     limits: tuple[float, float] | None, damping: float = 0.0, friction: float = 0.0, position: float = 0.0,
 ) -> SceneObject:  # fmt: skip
-    """Return a mount fixed to the world with a movable bob; ``bob`` contains its mass, center of mass and inertia."""
+    """Return a mount that is fixed to the world and carries a movable bob.
+
+    ``bob`` contains the mass, center of mass and inertia of the bob.
+    """
     mass, com, inertia = bob
     mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04))
     moving = _link("bob", mass, inertia, com, box(0.03, 0.03, 0.03), X_LG=Pose.of(com), rgba=_BLUE)
@@ -103,7 +109,7 @@ def jointed(
 
 
 def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
-    """Return a physical pendulum of 0.5 kg, 0.4 m below a hinge along y, deflected by ``amplitude`` [rad]."""
+    """Return a 0.5 kg physical pendulum, 0.4 m below a hinge along y and deflected by ``amplitude`` [rad]."""
     mass, length = 0.5, 0.4
     inertia = moments(box(0.05, 0.07, 0.09), mass)
     bob = (mass, np.array([0.0, 0.0, -length]), inertia)
@@ -123,14 +129,14 @@ _WEIGHT = (1.0, np.array([0.0, 0.0, -0.1]), moments(box(0.05, 0.05, 0.05), 1.0))
 
 
 def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, drive: Drive | None = None) -> SceneObject:
-    """Return a vertical slider of 1 kg that can fall by ``travel`` [m] from its upper end; its axis points down."""
+    """Return a vertical 1 kg slider that can fall by ``travel`` [m] from its upper end. Its axis points down."""
     item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], _WEIGHT, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
                    damping=damping, friction=friction)  # fmt: skip
     return replace(item, joints=(replace(item.joints[0], drive=drive),))
 
 
 def geared(multiplier: float) -> SceneObject:
-    """Return two weights that slide down in parallel; the ``follower`` moves ``multiplier`` times as far."""
+    """Return two weights that slide down in parallel. The ``follower`` moves ``multiplier`` times as far."""
     X_WO = posed(0, 0, 10.0, yaw=0.4)
     one = jointed("gear", JointType.PRISMATIC, [0, 0, -1], _WEIGHT, X_WO, (-0.2, 3.0), damping=5.0)
     (mount, moving), (joint,) = one.links, one.joints
@@ -145,7 +151,7 @@ def _link(
     name: str, mass: float, inertia: Array, com: Array, shape: Geometry, friction: float = 0.5,
     restitution: float = 0.0, X_LG: Pose = IDENTITY, rgba: Array = _GRAY,
 ) -> Link:  # fmt: skip
-    """Return a link with a single shape; ``inertia`` contains the principal moments or the whole tensor."""
+    """Return a link with a single shape. ``inertia`` contains the principal moments or the whole tensor."""
     tensor = np.diag(inertia) if np.ndim(inertia) == 1 else (inertia + inertia.T) / 2
     visual, collider = Visual("shape", shape, rgba, X_LG), Collider("shape", shape, friction, restitution, X_LG)
     return Link(name, mass, frozen_array(com), frozen_array(tensor), (visual,), (collider,))

@@ -42,9 +42,9 @@ class ProofStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SceneBuilds:
-    """A scene to verify, with its name in the tables, and its build and losses for each engine.
+    """A scene to verify, with its name in the tables and its build and losses for each engine.
 
-    The losses come from the backend; an engine's loader may restore some of the lost features.
+    The losses come from the backend. An engine's loader may restore some of the lost features.
     """
 
     name: str
@@ -65,7 +65,7 @@ class ReadbackResult:
 
     @property
     def verdict(self) -> ProofStatus:
-        """The most severe result: an unexplained difference, a known loss, or neither."""
+        """The most severe result, which is an unexplained difference, a known loss, or neither."""
         if self.comparison is None:
             return ProofStatus.FAILED
         if self.comparison.mismatches:
@@ -73,7 +73,7 @@ class ReadbackResult:
         return ProofStatus.KNOWN if self.comparison.covered else ProofStatus.OK
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the data as a plain mapping."""
         found = self.comparison
         details = {} if found is None else {
             "compared": found.compared,
@@ -87,7 +87,10 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """The value measured for a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
+    """The value measured for a behavior in an engine, or the ``error`` if the measurement failed.
+
+    ``reason`` explains a known deviation.
+    """
 
     behavior: str
     engine: str
@@ -98,7 +101,7 @@ class BehaviorResult:
 
 
 def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
-    """Compile a scene for ``engines`` into ``folder``; engines that read the same build share it."""
+    """Compile a scene for ``engines`` into ``folder``. Engines that read the same build share it."""
     builds: dict[str, Path] = {}
     losses: dict[str, tuple[Loss, ...]] = {}
     compiled: dict[str, Artifact] = {}
@@ -158,7 +161,7 @@ def measure_behaviors(
 
 
 class _Bench:
-    """Runs the measurements in one engine; concurrent trials share a process."""
+    """A bench that runs the measurements in one engine. Concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
@@ -187,7 +190,7 @@ class _Bench:
 
 
 def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | str:
-    """Return the next trial, the measured value, or the error."""
+    """Return the next trial, the measured value, or the error if the measurement failed."""
     if answer.error:
         return answer.error
     try:
@@ -236,7 +239,10 @@ class RestResult:
 
 @dataclass(frozen=True)
 class _Place:
-    """The resting state of an object or a joint: a point [m], and a rotation as a quaternion or an angle [rad]."""
+    """The resting state of an object or a joint.
+
+    It consists of a point [m], and of a rotation that is a quaternion or an angle [rad].
+    """
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None
@@ -273,7 +279,7 @@ def settle_subjects(
 
 
 def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[RestResult]:
-    """Return a result for each engine; ``ends`` contains their last samples or errors."""
+    """Return a result for each engine. ``ends`` contains the last sample from each engine, or its error."""
     places = {name: _places(subject.scene, end) for name, end in ends.items() if isinstance(end, Moment)}
     things = _things(subject.scene)
     middle = {thing: _medoid([p[thing] for p in places.values()]) for thing in things} if places else {}

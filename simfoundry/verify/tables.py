@@ -1,4 +1,4 @@
-"""Text output of the results: tables of read-backs and behaviors by engine, and details of every failure."""
+"""Text output for verification results: tables of read-backs and behaviors by engine, and details of every failure."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, Ins
 
 
 def _table(corner: str, engines: Iterable[str], cells: Mapping[tuple[str, str], str], absent: str = "") -> str:
-    """Return a table with a row per subject and a column per engine; ``cells`` is keyed by both."""
+    """Return a table with a row per subject and a column per engine. ``cells`` is keyed by subject and engine."""
     names, subjects = list(engines), dict.fromkeys(subject for subject, _ in cells)
     rows = ([subject, *(cells.get((subject, name), absent) for name in names)] for subject in subjects)
     return "\n".join(aligned([[corner, *names], *rows], ">"))
@@ -55,7 +55,7 @@ def measured_cell(measured: BehaviorResult) -> str:
 def behaviors_table(
     results: Sequence[BehaviorResult], behaviors: Sequence[Behavior], engines: Mapping[str, InstalledEngine | None]
 ) -> str:
-    """Return a table with a row per behavior and a column per engine; a star marks known deviations."""
+    """Return a table with a row per behavior and a column per engine. A star marks known deviations."""
     names = [name for name, found in engines.items() if found is not None and found.engine.spec.steps]
     cells = {(m.behavior, m.engine): measured_cell(m) for m in results}
     rows = [["", "answer", *names]]
@@ -145,7 +145,7 @@ _FIELD_DEG = 40.0
 
 
 def picture(scene: Scene) -> bytes:
-    """Return a PNG of the scene from its first camera, scaled down, or else from a corner above all movable objects."""
+    """Return a PNG image of the scene, seen from a corner above all movable objects."""
     from simfoundry.render.gl import choose_engine
     from simfoundry.render.montage import png_bytes
     from simfoundry.worlds.render import render

@@ -9,11 +9,14 @@ from simfoundry.worlds.base import Contact, World
 
 
 class UnknownWorldError(SimfoundryError):
-    """Raised for an unknown simulator name; the message lists the valid names."""
+    """Raised if no simulator has the given name. The message lists the valid names."""
 
 
 def world_names() -> tuple[str, ...]:
-    """Return the names of the simulators that can run scenes: all targets whose profile specifies a ``world``."""
+    """Return the names of the simulators that can run scenes.
+
+    These are all targets whose profile specifies a ``world`` and can be used.
+    """
     return tuple(target.name for target in find_targets(target_names())[0] if target.profile.world is not None)
 
 
@@ -22,7 +25,7 @@ def open_world(scene: Scene, engine: str) -> World:
 
     Raises:
         UnknownWorldError: If no simulator has this name.
-        MissingEngineError: If the simulator is not installed; the message explains how to install it.
+        MissingEngineError: If the simulator is not installed. The message explains how to install it.
     """
     module, _, name = find_world(engine).partition(":")
     opened: World = getattr(import_module(module), name)(scene)
@@ -30,7 +33,11 @@ def open_world(scene: Scene, engine: str) -> World:
 
 
 def find_world(engine: str) -> str:
-    """Return the world class of the simulator called ``engine``; raise :class:`UnknownWorldError` if it is unknown."""
+    """Return the world class of the simulator called ``engine``.
+
+    Raises:
+        UnknownWorldError: If no simulator has this name.
+    """
     world = find_target(engine).profile.world if engine in target_names() else None
     if world is None:
         raise UnknownWorldError(f"scenes cannot be run in `{engine}`; available simulators: {', '.join(world_names())}")

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 class WorldRobot(Protocol):
-    """A robot in a world. Targets persist until they are changed; the world's ``step`` advances the motion."""
+    """A robot in a world. Targets persist until they are changed. The world's ``step`` method advances the motion."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the arm's joints in the scene, in order."""
+        """The ordered names of the arm's joints, as used in the scene."""
 
     def positions(self) -> dict[str, float]:
         """Return the positions of the arm's joints [rad or m]."""
@@ -37,17 +37,22 @@ class WorldRobot(Protocol):
         """Return the position limits of the arm's joints [rad or m], which are infinite for joints without limits."""
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set the target positions of arm joints [rad or m], clipped to their limits; other joints keep their targets.
+        """Set the target positions of arm joints [rad or m], clipped to their limits.
+
+        All joints that are not listed keep their targets.
 
         Raises:
             KeyError: If the robot has no such joint.
         """
 
     def gripper(self) -> float:
-        """Return how far the gripper is closed, from 0 (open) to 1 (closed); always 0 without a gripper."""
+        """Return how far the gripper is closed, from 0 (open) to 1 (closed).
+
+        The result is always 0 without a gripper.
+        """
 
     def set_gripper(self, closed: float) -> None:
-        """Set the gripper target, from 0 (open) to 1 (closed); other values are clipped."""
+        """Set the gripper target, from 0 (open) to 1 (closed). Values outside this range are clipped."""
 
     def frame(self, name: str) -> Pose:
         """Return the world pose of the frame ``hand`` or ``base``, or of a link given by its name in the model."""
@@ -99,7 +104,7 @@ class World(Protocol):
         """
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
 
     def halt(self) -> None:
         """Set all velocities to zero without changing poses or positions."""
@@ -121,7 +126,11 @@ class World(Protocol):
         """Return the current contacts between different objects and robots."""
 
     def robot(self, name: str) -> WorldRobot:
-        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
+        """Return the robot called ``name``.
+
+        Raises:
+            KeyError: If there is no such robot. The message lists the valid names.
+        """
 
     def render(self, camera: str, width: int, height: int) -> Image:
         """Render the view from a camera in the scene, including robots, without changing the state.
@@ -132,7 +141,7 @@ class World(Protocol):
             An sRGB image, uint8, shape (height, width, 3).
 
         Raises:
-            KeyError: If the camera is unknown; the message lists the valid names.
+            KeyError: If the camera is unknown. The message lists the valid names.
             RenderError: If rendering is not available.
         """
 
@@ -152,9 +161,12 @@ class World(Protocol):
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
-    """Complete ``state`` with the scene's own values; raise a KeyError for names that are not in the scene.
+    """Complete ``state`` with the scene's own values.
 
     The position of a mimic joint is computed from its leader, unless ``state`` contains it.
+
+    Raises:
+        KeyError: If ``state`` contains names that are not in the scene.
     """
     initial = SceneState.initial(scene)
     if state is None:
@@ -204,7 +216,7 @@ def camera_of(world: World, name: str, width: int, height: int) -> Camera:
     """Return the camera called ``name`` at its current pose and for the given image size.
 
     Raises:
-        KeyError: If the camera is unknown; the message lists the valid names.
+        KeyError: If the camera is unknown. The message lists the valid names.
     """
     for camera in world.scene.cameras:
         if camera.name == name:

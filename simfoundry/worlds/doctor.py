@@ -26,7 +26,7 @@ GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; 
 
 @dataclass(frozen=True)
 class Part:
-    """A component that SimFoundry can use; ``version`` is empty if the component is not installed."""
+    """A component that SimFoundry can use. If the component is not installed, ``version`` is empty."""
 
     section: str
     name: str
@@ -37,7 +37,10 @@ class Part:
 
 
 def examine() -> list[Part]:
-    """Return all components by section in a fixed order, without downloading anything or contacting model servers."""
+    """Return all components, grouped by section in a fixed order.
+
+    Nothing is downloaded, and model servers are not contacted.
+    """
     return [*_packages(), *_extras(), *_robots(), *_renderers(), *_models()]
 
 
@@ -51,7 +54,7 @@ def _packages() -> Iterator[Part]:
 
 
 def _extras() -> Iterator[Part]:
-    """Yield the extras. Packages that are slow to load are located without importing them."""
+    """Yield the optional dependencies. Packages that are slow to load are located without importing them."""
     for extra in EXTRAS.values():
         found, problem = "", ""
         if extra.name == "pybullet":
@@ -66,7 +69,7 @@ def _extras() -> Iterator[Part]:
 
 
 def _robots() -> Iterator[Part]:
-    """Yield the known robots, along with the command that installs missing models."""
+    """Yield the known robots, along with the commands that install missing models."""
     from simfoundry.scene.robot import lower_robot
     from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec
@@ -111,7 +114,7 @@ def _models() -> Iterator[Part]:
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """Return the version of a package and, if the package is installed but cannot be imported, a note about the error.
+    """Return the version of a package, and a note about the error if the package is installed but cannot be imported.
 
     The version is empty if the package cannot be imported, and the note is empty if there is no such error.
     """
@@ -127,7 +130,10 @@ def _found(name: str, module: str) -> tuple[str, str]:
 
 
 def _version(name: str) -> str:
-    """Return a distribution's version, or an empty string if none has this name, as for some OpenCV variants."""
+    """Return the version of a distribution, or an empty string if no distribution has this name.
+
+    This is the case for some variants of OpenCV.
+    """
     try:
         return version(name)
     except PackageNotFoundError:

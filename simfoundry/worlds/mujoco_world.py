@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.backends.mjcf.contact_rules import exact_model
+from simfoundry.backends.mjcf.contacts import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
@@ -29,7 +29,7 @@ SMALL = 640
 
 
 class MujocoWorld(World):
-    """A world in MuJoCo; ``model`` and ``data`` are MuJoCo's own objects."""
+    """A world in MuJoCo. ``model`` and ``data`` are MuJoCo's own objects."""
 
     def __init__(self, scene: Scene) -> None:
         try:
@@ -100,7 +100,7 @@ class MujocoWorld(World):
         self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
         if n > 0:
             self._mujoco.mj_step(self.model, self.data, nstep=n)
 
@@ -148,7 +148,11 @@ class MujocoWorld(World):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render the view from a camera in the scene as an sRGB image, uint8, shape (height, width, 3)."""
+        """Render the view from a camera in the scene.
+
+        Returns:
+            An sRGB image, uint8, shape (height, width, 3).
+        """
         view = camera_of(self, camera, width, height)
         renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
         # After a step, MuJoCo's geom poses are still those before the step.
@@ -158,10 +162,10 @@ class MujocoWorld(World):
         return renderer.picture(self.data, view)
 
     def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
-        """Return the renderer for small or for large images. Each renderer supports all sizes requested so far.
+        """Return the renderer for small images or the one for large images. Both support all sizes requested so far.
 
         Creating a renderer uploads all meshes and textures, which takes as long as rendering dozens of images. A new
-        renderer therefore also supports the previous sizes; otherwise, two alternating sizes would cause a new renderer
+        renderer therefore also supports the previous sizes. Otherwise, two alternating sizes would cause a new renderer
         to be created for every image.
         """
         known = self._renderers.get(quick)
@@ -182,7 +186,11 @@ class MujocoWorld(World):
         return ""
 
     def robot(self, name: str) -> MujocoRobotHandle:
-        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
+        """Return the robot called ``name``.
+
+        Raises:
+            KeyError: If there is no such robot. The message lists the valid names.
+        """
         return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
     def _object_pose(self, item: SceneObject) -> Pose:
@@ -196,13 +204,16 @@ class MujocoWorld(World):
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Release the GL renderers; MuJoCo's own memory is released with this object."""
+        """Release the GL renderers. MuJoCo's own memory is released with this object."""
         while self._renderers:
             self._renderers.popitem()[1].close()
 
 
 class _Moving:
-    """The indices of a movable object's velocities: the first of six indices per free body, and those of its joints."""
+    """The indices of a movable object's velocities.
+
+    These are the first of the six indices of each free body, and the indices of the object's joints.
+    """
 
     def __init__(self, model: mujoco.MjModel, item: SceneObject) -> None:
         self.name, self._reach = item.name, reach(item)
@@ -230,7 +241,7 @@ class _Moving:
 
 
 class MujocoRobotHandle(WorldRobot):
-    """A robot in MuJoCo; targets are set in ``data.ctrl``."""
+    """A robot in MuJoCo, whose targets are set in ``data.ctrl``."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
         native = mujoco_model(robot)
@@ -259,7 +270,7 @@ class MujocoRobotHandle(WorldRobot):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the arm's joints in the scene, in order."""
+        """The ordered names of the arm's joints, as used in the scene."""
         return tuple(self._joints)
 
     def positions(self) -> dict[str, float]:
@@ -282,7 +293,11 @@ class MujocoRobotHandle(WorldRobot):
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set the target positions of arm joints [rad or m]; raise a KeyError for an unknown joint."""
+        """Set the target positions of arm joints [rad or m].
+
+        Raises:
+            KeyError: If a joint is unknown.
+        """
         for name, target in targets.items():
             if name not in self._servos:
                 raise unknown_joint(self._robot.name, name, self.joints)

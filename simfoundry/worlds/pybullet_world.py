@@ -33,7 +33,7 @@ BASE = -1
 
 
 class PybulletWorld(World):
-    """A world in PyBullet; ``client`` and ``bodies`` are PyBullet's ids.
+    """A world in PyBullet. ``client`` and ``bodies`` contain PyBullet's ids.
 
     The world is created from a build, using the same ``load.py`` that is provided to users.
     """
@@ -115,13 +115,17 @@ class PybulletWorld(World):
         self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
 
     def robot(self, name: str) -> WorldRobot:
-        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
+        """Return the robot called ``name``.
+
+        Raises:
+            KeyError: If there is no such robot. The message lists the valid names.
+        """
         if name not in self._robots:
             raise KeyError(f"no robot {name!r}; available robots: {', '.join(self._robots) or 'none'}")
         return self._robots[name]
 
     def step(self, n: int = 1) -> None:
-        """Advance by ``n`` time steps."""
+        """Advance the simulation by ``n`` time steps."""
         for _ in range(n):
             for robot in self._robots.values():
                 robot.press()
@@ -193,7 +197,11 @@ class PybulletWorld(World):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render the view from a camera with TinyRenderer as an sRGB image, uint8, shape (height, width, 3)."""
+        """Render the view from a camera with TinyRenderer.
+
+        Returns:
+            An sRGB image, uint8, shape (height, width, 3).
+        """
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
@@ -210,7 +218,7 @@ class PybulletWorld(World):
         return ""
 
     def close(self) -> None:
-        """Disconnect from PyBullet; repeated calls have no effect."""
+        """Disconnect from PyBullet. Repeated calls have no effect."""
         if self.client >= 0 and self._bullet.isConnected(self.client):
             self._bullet.disconnect(self.client)
         self.client = -1
@@ -260,7 +268,7 @@ class PybulletRobotHandle(WorldRobot):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the arm's joints in the scene, in order."""
+        """The ordered names of the arm's joints, as used in the scene."""
         return tuple(self._facts["arm"])
 
     def positions(self) -> dict[str, float]:
@@ -276,7 +284,11 @@ class PybulletRobotHandle(WorldRobot):
         return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set the target positions of arm joints [rad or m]; raise a KeyError for an unknown joint."""
+        """Set the target positions of arm joints [rad or m].
+
+        Raises:
+            KeyError: If a joint is unknown.
+        """
         for name, target in targets.items():
             if name not in self._facts["arm"]:
                 raise unknown_joint(self._name, name, self.joints)
@@ -290,7 +302,7 @@ class PybulletRobotHandle(WorldRobot):
         self._command("hold", self._body, self._index[joint], self._facts["motors"][joint], target)
 
     def press(self) -> None:
-        """Limit the force of each gripper servo to that of a spring; call this before every step."""
+        """Limit the force of each gripper servo to that of a spring. Call this method before every step."""
         for joint in self._servos:
             motor = self._facts["motors"][joint]
             self._command("press", self._body, self._index[joint], motor, self._targets[joint])
@@ -312,7 +324,7 @@ class PybulletRobotHandle(WorldRobot):
         """Return the world pose of a frame, or of a link given by its name in the model.
 
         Raises:
-            KeyError: If the link does not exist; the message lists the valid names.
+            KeyError: If the link does not exist. The message lists the valid names.
         """
         known = self._facts["frames"].get(name)
         link = known["link"] if known is not None else name
@@ -340,9 +352,10 @@ class PybulletRobotHandle(WorldRobot):
         return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by name in the model, at zero velocity.
+        """Reset the joint positions, with zero velocity.
 
-        The motors hold these positions, and mimic joints are set from their leaders.
+        The positions are those in the scene, unless ``positions`` [rad or m] specifies them by their names in the
+        model. The motors hold these positions, and mimic joints are set from their leaders.
         """
         given = dict(positions or {})
         for joint, follow in self._gripper.follow.items():

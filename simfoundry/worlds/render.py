@@ -1,4 +1,4 @@
-"""Rendering of scene images with MuJoCo's renderer if a GL driver is available, or else with the ray caster."""
+"""Rendering of scene images, which uses MuJoCo's renderer if a GL driver is available and the ray caster otherwise."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _LOG = logging.getLogger(__name__)
 def render(scene: Scene, camera: Camera, state: SceneState | None = None, engine: Engine | str = Engine.AUTO) -> Image:
     """Render ``scene`` in ``state``, or in its initial state by default, with ``camera``.
 
-    All engines use exact intrinsics, including the principal point and fx != fy. For ``auto``, :func:`choose_engine`
-    selects the engine, which is logged.
+    All engines use exact intrinsics, including the principal point and unequal fx and fy. For ``auto``,
+    :func:`choose_engine` selects the engine, which is logged.
 
     Returns:
         An sRGB image, uint8, shape (h, w, 3).

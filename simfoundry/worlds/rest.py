@@ -1,4 +1,4 @@
-"""Rest and stability: simulate until nothing moves, or for a few seconds, and measure each object's motion."""
+"""Tests for rest and stability, which simulate until nothing moves or for a few seconds and measure object motions."""
 
 from __future__ import annotations
 
@@ -36,14 +36,22 @@ FOOT = 0.001
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
-    """Return the objects that support ``name`` from below, through contacts with a normal z of at least ``upward``."""
+    """Return the objects that support ``name`` from below.
+
+    An object counts if one of its contacts with ``name`` has a normal that points up, with a z component of at least
+    ``upward``.
+    """
     below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
     below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
     return tuple(sorted(below))
 
 
 def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
-    """Return an object's center of mass in the world frame [m], shape (3,), at the joint positions in the scene."""
+    """Return an object's center of mass in the world frame, for a given pose and the joint positions in the scene.
+
+    Returns:
+        The center of mass [m], shape (3,).
+    """
     poses = link_poses(item)
     masses = np.array([link.mass for link in item.links])
     centers = np.array([poses[link.name].apply(link.com) for link in item.links])
@@ -51,7 +59,7 @@ def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Return True if the contacts from below surround the center of mass horizontally."""
+    """Return True if the object's contacts from below surround its center of mass horizontally."""
     center = center_of_mass(item, X_WO)
     below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
     offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
@@ -63,7 +71,7 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Return True if an object falls over when released with a slight tilt about either axis, ignoring rolling."""
+    """Return True if an object falls over when released with a slight tilt about either axis. Rolling is ignored."""
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
@@ -106,7 +114,7 @@ STILL_M, STILL_RAD = 1e-4, 1e-3
 
 
 def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
-    """Return the objects whose pose or joints changed between two states, except for balls rotating in place."""
+    """Return the objects whose pose or joints changed between two states, except for balls that rotate in place."""
     poses = before.poses.items()
     moving = {n for n, start in poses if _differ(start, after.poses[n], turns=not is_ball(scene.object(n)))}
     joints = [joint for joint, start in before.joints.items() if abs(after.joints[joint] - start) > STILL_RAD]
@@ -115,7 +123,10 @@ def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
 
 
 def _differ(start: Pose, end: Pose, turns: bool = True) -> bool:
-    """Return True if two poses differ by more than the creep of an object at rest; ``turns`` compares rotations too."""
+    """Return True if two poses differ by more than the creep of an object at rest.
+
+    With ``turns``, rotations count too.
+    """
     return float(np.linalg.norm(end.p - start.p)) > STILL_M or (turns and end.angle_to(start) > STILL_RAD)
 
 
@@ -128,11 +139,11 @@ def run_to_rest(
     watch: Callable[[float, set[str]], object] = lambda elapsed, moving: None,
     halt_s: float | None = None,
 ) -> set[str]:
-    """Simulate until nothing moves over a window, and return the objects that still move at the end.
+    """Simulate until nothing moves within a time window, and return the objects that still move at the end.
 
     Args:
         world: The world to simulate.
-        window_s: The window over which motion is measured [s].
+        window_s: The time window over which motion is measured [s].
         least_s: The minimum simulated time [s].
         most_s: The maximum simulated time [s].
         ignored: A function that returns the objects in a state that are allowed to move.
@@ -176,7 +187,10 @@ def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
 
 @dataclass(frozen=True)
 class ObjectMotion:
-    """The motion of an object from its initial pose: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
+    """The motion of an object from its initial pose.
+
+    It consists of the displacement ``moved`` [m] and the rotation ``turned_deg`` [deg].
+    """
 
     name: str
     moved: float

@@ -1,4 +1,4 @@
-"""Robot joint positions in a state. The joints are those of the canonical model, not those of the engine's model."""
+"""Robot joint positions in a state, which refer to the joints of the canonical model rather than the engine's model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from simfoundry.scene.state import SceneState
 
 
 class Row(NamedTuple):
-    """A linear relation: canonical ``joint`` = ``scale`` * engine joint ``other`` + ``offset`` [rad or m]."""
+    """A linear relation between the positions [rad or m] of a joint in the canonical model and a joint in an engine.
+
+    The position of the canonical ``joint`` is ``scale`` times the position of the engine's joint ``other``, plus
+    ``offset``.
+    """
 
     joint: str
     other: str
@@ -25,7 +29,10 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """Return the rows for MuJoCo's model, which is the canonical model, or nothing if there is no such model."""
+    """Return the rows for MuJoCo's model, which is the canonical model.
+
+    If there is no such model, there are no rows.
+    """
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 
@@ -33,8 +40,8 @@ def mjcf_rows(robot: Robot) -> Rows:
 def urdf_rows(robot: Robot, moving: Iterable[str]) -> Rows:
     """Return the rows for PyBullet's URDF, whose movable joints are ``moving``.
 
-    If the robot has both an MJCF and its own URDF, their arm joints are matched in order, and their gripper joints by
-    how far they are closed.
+    If the robot has both an MJCF and its own URDF, their arm joints are matched in order, and their gripper joints are
+    matched by how far they are closed.
     """
     native, urdf = mujoco_model(robot), robot.best(ModelFormat.URDF)
     if native is None:
@@ -58,7 +65,10 @@ def _names(robot: Robot, native: NativeModel) -> dict[str, str]:
 
 
 def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Row]:
-    """Yield the rows for the gripper joints, matched pairwise or all derived from the other model's first joint."""
+    """Yield the rows for the gripper joints.
+
+    The joints are either matched pairwise or all derived from the other model's first joint.
+    """
     theirs = list(other.joints.items())
     if len(theirs) != len(own.joints):
         theirs = theirs[:1] * len(own.joints)
@@ -88,7 +98,11 @@ def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, fl
 
 
 def check_robots(scene: Scene, rows: Mapping[str, Rows], state: SceneState | None) -> None:
-    """Raise a KeyError if a state contains a robot or a robot joint that is not in the scene."""
+    """Check that a state contains only robots and robot joints that are in the scene.
+
+    Raises:
+        KeyError: If the state contains any other robot or robot joint.
+    """
     for name, joints in state.robots.items() if state is not None else ():
         scene.robot(name)
         known = [row.joint for row in rows.get(name, ())]

@@ -34,7 +34,7 @@ FALLEN = 0.3
 
 @dataclass(frozen=True)
 class SettleOptions:
-    """Settings for the end of each phase and for the evaluation of the result.
+    """Settings that determine when each phase ends and how the result is evaluated.
 
     The quasi-static phase ends when all objects are at rest over ``window_s``, and the dynamic phase ends when they are
     at rest over ``rest_s`` (see :func:`~simfoundry.worlds.rest.restless`). Each phase has a maximum duration. If the
@@ -81,7 +81,11 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class SettleResult:
-    """The poses at rest, the effect of settling on each free object, and the objects that fell off or kept moving."""
+    """The result of settling a scene.
+
+    It contains the poses at rest, the effect of settling on each free object, and the objects that fell off the scene
+    or kept moving.
+    """
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
@@ -148,7 +152,7 @@ def settle(
 
 
 class _Snapshot(NamedTuple):
-    """The state of a world and its contacts at the same time."""
+    """The state of a world and its contacts at one point in time."""
 
     state: SceneState
     contacts: list[Contact]
@@ -186,7 +190,10 @@ def _fallen(world: World, state: SceneState) -> set[str]:
 def _report(
     world: World, item: SceneObject, before: _Snapshot, after: _Snapshot, options: SettleOptions, cause: str | None
 ) -> ObjectSettle:
-    """Return the settling result for one object; ``cause`` is the reason why the object is not at rest, if any."""
+    """Return the settling result for one object.
+
+    ``cause`` is the reason why the object is not at rest, or None if there is no such reason.
+    """
     name = item.name
     start, end = before.state.poses[name], after.state.poses[name]
     drift, tilt = float(np.linalg.norm(end.p - start.p)), rest.tilt_deg(start, end)

@@ -1,10 +1,12 @@
-"""Load this world into Drake: ``load()`` returns a diagram, its plant and the model instances by object name.
+"""Load this world into Drake.
+
+``load()`` returns a diagram, its plant, and the model instances by object name:
 
     diagram, plant, models = load()
     simulator = pydrake.systems.analysis.Simulator(diagram)
 
 Contact friction, gravity, armature and motors are read from ``physics.json``, because URDF cannot represent them. Drake
-uses the harmonic mean of two frictions, and supports neither restitution nor Coulomb friction in joints.
+uses the harmonic mean of two friction coefficients, and supports neither restitution nor Coulomb friction in joints.
 
 Each motor is an actuator with a controller that Drake integrates implicitly. Motor targets are set in the diagram:
 
@@ -41,19 +43,26 @@ from pydrake.systems.primitives import ConstantVectorSource
 HERE = Path(__file__).resolve().parent
 
 LEAST = 1e-9
-"""Minimum stiffness of a controller [N/m or N m/rad]; Drake requires a positive value."""
+"""Minimum stiffness of a controller [N/m or N m/rad], because Drake requires a positive value."""
 
 STILL = 1e-4
-"""Stiction threshold [m/s], below which contacts stick."""
+"""Stiction threshold [m/s]. Contacts with a lower sliding speed stick."""
 
 COMPLIANT = DefaultProximityProperties(
     compliance_type="compliant", hydroelastic_modulus=1e7, resolution_hint=0.01, hunt_crossley_dissipation=50.0
 )
-"""Hydroelastic contacts. With Drake's point contacts, a slab sinks into a table and a box never slips on a slope."""
+"""Settings for hydroelastic contacts.
+
+With Drake's point contacts, a slab sinks into a table and a box never slips on a slope.
+"""
 
 
 def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, ModelInstanceIndex]]:
-    """Load all objects and finalize the plant; return the diagram, the plant and the model instances by object name."""
+    """Load all objects and finalize the plant.
+
+    Returns:
+        The diagram, the plant, and the model instances by object name.
+    """
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     builder = DiagramBuilder()
@@ -87,7 +96,7 @@ def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, Mo
 def set_targets(
     diagram: Diagram, plant: MultibodyPlant, context: Context, model: ModelInstanceIndex, targets: dict[str, float]
 ) -> None:
-    """Set an object's or robot's motor targets [rad or m] by joint name, in the diagram's ``context``."""
+    """Set the motor targets [rad or m] of an object or robot in the diagram's ``context``, by joint name."""
     source = diagram.GetSubsystemByName(source_name(plant, model))
     value = source.get_mutable_source_value(source.GetMyMutableContextFromRoot(context))
     names = actuated(plant, model)
@@ -136,7 +145,10 @@ def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: s
 
 
 def convex(urdf: Path, folder: Path) -> Path:
-    """Copy a URDF to ``folder`` with absolute paths, declaring its collision meshes convex, which they always are."""
+    """Copy a URDF to ``folder`` with absolute paths.
+
+    The collision meshes, which are always convex, are declared as such.
+    """
     tree = ET.parse(urdf)
     for element in (*tree.getroot().iter("mesh"), *tree.getroot().iter("texture")):
         element.set("filename", str(urdf.parent / element.get("filename", "")))
@@ -151,7 +163,7 @@ def load_object(
 ) -> ModelInstanceIndex:
     """Load one object at its pose, with its friction, joint positions and collision filters.
 
-    ``physics`` is None for a robot with its own URDF, which keeps Drake's default surfaces and whose links do not
+    ``physics`` is None for a robot with its own URDF. Such a robot keeps Drake's default surfaces, and its links do not
     collide with each other.
     """
     parser = Parser(plant)
@@ -182,7 +194,7 @@ def load_object(
 
 
 def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
-    """Exclude collisions between the two links in each pair; each link is given by its model and name."""
+    """Exclude collisions between the two links in each pair. A link is given by its model and its name."""
     filtered = CollisionFilterDeclaration()
     for pair in pairs:
         bodies = (plant.GetBodyByName(link, model) for model, link in pair)

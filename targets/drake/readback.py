@@ -1,4 +1,4 @@
-"""Drake read-back of a urdf build, which is loaded by its ``load_drake.py``."""
+"""The Drake session, which reads back a URDF build that its ``load_drake.py`` loaded."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class DrakeSession(rb.Session):
         return rb.Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints and gravity."""
+        """Return the links, the joints and the gravity in the plant."""
         joints = {name: self._joint(joint) for name, joint in self._joints.items()}
         return rb.WorldReadback(
             links={name: self._link(body) for name, body in self._bodies.items()},
@@ -93,7 +93,7 @@ class DrakeSession(rb.Session):
         return scene_graph.model_inspector()
 
     def _joint(self, joint: Any) -> rb.JointReadback:
-        """Return the values of a joint; Drake has no Coulomb friction, and the armature is the loader's rotor inertia.
+        """Return the values of a joint. Drake has no Coulomb friction, and the armature is the loader's rotor inertia.
 
         The target is read at the plant's input, so that an unconnected port is detected.
         """
@@ -128,7 +128,10 @@ class DrakeSession(rb.Session):
         return None
 
     def _target(self, actuator: Any) -> rb.Numbers:
-        """Return a controller's target, or nothing if its port is not connected, which disables the controller."""
+        """Return a controller's target, or nothing if its port is not connected.
+
+        An unconnected port disables the controller.
+        """
         model = actuator.model_instance()
         port = self.plant.get_desired_state_input_port(model)
         if not port.HasValue(self._context):

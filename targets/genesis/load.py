@@ -1,10 +1,12 @@
-"""Load this world into Genesis: ``load()`` returns a built scene and its entities by object name.
+"""Load this world into Genesis.
+
+``load()`` returns a built scene and its entities by object name:
 
     scene, entities = load()
     scene.step()
 
-Poses, frictions, armatures, joint frictions and motors are read from ``poses.json`` and ``physics.json``, because URDF
-cannot represent them. Genesis uses the larger friction of two surfaces. Set motor targets with
+Poses, friction, armatures, joint friction and motors are read from ``poses.json`` and ``physics.json``, because URDF
+cannot represent them. Genesis uses the larger of the friction coefficients of two surfaces. Set motor targets with
 ``entity.control_dofs_position``.
 """
 
@@ -26,12 +28,16 @@ FAR = 1e9
 """The force limit that represents an unlimited motor [N or N m]."""
 
 STIFF = (0.01, 1.0, 0.999, 0.999, 0.001, 0.5, 2.0)
-"""Stiffness of joint constraints, specified like MuJoCo's solref and solimp. With Genesis' default, a drawer held by
-friction creeps at 5 mm/s."""
+"""Stiffness of joint constraints, specified like MuJoCo's solref and solimp.
+
+With Genesis' default, a drawer held by friction creeps at 5 mm/s.
+"""
 
 PAIRS = 4096
-"""Maximum number of candidate pairs of collision shapes. If Genesis' default of 150 is exceeded, objects fall through
-each other."""
+"""Maximum number of candidate pairs of collision shapes.
+
+If Genesis' default of 150 is exceeded, objects fall through each other.
+"""
 
 
 def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP) -> tuple[Any, dict[str, Any]]:
@@ -122,7 +128,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Open the viewer and simulate; without a display, simulate for one second and print a summary."""
+    """Open the viewer and simulate. Without a display, simulate for one second and print a summary."""
     scene, entities = load(show_viewer=has_display())
     steps = 0
     while steps < 500 or (has_display() and scene.viewer.is_alive()):

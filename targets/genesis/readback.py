@@ -1,4 +1,4 @@
-"""Genesis read-back of a urdf build, which is loaded by its ``load_genesis.py``."""
+"""The Genesis session, which reads back a URDF build that its ``load_genesis.py`` loaded."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def open_build(folder: Path, loader: ModuleType) -> rb.Session:
 
 
 class GenesisSession(rb.Session):
-    """A Genesis scene on the CPU, with its entities."""
+    """A Genesis scene on the CPU, along with its entities."""
 
     def __init__(self, scene: Any, entities: dict[str, Any]) -> None:
         self.scene, self.entities = scene, entities
@@ -35,7 +35,7 @@ class GenesisSession(rb.Session):
         }
 
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
         self.scene.step()
 
     def moment(self, time: float) -> rb.Moment:
@@ -44,7 +44,7 @@ class GenesisSession(rb.Session):
         return rb.Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints and gravity."""
+        """Return the links, the joints and the gravity in the scene."""
         links: dict[str, rb.LinkReadback] = {}
         for name, entity in self.entities.items():
             called = {
@@ -111,7 +111,7 @@ def _joint(entity: Any, joint: Any) -> rb.JointReadback:
 
 
 def _collider(geom: Any) -> rb.ColliderReadback:
-    """Return a collision shape; Genesis does not store names, and it converts unsupported shapes to meshes."""
+    """Return a collision shape. Genesis does not store names, and it converts unsupported shapes to meshes."""
     kind, bounds = _shape(geom)
     return rb.ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
 

@@ -1,6 +1,7 @@
-"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` that clones it per environment.
+"""Load this world into Isaac Lab.
 
-Start the app first (``AppLauncher``), then:
+``scene_cfg()`` returns an ``InteractiveSceneCfg`` that clones the world for each environment. Start the app first
+(``AppLauncher``), then:
 
     from load import scene_cfg, simulation_cfg
     simulation = SimulationContext(simulation_cfg())
@@ -8,7 +9,7 @@ Start the app first (``AppLauncher``), then:
     simulation.reset()
     scene["cup"].data.root_pos_w
 
-``python load.py`` does this for one environment; it accepts the arguments of ``AppLauncher``.
+``python load.py`` does this for one environment. It accepts the arguments of ``AppLauncher``.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def description() -> dict[str, Any]:
 
 
 def simulation_cfg(**settings: Any) -> Any:
-    """Return a ``SimulationCfg`` with the scene's gravity; ``settings`` are passed as its other fields."""
+    """Return a ``SimulationCfg`` with the scene's gravity. The ``settings`` are passed as its other fields."""
     import isaaclab.sim as sim_utils
 
     return sim_utils.SimulationCfg(gravity=tuple(description()["gravity"]), **settings)
@@ -39,8 +40,10 @@ def quaternion(wxyz: list[float], identity: tuple[float, ...]) -> tuple[float, .
     """Return a rotation in Isaac Lab's quaternion order, with w first up to version 2, and w last in later versions.
 
     The order is inferred from ``identity``, a default value in Isaac Lab's configuration, because the version of the
-    Python package differs from that of the release (Isaac Lab 2.3 is 0.4x). Raises :class:`ValueError` if the default
-    is not an identity in either order.
+    Python package differs from that of the release (Isaac Lab 2.3 is 0.4x).
+
+    Raises:
+        ValueError: If the default value is not an identity in either order.
     """
     w, x, y, z = wxyz
     if tuple(identity) == (1.0, 0.0, 0.0, 0.0):

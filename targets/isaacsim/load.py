@@ -1,7 +1,8 @@
-"""Load this world into Isaac Sim: ``load()`` opens the stage; ``python load.py`` displays and simulates it.
+"""Load this world into Isaac Sim.
 
-Run this script with Isaac Sim's Python. ``SimulationApp`` must exist before any other Isaac Sim module is imported, so
-start it in your own script before you call ``load()``.
+``load()`` opens the stage, and ``python load.py`` displays and simulates it. Run this script with Isaac Sim's Python.
+``SimulationApp`` must exist before any other Isaac Sim module is imported, so start it in your own script before you
+call ``load()``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ SCENE = Path(__file__).resolve().parent / "scene.usda"
 
 
 def load() -> Any:
-    """Open the stage in the running app and return it; PhysX combines the frictions exactly as the scene defines."""
+    """Open the stage in the running app and return it.
+
+    PhysX combines friction coefficients exactly as the scene defines.
+    """
     import omni.usd
 
     context = omni.usd.get_context()
@@ -30,7 +34,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Simulate until the window is closed; without a display, simulate for one second and print a summary."""
+    """Simulate until the window is closed. Without a display, simulate for one second and print a summary."""
     from isaacsim import SimulationApp
 
     app = SimulationApp({"headless": not has_display()})

@@ -1,4 +1,6 @@
-"""Load this world into ManiSkill: importing this file registers the environment ``SimFoundryScene-v1``.
+"""Load this world into ManiSkill.
+
+Importing this file registers the environment ``SimFoundryScene-v1``:
 
     import gymnasium, load
     env = gymnasium.make("SimFoundryScene-v1", num_envs=16, robot_uids="panda")
@@ -32,7 +34,10 @@ FAR = 3.4e38
 
 @register_env("SimFoundryScene-v1", max_episode_steps=600)
 class SceneEnv(BaseEnv):
-    """The scene without a task, success or reward. Each reset moves the objects to their initial poses."""
+    """An environment with the scene but without a task, success or reward.
+
+    Each reset restores the initial object poses.
+    """
 
     SUPPORTED_REWARD_MODES = ("none",)
 
@@ -98,7 +103,7 @@ class SceneEnv(BaseEnv):
 
 
 def drives_of(name: str) -> dict[str, dict[str, float]]:
-    """Return the motors of an object or a robot by joint name."""
+    """Return the motors of an object or a robot, keyed by joint name."""
     if name in PHYSICS.get("robots", {}):
         motors: dict[str, dict[str, float]] = PHYSICS["robots"][name]["motors"]
         return motors
@@ -113,7 +118,7 @@ def set_surfaces(builder: Any, surfaces: dict[str, dict[str, float]]) -> None:
 
 
 def load(num_envs: int = 1, **settings: Any) -> Any:
-    """Create and reset the environment; ``settings`` are passed to ``gymnasium.make``."""
+    """Create and reset the environment. The ``settings`` are passed to ``gymnasium.make``."""
     env = gymnasium.make("SimFoundryScene-v1", num_envs=num_envs, **settings)
     env.reset(seed=0)
     return env

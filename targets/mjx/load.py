@@ -1,4 +1,6 @@
-"""Load this world into MJX: ``load()`` returns a model and data on a JAX device; ``python load.py`` prints a summary.
+"""Load this world into MJX.
+
+``load()`` returns a model and data on a JAX device, and ``python load.py`` prints a summary:
 
     model, data = load()
     step = jax.jit(mjx.step)
@@ -19,10 +21,12 @@ HERE = Path(__file__).resolve().parent
 
 
 def load() -> tuple[mjx.Model, mjx.Data]:
-    """Return the model, and its data in the scene's initial state."""
+    """Return the model, along with its data in the scene's initial state."""
     model = mujoco.MjModel.from_xml_path(str(HERE / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("initial").id)
+    for start in model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]:  # they start at the pose of the body
+        data.qpos[start : start + 7] = model.qpos0[start : start + 7]
     mujoco.mj_forward(model, data)
     return mjx.put_model(model), mjx.put_data(model, data)
 

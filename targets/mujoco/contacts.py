@@ -1,4 +1,4 @@
-"""Contacts in a MuJoCo model and their frictions, computed with MuJoCo's rules for masks and priorities."""
+"""Contacts in a MuJoCo model and their friction, computed with MuJoCo's rules for masks and priorities."""
 
 from __future__ import annotations
 
@@ -22,14 +22,17 @@ class ContactFriction(NamedTuple):
 
 
 Form = tuple[int, int, int, int, ContactFriction]
-"""A geom's two masks, priority, contact dimensions and friction."""
+"""The two masks, the priority, the contact dimensions and the friction of a geom."""
 
 AMBIGUOUS = ContactFriction(float("inf"), float("inf"), float("inf"))
 """The resistance reported for two colliders if several pairs of their geoms collide, which is an error."""
 
 
 class Meetings:
-    """The collision geoms of a model by body and collider; ``colliders`` lists each collider's geoms and proxies."""
+    """The collision geoms of a model, grouped by body and collider.
+
+    ``colliders`` lists the geoms and the proxies of each collider.
+    """
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -51,7 +54,10 @@ class Meetings:
         self._forms: list[Form] = [(*row, friction) for row, friction in zip(rows, frictions, strict=True)]
 
     def contact(self, a: list[int], b: list[int]) -> ContactFriction | None:
-        """Return the resistance between two colliders, given by their geoms, or None if they never collide."""
+        """Return the resistance between two colliders, or None if they never collide.
+
+        Each collider is given by its geoms.
+        """
         found = [met for one in a for other in b if (met := self._meet(one, other)) is not None]
         return None if not found else found[0] if len(found) == 1 else AMBIGUOUS
 

@@ -1,4 +1,4 @@
-"""MuJoCo read-back of an mjcf build, which is loaded by its own ``load.py``."""
+"""The MuJoCo session, which reads back an MJCF build that its own ``load.py`` loaded."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class MujocoSession(rb.Session):
         self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
 
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
         mujoco.mj_step(self.model, self.data)
 
     def moment(self, time: float) -> rb.Moment:
@@ -52,7 +52,7 @@ class MujocoSession(rb.Session):
         return rb.Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return bodies, joints and pairwise frictions."""
+        """Return the bodies, the joints and the friction of each pair of surfaces."""
         mujoco.mj_forward(self.model, self.data)
         links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
         return rb.WorldReadback(
@@ -71,7 +71,7 @@ class MujocoSession(rb.Session):
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
 
     def _held(self, body: int) -> str:
-        """Return the parent of a body; a child of the world is either welded to it or free."""
+        """Return the parent of a body. A child of the world is either welded to it or free."""
         parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
         if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
             return rb.FREE

@@ -1,4 +1,6 @@
-"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes one step and prints a summary.
+"""Load this world into Newton.
+
+``load()`` returns a model, and ``python load.py`` takes one step and prints a summary:
 
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
@@ -22,7 +24,7 @@ TIMESTEP = 1 / 500
 
 
 def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
-    """Return the model on a Warp device, in the keyframe's state."""
+    """Return the model on a Warp device, in the state of the keyframe."""
     root = ET.parse(scene).getroot()
     builder = newton.ModelBuilder()
     builder.add_mjcf(str(scene))
@@ -49,10 +51,10 @@ def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
         if at + count > len(qpos):
             raise ValueError(f"the keyframe has {len(qpos)} positions, fewer than the model")
         values = np.array(qpos[at : at + count])
-        if kind in (newton.JointType.FREE, newton.JointType.BALL):
-            values[-4:] = values[[-3, -2, -1, -4]]
-        q[start:end] = values
         at += count
+        if kind == newton.JointType.FREE:
+            continue
+        q[start:end] = values[[1, 2, 3, 0]] if kind == newton.JointType.BALL else values
     if at != len(qpos):
         raise ValueError(f"the keyframe has {len(qpos)} positions, but the model has {at}")
     builder.joint_q = q.tolist()

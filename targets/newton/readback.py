@@ -1,4 +1,4 @@
-"""Newton read-back of an mjcf build, which is opened by the loader of the target ``newton``."""
+"""The Newton session for MJCF builds, which opens a build with the loader of the ``newton`` target."""
 
 from __future__ import annotations
 

@@ -14,7 +14,10 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify import readback as rb
 
 NO_LIMIT = 1e9
-"""Joint limits beyond this value mean that the joint has no limits; Newton's importers write such values."""
+"""Threshold for joint limits that Newton's importers write for joints without limits.
+
+A limit beyond this value means that the joint has no limits.
+"""
 
 _Joint, _Geo = newton.JointType, newton.GeoType
 _TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
@@ -25,10 +28,10 @@ _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): 
 class Names(NamedTuple):
     """The mapping from an importer's labels to the links, colliders and joints in the scene.
 
-    ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints added
-    by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping`` contains
-    the damping of each joint without its motor, or is None if Newton stores the damping of motors, the resistance to
-    spinning and rolling, and the restitution in MuJoCo's custom attributes.
+    ``collider`` returns the link and the name of the collider, or None for visuals. ``joint`` returns None for joints
+    added by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping``
+    contains the damping of each joint without its motor, or is None if Newton stores the damping of motors, the
+    resistance to spinning and rolling, and the restitution in MuJoCo's custom attributes.
     """
 
     link: Callable[[str], str]
@@ -58,7 +61,7 @@ class NewtonSession(rb.Session):
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:
-        """Advance by one step; this solver always uses MuJoCo's own contacts."""
+        """Advance the simulation by one step. This solver always uses MuJoCo's own contacts."""
         if self._solver is None:
             self._solver = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True, enable_multiccd=True)
         self._state.clear_forces()
@@ -72,7 +75,7 @@ class NewtonSession(rb.Session):
         return rb.Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return bodies, static links and joints."""
+        """Return the bodies, the static links and the joints."""
         model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
         mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
@@ -98,7 +101,10 @@ class NewtonSession(rb.Session):
         )
 
     def _held(self) -> dict[int, str]:
-        """Return each body's parent, which is given by its first joint; any other joint of the body closes a loop."""
+        """Return the parent of each body, which is given by its first joint.
+
+        Any other joint of the body closes a loop.
+        """
         names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
@@ -108,7 +114,7 @@ class NewtonSession(rb.Session):
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """Return the pairs of bodies whose shapes are all filtered; shapes that belong to the world have no body."""
+        """Return the pairs of bodies whose shapes are all filtered. Shapes that belong to the world have no body."""
         names = {k: name for name, k in self._bodies.items()}
         owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
         links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
@@ -161,7 +167,7 @@ class NewtonSession(rb.Session):
         return rb.shape_bounds(kind, size, X_LG)
 
     def _joint(self, name: str, joint: int) -> rb.JointReadback:
-        """Return the values of a joint; MJCF damping is passive, but USD has a single damping for joint and drive."""
+        """Return the values of a joint. MJCF damping is passive, but USD has a single damping for joint and drive."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
@@ -187,7 +193,7 @@ class NewtonSession(rb.Session):
 
 
 def quiet() -> None:
-    """Silence Warp, which otherwise prints a message for every kernel that is loaded."""
+    """Silence Warp, which would otherwise print a message for every kernel that is loaded."""
     wp.config.quiet = True
 
 

@@ -1,4 +1,6 @@
-"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes one step and prints a summary.
+"""Load this world into Newton.
+
+``load()`` returns a model, and ``python load.py`` takes one step and prints a summary:
 
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
@@ -29,7 +31,7 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
 
 
 def open_stage(scene: Path = SCENE) -> Usd.Stage:
-    """Open the stage with the surfaces' own coefficients in its session layer.
+    """Open the stage, and set the surfaces' own coefficients in its session layer.
 
     The stage contains square roots for PhysX's combine mode, which Newton does not support.
     """
@@ -61,7 +63,7 @@ def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
 
 
 def _turned(own: Usd.Attribute, body: Usd.Relationship, stage: Usd.Stage, cache: UsdGeom.XformCache) -> Gf.Quatd:
-    """Return the world rotation of a joint's frame, as attached to one of its bodies."""
+    """Return the rotation in the world of a joint's frame, as attached to one of its bodies."""
     path = body.GetTargets()
     world = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(path[0])) if path else Gf.Matrix4d(1.0)
     return world.RemoveScaleShear().ExtractRotationQuat() * Gf.Quatd(own.Get())

@@ -1,4 +1,4 @@
-"""Newton read-back of a usd build, which is opened by the loader of the target ``newton_usd``."""
+"""The Newton session for USD builds, which opens a build with the loader of the ``newton_usd`` target."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.verify import readback as rb
 
 _newton = import_file(Path(__file__).parents[1] / "newton" / "session.py")
 _usd = import_file(Path(__file__).parents[1] / "usd" / "readback.py")
-"""The session of the `newton` target, with the stage's names of links and joints."""
+"""The session of the ``newton`` target, with the names of links and joints in the stage."""
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:

@@ -1,9 +1,11 @@
-"""Load this world into OmniGibson: ``load()`` returns an environment whose scene is ``scene.json``.
+"""Load this world into OmniGibson.
+
+``load()`` returns an environment whose scene is ``scene.json``:
 
     env = load()
     env.scene.object_registry("name", "cup")
 
-``scene.json`` references USD files by relative paths, as OmniGibson's tools expect; this loader makes them absolute.
+``scene.json`` references USD files by relative paths, as OmniGibson's tools expect. This loader makes them absolute.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def scene_file(folder: Path) -> Path:
-    """Copy ``scene.json`` to a folder with absolute paths to its files."""
+    """Copy ``scene.json`` to a folder, making the paths to its files absolute."""
     data = json.loads((HERE / "scene.json").read_text(encoding="utf-8"))
     for info in data["objects_info"]["init_info"].values():
         info["args"]["usd_path"] = str(HERE / info["args"]["usd_path"])
@@ -27,7 +29,10 @@ def scene_file(folder: Path) -> Path:
 
 
 def load(robots: tuple[dict[str, Any], ...] = ()) -> Any:
-    """Return the environment with the robots in ``robots``, a tuple of configurations, added to the scene."""
+    """Return the environment, with the robots in ``robots`` added to the scene.
+
+    ``robots`` is a tuple of configurations.
+    """
     import omnigibson as og
 
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:

@@ -1,4 +1,7 @@
-"""Load this world: ``load()`` returns PyBullet body ids by name; ``python load.py`` opens the viewer."""
+"""Load this world into PyBullet.
+
+``load()`` returns PyBullet body ids by name, and ``python load.py`` opens the viewer.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ GEAR_ERP = (
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load all objects and robots into ``client``, by default the open connection or else a new headless connection."""
+    """Load all objects and robots into ``client``.
+
+    The default is the open connection. If there is none, a new headless connection is opened.
+    """
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
@@ -45,7 +51,11 @@ def load(client: int | None = None) -> dict[str, int]:
 
 
 def picture(client: int, camera: str) -> tuple[Any, ...]:
-    """Render a camera with the scene's lights, and return the result of ``getCameraImage``: width, height, rgba, ..."""
+    """Render a camera with the scene's lights.
+
+    Returns:
+        The result of ``getCameraImage``: the width, the height, the RGBA image and so on.
+    """
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     view = world["cameras"][camera]
     size, matrices = (view["width"], view["height"]), (view["view"], view["projection"])
@@ -107,7 +117,10 @@ def load_robot(client: int, item: dict[str, Any]) -> int:
 
 
 def hold(client: int, body: int, index: int, motor: dict[str, float], target: float | None = None) -> None:
-    """Move a joint to the motor's target, or to ``target``, and hold it there with at most the motor's force."""
+    """Move a joint to ``target``, or by default to the motor's target.
+
+    The joint is held there with at most the force of the motor.
+    """
     pybullet.setJointMotorControl2(
         body,
         index,
@@ -120,7 +133,7 @@ def hold(client: int, body: int, index: int, motor: dict[str, float], target: fl
 
 
 def press(client: int, body: int, index: int, motor: dict[str, float], target: float) -> None:
-    """Limit the force of a motor that has a stiffness to that of a spring at the current error.
+    """Limit the force of a motor with a stiffness to that of a spring at the current error.
 
     Call this before every step. Otherwise, a gripper closes with its motor's full force, no matter how small the error.
     """
@@ -152,7 +165,7 @@ def silence(client: int, body_a: int, link_a: int, body_b: int, link_b: int) -> 
 
 
 def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
-    """Set the world pose of the base's link frame; Bullet's own base pose refers to the inertial frame."""
+    """Set the world pose of the base's link frame. Bullet's own base pose refers to the inertial frame."""
     inertial = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3:5]
     w, x, y, z = q_wxyz
     pose = pybullet.multiplyTransforms(p, [x, y, z, w], *inertial)
@@ -176,7 +189,7 @@ def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> N
 
 
 def set_joint(client: int, body: int, index: int, item: dict[str, Any], joint: str) -> None:
-    """Set a joint's position and damping, and use Bullet's default motor to model its Coulomb friction."""
+    """Set a joint's position and damping, and model its Coulomb friction with Bullet's default motor."""
     pybullet.changeDynamics(body, index, jointDamping=item["joint_damping"][joint], physicsClientId=client)
     pybullet.resetJointState(body, index, item["joints"][joint], 0.0, physicsClientId=client)
     pybullet.setJointMotorControl2(
@@ -222,7 +235,10 @@ def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, 
 
 
 def set_drive(client: int, body: int, index: int, drive: dict[str, float], target: float | None = None) -> None:
-    """Pull a joint toward ``target``, by default the drive's target, like a spring and damper with a force limit."""
+    """Pull a joint toward ``target``, which is the drive's target by default.
+
+    The motor acts like a spring and a damper with a force limit.
+    """
     pybullet.setJointMotorControl2(
         body,
         index,
@@ -242,7 +258,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Open the viewer; without a display, print a summary."""
+    """Open the viewer. Without a display, print a summary."""
     client = pybullet.connect(pybullet.GUI if has_display() else pybullet.DIRECT)
     bodies = load(client)
     if not has_display():

@@ -1,4 +1,4 @@
-"""PyBullet read-back of a pybullet build, which is loaded by its own ``load.py``."""
+"""The PyBullet session, which reads back a PyBullet build that its own ``load.py`` loaded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify import readback as rb
 
 BASE = -1
-"""PyBullet's index for the root link; any other link has the index of its parent joint."""
+"""PyBullet's index for the root link. Any other link has the index of its parent joint."""
 
 _NUDGE = 0.005
 """Displacement of joints for detecting their motors [rad or m]."""
@@ -35,7 +35,7 @@ def open_build(folder: Path, loader: ModuleType) -> rb.Session:
 
 
 class PybulletSession(rb.Session):
-    """A PyBullet client with its bodies by object name; ``robots`` names the bodies that are robots."""
+    """A PyBullet client with its bodies by object name. ``robots`` contains the names of bodies that are robots."""
 
     def __init__(self, client: int, bodies: dict[str, int], gravity: tuple[float, ...], robots: list[str]) -> None:
         self.client, self.bodies = client, bodies
@@ -56,7 +56,7 @@ class PybulletSession(rb.Session):
         return getattr(pybullet, function)(*args, physicsClientId=self.client, **options)
 
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
         self._call("stepSimulation")
 
     def moment(self, time: float) -> rb.Moment:
@@ -67,7 +67,10 @@ class PybulletSession(rb.Session):
         return rb.Moment(time, poses, joints)
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints, and the gravity in ``world.json``, because PyBullet does not report gravity."""
+        """Return the links, the joints and the gravity.
+
+        PyBullet does not report gravity, so it is read from ``world.json``.
+        """
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
         return rb.WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
@@ -89,7 +92,7 @@ class PybulletSession(rb.Session):
         self._call("removeState", state)
 
     def _held(self, body: int, index: int) -> str:
-        """Return the parent of a link; a base without mass is static."""
+        """Return the parent of a link. A base without mass is static."""
         if index == BASE:
             return rb.FREE if self._call("getDynamicsInfo", body, BASE)[0] else rb.WORLD
         parent = int(self._call("getJointInfo", body, index)[16])
@@ -108,7 +111,10 @@ class PybulletSession(rb.Session):
         return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
 
     def _link(self, body: int, index: int) -> rb.LinkReadback:
-        """Return the values of a link, without the mass of a root welded to the world, which Bullet does not store."""
+        """Return the values of a link.
+
+        The mass of a root welded to the world is omitted, because Bullet does not store it.
+        """
         info = self._call("getDynamicsInfo", body, index)
         mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
         X_LI = self._inertial(body, index)

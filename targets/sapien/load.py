@@ -1,11 +1,13 @@
-"""Load this world into SAPIEN: ``load()`` returns a scene and its objects by name.
+"""Load this world into SAPIEN.
+
+``load()`` returns a scene and its objects by name:
 
     scene, objects = load()
     scene.step()
 
 An object with joints becomes a ``PhysxArticulation``, and any other object becomes an ``Entity``. Contact materials,
 gravity, armature, motors and joint friction are read from ``physics.json``, because URDF cannot represent them. PhysX
-averages the frictions of two surfaces. Motor targets are initially those in the scene; change them with
+averages the friction coefficients of two surfaces. Motor targets are initially those in the scene. Change them with
 ``joint.set_drive_target``.
 """
 
@@ -26,10 +28,13 @@ from sapien import physx
 HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
-"""Damping [N s/m or N m s/rad] of the drive that models Coulomb friction; its force is limited to the friction."""
+"""Damping [N s/m or N m s/rad] of the drive that models Coulomb friction.
+
+Its force is limited to that of the friction.
+"""
 
 FAR = 3.4e38
-"""The force limit that represents an unlimited motor [N or N m], which is the largest value that PhysX accepts."""
+"""The force limit that represents an unlimited motor [N or N m]. This is the largest value that PhysX accepts."""
 
 TENDON = 1e5
 """Stiffness of the tendon that couples a joint to its leader [N/m or N m/rad]."""
@@ -38,7 +43,7 @@ FIRST, EVERY = 1, 0xFFFFFFFF
 """The collision category of most shapes, and the mask that matches all categories."""
 
 SOFT = 1e3
-"""Tendon stiffness for a joint whose leader is driven by a tendon as well; stiffer chains of tendons oscillate."""
+"""Tendon stiffness for a joint whose leader is driven by a tendon as well. Stiffer chains of tendons oscillate."""
 
 
 class Law(NamedTuple):
@@ -57,7 +62,7 @@ Link: TypeAlias = tuple[str, str]
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
     """Load all objects into ``scene``, which is a new scene on the CPU by default.
 
-    ``visuals`` requires a rendering device; without one, SAPIEN's URDF reader crashes.
+    ``visuals`` requires a rendering device. Without one, SAPIEN's URDF reader crashes.
     """
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     if scene is None:
@@ -76,7 +81,10 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
 
 
 def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
-    """Disable collisions between links of different objects; each link is given by its object and name."""
+    """Disable collisions between links of different objects.
+
+    A link is given by the name of its object and its own name.
+    """
     found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
     for (name, link), (kind, met) in found.items():
         for shape in link_of(world[name], link).collision_shapes:
@@ -87,8 +95,8 @@ def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
 def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
     """Return a collision category and a mask for each link, such that the links of an excluded pair never match.
 
-    Links with the same excluded links share a category; all other links have the first category. PhysX supports only 32
-    categories, so any remaining links keep all of their collisions.
+    Links with the same excluded links share a category, and all other links have the first category. PhysX supports
+    only 32 categories, so any remaining links keep all of their collisions.
     """
     passed: dict[Link, set[Link]] = {}
     for a, b in pairs:
@@ -107,7 +115,7 @@ def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
 
 
 def link_of(thing: Loaded, name: str) -> physx.PhysxRigidBaseComponent:
-    """Return the link of an object with the given name; an object without joints has only one link."""
+    """Return the link of an object with the given name. An object without joints has only one link."""
     if isinstance(thing, physx.PhysxArticulation):
         return thing.find_link_by_name(name)
     return component_of(thing)
@@ -143,8 +151,8 @@ def load_object(
 ) -> Loaded:
     """Load one object at its pose, with its materials, joint positions and collision filters.
 
-    ``physics`` is None for a robot with its own URDF, which keeps SAPIEN's default surfaces and whose links do not
-    collide with each other.
+    ``physics`` is None for a robot with its own URDF. Such a robot keeps SAPIEN's default surfaces, and its links do
+    not collide with each other.
     """
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
@@ -186,7 +194,7 @@ def follow(articulation: physx.PhysxArticulation, laws: dict[str, Law]) -> None:
 
 
 def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
-    """Yield the law of a joint, followed by equivalent laws relative to other joints with the same leader."""
+    """Yield the law of a joint, followed by equivalent laws relative to other joints that have the same leader."""
     own = laws[name]
     yield own
     for other, law in laws.items():

@@ -1,4 +1,4 @@
-"""SAPIEN read-back (PhysX on the CPU) of a urdf build, which is loaded by its ``load_sapien.py``."""
+"""The SAPIEN session (PhysX on the CPU), which reads back a URDF build that its ``load_sapien.py`` loaded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BuildNames(NamedTuple):
 
 
 def _own_damping(files: dict[str, Path]) -> dict[str, float]:
-    """Return the joint damping in the files by ``object.joint``."""
+    """Return the damping of the joints in the files, keyed by ``object.joint``."""
     return {
         f"{name}.{joint.get('name')}": float(dynamics.get("damping", "0"))
         for name, path in files.items()
@@ -81,7 +81,7 @@ class SapienSession(rb.Session):
                 self._links[name] = next(parts)
 
     def step(self) -> None:
-        """Advance by one step."""
+        """Advance the simulation by one step."""
         self.scene.step()
 
     def moment(self, time: float) -> rb.Moment:
@@ -90,7 +90,7 @@ class SapienSession(rb.Session):
                       self._positions())  # fmt: skip
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints and gravity."""
+        """Return the links, the joints and the gravity in the scene."""
         positions = self._positions()
         joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
         return rb.WorldReadback(
@@ -109,7 +109,7 @@ class SapienSession(rb.Session):
         }
 
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> rb.LinkReadback:
-        """Return the values of a link; the mass of a static body is omitted because PhysX does not store it."""
+        """Return the values of a link. The mass of a static body is omitted, because PhysX does not store it."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
@@ -131,7 +131,7 @@ class SapienSession(rb.Session):
         return rb.FREE if hasattr(link, "mass") else rb.WORLD
 
     def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> rb.JointReadback:
-        """Return the values of a joint; the gains of its drive determine if it models a motor, damping or friction."""
+        """Return the values of a joint. The gains of its drive determine if it models a motor, damping or friction."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
         holds = stiffness == 0 and damping == self.told.holds

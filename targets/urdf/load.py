@@ -1,4 +1,6 @@
-"""Load this world: ``load()`` returns the URDF and pose of each object; ``python load.py`` lists them.
+"""Load this world from URDF.
+
+``load()`` returns the URDF and the pose of each object, and ``python load.py`` lists them.
 
 This script has no dependencies. Pass each file to your simulator's URDF reader, with the base fixed or free as listed.
 """
@@ -15,9 +17,14 @@ HERE = Path(__file__).resolve().parent
 
 @dataclass(frozen=True)
 class Placed:
-    """An object: its URDF, a flag for a fixed base, the pose of its root link in the world, and its joint positions.
+    """An object with its URDF and its placement.
 
-    ``p`` is in m, ``q_wxyz`` is a unit quaternion with w first, and ``joints`` contains positions [m or rad] by name.
+    Attributes:
+        urdf: URDF file.
+        fixed: True if the base is fixed.
+        p: Position of the root link in the world [m].
+        q_wxyz: Orientation of the root link in the world, a unit quaternion with w first.
+        joints: Joint positions by name [m or rad].
     """
 
     urdf: Path
@@ -28,7 +35,11 @@ class Placed:
 
 
 def load() -> dict[str, Placed]:
-    """Return all objects by name; raise FileNotFoundError if a file is missing."""
+    """Return all objects by name.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+    """
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     world = {
         name: Placed(HERE / item["urdf"], item["fixed"], tuple(item["p"]), tuple(item["q_wxyz"]), item["joints"])

@@ -1,4 +1,7 @@
-"""Load this world into OpenUSD: ``load()`` opens the stage in Python; ``python load.py`` opens it in a viewer."""
+"""Load this world into OpenUSD.
+
+``load()`` opens the stage in Python, and ``python load.py`` opens it in a viewer.
+"""
 
 import os
 import shutil
@@ -15,8 +18,8 @@ def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage
     """Open the stage.
 
     Contact materials contain square roots for PhysX, which multiplies the values of two surfaces. For a simulator that
-    averages the two values or uses the larger value, request the surfaces' own values, which are set in the session
-    layer, so the files are unchanged.
+    averages the two values or uses the larger value, request the surfaces' own values. They are set in the session
+    layer, so the files remain unchanged.
     """
     stage = Usd.Stage.Open(str(SCENE))
     with Usd.EditContext(stage, stage.GetSessionLayer()):
@@ -32,7 +35,7 @@ def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage
 
 
 def main() -> None:
-    """Open usdview if it is installed and there is a display; otherwise print a summary."""
+    """Open usdview if it is installed and there is a display. Otherwise, print a summary."""
     display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     viewer = shutil.which("usdview")
     if display and viewer:

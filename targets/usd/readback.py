@@ -1,4 +1,4 @@
-"""OpenUSD read-back of a usd build. The build's ``load.py`` opens the stage, which is read without a simulator."""
+"""The OpenUSD session for USD builds. The build's ``load.py`` opens the stage, which is read without a simulator."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class UsdSession(rb.Session):
         return rb.Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints and the physics scene's gravity."""
+        """Return the links, the joints, and the gravity of the physics scene."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
         held = self._held()
@@ -95,7 +95,7 @@ class UsdSession(rb.Session):
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """Return the filtered pairs of links; a static link is represented by its colliders."""
+        """Return the filtered pairs of links. A static link is represented by its colliders."""
         names = {str(prim.GetPath()): name for name, prim in links(self.stage).items()}
         found = set()
         for path, name in names.items():
@@ -148,7 +148,7 @@ class UsdSession(rb.Session):
         )
 
     def _joint(self, name: str, prim: Usd.Prim) -> rb.JointReadback:
-        """Return the values of a joint as authored; the position of a ball joint is computed from the body poses."""
+        """Return the values of a joint as authored. The position of a ball joint is computed from the body poses."""
         if prim.GetTypeName() != "PhysicsSphericalJoint":
             return _joint(name, prim)
         ball = UsdPhysics.SphericalJoint(prim)
@@ -171,7 +171,7 @@ class UsdSession(rb.Session):
 
 
 def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """Return the prims of all links by qualified name; the first link in each object is its root."""
+    """Return the prims of all links, keyed by qualified name. The first link of each object is its root."""
     found = {}
     for item in _items(stage):
         if not item.GetChild("Model"):
@@ -187,12 +187,12 @@ def _items(stage: Usd.Stage) -> list[Usd.Prim]:
 
 
 def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """Return the robots that are references to their own files, whose prims keep their own names."""
+    """Return the robots that are references to their own files. Their prims keep their own names."""
     return {prim.GetName(): prim for prim in _items(stage) if prim.GetChild("Model")}
 
 
 def _own(material: UsdShade.Material, name: str, value: float) -> float:
-    """Return a surface's own coefficient, whose square root is stored for the combine mode ``multiply``."""
+    """Return the coefficient of a surface itself, whose square root is stored for the combine mode ``multiply``."""
     mode = material.GetPrim().GetAttribute(f"physxMaterial:{name}CombineMode").Get()
     return value * value if mode == "multiply" else value
 
@@ -228,7 +228,10 @@ def _joint(name: str, prim: Usd.Prim) -> rb.JointReadback:
 
 
 OWN_DAMPING = "simfoundry:damping"
-"""The attribute with a joint's own damping, excluding its motor; only joints with a motor have this attribute."""
+"""The attribute that stores a joint's own damping, excluding its motor.
+
+Only joints with a motor have this attribute.
+"""
 
 
 def own_damping(joint: Usd.Prim) -> float:

@@ -112,7 +112,7 @@ def test_objects_come_go_and_change_their_names(scene: sf.SceneDocument) -> None
     ("edit", "kind", "said"),
     [
         (lambda s: s.objects["mugg"], sf.UnknownNameError, "has no object `mugg`; did you mean `mug`?"),
-        (lambda s: setattr(s.objects["mug"], "mas", 1), AttributeError, "no `mas`; did you mean `mass`?"),
+        (lambda s: setattr(s.objects["mug"], "mas", 1), AttributeError, "no field `mas`; did you mean `mass`?"),
         (
             lambda s: setattr(s.objects["mug"], "mass", -1),
             sf.SpecError,

@@ -22,7 +22,7 @@ from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.shapes import Cylinder, Mesh, Sphere
 from simfoundry.runtime.plugins import UnknownExtensionError
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Collider, Scene, Visual
+from simfoundry.scene.model import Collider, Drive, Scene, Visual
 from tests.mechanisms import mechanisms, rough
 from tests.scenes import all_scenes, box, cabinet, full_scene, pose, primitives_scene, scene_of, solid, textured_object
 
@@ -246,6 +246,28 @@ def drop_and_rebound(restitution: float) -> float:
         mujoco.mj_step(model, data)
         down, up = min(down, data.qvel[2]), max(up, data.qvel[2])
     return up / -down
+
+
+def test_a_motor_without_stiffness_has_its_target_as_control() -> None:
+    fan = next(item for item in full_scene().objects if item.name == "fan")
+    (spin,) = (joint for joint in fan.joints if joint.name == "spin")
+    driven = dataclasses.replace(spin, drive=Drive(stiffness=0.0, damping=0.002, target=1.0))
+    joints = tuple(driven if joint is spin else joint for joint in fan.joints)
+    model = load(compile_mjcf(scene_of(dataclasses.replace(fan, joints=joints))))
+    assert model.key("initial").ctrl.tolist() == [1.0] and model.actuator_gainprm[0, 0] == 0
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
+@pytest.mark.parametrize("target", ["mjcf", "pybullet"])
+def test_a_time_step_that_is_none_is_refused(target: str, value: float) -> None:
+    with pytest.raises(InvalidSceneError, match="option `timestep` must be a positive number of seconds"):
+        compile_scene(primitives_scene(), target, {"timestep": value})
+
+
+@pytest.mark.parametrize("sides", [2.5, 24.5, 1.0, -3.0, math.inf, math.nan])
+def test_a_prism_has_a_whole_number_of_sides(sides: float) -> None:
+    with pytest.raises(InvalidSceneError, match="option `cylinder_sides` must be a whole number of at least 3, or 0"):
+        compile_mjcf(primitives_scene(), cylinder_sides=sides)
 
 
 def test_losses_name_what_is_approximated() -> None:

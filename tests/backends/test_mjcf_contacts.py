@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -21,11 +22,13 @@ from simfoundry.backends.mjcf.contact_rules import (
     PROXY,
     ContactSurface,
     desired_contact,
-    exact_model,
     solref,
 )
-from simfoundry.backends.mjcf.contacts import object_geoms
+from simfoundry.backends.mjcf.contacts import exact_model, object_geoms
 from simfoundry.backends.names import InvalidSceneError
+from simfoundry.frontends.draft import ImportOptions
+from simfoundry.frontends.mjcf.reader import read_mjcf
+from simfoundry.geometry.shapes import Sphere
 from simfoundry.runtime.files import shipped
 from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.kinematics import excluded_link_pairs
@@ -313,6 +316,190 @@ def test_the_friction_of_one_geom_can_be_edited(desk: Scene, tmp_path: Path) -> 
     line = next(line for line in text.splitlines() if 'name="cup.shape"' in line)
     folder = edited(desk, tmp_path / "build", (line, line.replace("<geom ", '<geom friction="0.1" ')))
     assert friction(loaded(folder), "desk.shape", "cup.shape") == pytest.approx(math.sqrt(0.1 * 0.5))
+
+
+def hulls(name: str, count: int, mu: float, fixed: bool) -> SceneObject:
+    """An object of one friction with so many colliders."""
+    plain = solid(name, box(0.1, 0.1, 0.1), pose(0, 0, -1 if fixed else 1), friction=mu, fixed=fixed)
+    (first,) = plain.root.colliders
+    parts = tuple(replace(first, name=f"part_{k}") for k in range(count))
+    return replace(plain, links=(replace(plain.root, colliders=parts),))
+
+
+def test_a_scene_opens_even_if_each_group_is_too_large_for_the_file(tmp_path: Path) -> None:
+    """A bowl of so many hulls that is fixed: 3,600 pairs, of which none is between moving objects."""
+    artifact = compile_mjcf(scene_of(hulls("rack", 60, 0.2, fixed=True), hulls("cup", 60, 0.8, fixed=False)))
+    artifact.write(tmp_path / "build")
+    assert opened(tmp_path / "build").npair == 0
+    said = (tmp_path / "build/contacts.xml").read_text()
+    (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
+    assert "3600 more pairs of geoms" in said and "3600 pairs of geoms" in loss.reason
+    assert "moving" not in said + loss.reason
+
+
+def test_a_material_may_be_called_like_two_others_in_contact() -> None:
+    table = with_material(solid("table", box(2, 2, 0.1), pose(0, 0, -0.05), friction=0.5, fixed=True), "wood")
+    steel = with_material(solid("a", box(0.1, 0.1, 0.1), pose(0, 0, 0.05), friction=0.8), "steel")
+    both = with_material(solid("b", box(0.1, 0.1, 0.1), pose(0.3, 0, 0.05), friction=0.3), "wood_on_steel")
+    assert load_files(scene_of(table, steel, both)).npair == 3
+
+
+def rewritten(folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(folder / "load.py"), "--contacts"]
+    return subprocess.run(command, check=False, cwd=folder.parent, capture_output=True, text=True)
+
+
+def with_children(desk: Scene, folder: Path, *geoms: str) -> Path:
+    """The desk's build, with elements added by hand to the body of the cup."""
+    text = compile_mjcf(desk).files["scene.xml"].decode()
+    line = next(line for line in text.splitlines() if 'name="cup.shape"' in line)
+    return edited(desk, folder, (line, "\n".join([line, *geoms])))
+
+
+def test_geoms_without_a_name_have_no_pairs_and_are_told(desk: Scene, tmp_path: Path) -> None:
+    nameless = '<geom class="rubber" type="sphere" size="0.02" pos="0 0 0.2" />'
+    folder = with_children(desk, tmp_path / "build", nameless, f'<body pos="0 0 0.4">{nameless}</body>')
+    pairs = opened(folder).npair
+    answer = rewritten(folder)
+    assert answer.returncode == 0 and opened(folder).npair == pairs
+    assert answer.stdout.splitlines()[1] == (
+        "geoms without a name have no pairs; name those in the following bodies: cup, (no name)"
+    )
+    model = loaded(folder)
+    assert model.npair > pairs  # in memory, each has its own
+
+
+def touching(model: mujoco.MjModel, a: str, b: str) -> bool:
+    """Whether two geoms touch where the model puts them."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    met = {frozenset(model.geom(int(g)).name for g in contact.geom) for contact in data.contact}
+    return frozenset((a, b)) in met
+
+
+WELDED = '<body name="handle"><geom name="grip" class="rubber" type="sphere" size="0.05" />{}</body>'
+RING = '<body name="ring"><geom name="hoop" class="wood" type="sphere" size="0.05" /></body>'
+HINGED = WELDED.format('<joint name="turn" /><inertial mass="1" pos="0 0 0" diaginertia="1 1 1" />' + RING)
+
+
+@pytest.mark.parametrize("child", [WELDED.format(""), HINGED], ids=["welded", "hinged"])
+def test_pairs_leave_out_what_mujoco_itself_does_not_collide(desk: Scene, tmp_path: Path, child: str) -> None:
+    folder = with_children(desk, tmp_path / "build", child)
+    text = (folder / "scene.xml").read_text()
+    (folder / "scene.xml").write_text(re.sub("<keyframe>.*</keyframe>", "", text, flags=re.DOTALL))
+    assert rewritten(folder).returncode == 0
+    spec = mujoco.MjSpec.from_file(str(folder / "scene.xml"))
+    rules = import_file(folder / "contact_rules.py")
+    memory = import_file(folder / "load.py").read_scene(rules)
+    rules.make_exact(memory)
+    for model in (spec.compile(), memory.compile()):
+        assert not touching(model, "grip", "cup.shape") and not touching(model, "hoop", "cup.shape")
+        assert not touching(model, "hoop", "grip")
+        assert "grip" in {name for pair in pairs_of(model) for name in pair}
+
+
+@pytest.mark.parametrize("mask", ['contype="2" conaffinity="2"', 'contype="0" conaffinity="0"'])
+def test_pairs_obey_masks_edited_by_hand(desk: Scene, tmp_path: Path, mask: str) -> None:
+    text = compile_mjcf(desk).files["scene.xml"].decode()
+    line = next(line for line in text.splitlines() if 'name="block.shape"' in line)
+    moved = line.replace("<geom ", f'<geom {mask} pos="-0.3 0 0" ')
+    folder = edited(desk, tmp_path / "build", (line, moved))
+    assert rewritten(folder).returncode == 0
+    for model in (loaded(folder), opened(folder)):
+        assert touching(model, "cup.shape", "desk.shape")
+        assert not touching(model, "block.shape", "cup.shape") and not touching(model, "block.shape", "desk.shape")
+
+
+def test_masks_edited_by_hand_outlive_proxies() -> None:
+    files = dict(compile_mjcf(crowd(4, 1)).files)
+    name = b'name="thing_0_0.part_0"'
+    files["scene.xml"] = files["scene.xml"].replace(name, name + b' contype="2" conaffinity="2"')
+    model = exact_model(files)
+    assert (model.geom("thing_0_0.part_0").contype, model.geom("thing_0_0.part_0").conaffinity) == (2, 2)
+    assert not any("thing_0_0.part_0" in pair for pair in pairs_of(model))
+
+
+def test_a_build_may_include_files_and_use_folders_of_its_owner(desk: Scene, tmp_path: Path) -> None:
+    mesh = '<asset><mesh name="mine" file="mine/tetra.obj" /></asset>'
+    geom = '<geom name="mine" type="mesh" mesh="mine" pos="0 0 3" />'
+    folder = edited(desk, tmp_path / "build", ("<worldbody>", f'{mesh}<include file="more.xml" /><worldbody>{geom}'))
+    (folder / "more.xml").write_text('<mujoco><worldbody><body name="extra" /></worldbody></mujoco>')
+    (folder / "assets/mine").mkdir(parents=True)
+    (folder / "assets/mine/tetra.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    for model in (loaded(folder), opened(folder)):
+        assert model.body("extra").name == "extra" and model.nmesh == 1
+    assert rewritten(folder).returncode == 0
+
+
+def test_contacts_are_not_written_into_a_native_build(desk: Scene, tmp_path: Path) -> None:
+    folder = edited(desk, tmp_path / "build", contacts="native")
+    answer = rewritten(folder)
+    assert answer.returncode == 1 and "compile without the option `contacts: native`" in answer.stderr
+    assert not (folder / "contacts.xml").exists()
+    (folder / "contacts.xml").write_text("<mujoco />")  # a file that the scene does not include
+    assert friction(loaded(folder), "desk.shape", "cup.shape") == 0.5
+
+
+def test_a_free_body_starts_where_its_body_was_edited_to_be(desk: Scene, tmp_path: Path) -> None:
+    """Its pose is in the keyframe too, which cannot leave it out."""
+    text = compile_mjcf(desk).files["scene.xml"].decode()
+    line = text[text.index('<body name="block"') :].split("\n")[0]
+    folder = edited(desk, tmp_path / "build", (line, '<body name="block" pos="0.4 0.1 0.05" quat="0 0 0 1">'))
+    data = import_file(folder / "load.py").load()[1]
+    assert data.body("block").xpos.tolist() == [0.4, 0.1, 0.05]
+    assert data.joint("cabinet.slide").qpos[0] == 0.07  # the keyframe still says what joints there are
+    imported = read_mjcf(folder / "scene.xml", ImportOptions())
+    block = next(body for body in imported.bodies if body.name == "block")
+    assert block.X_WO.p.tolist() == [0.4, 0.1, 0.05] and block.X_WO.q.tolist() == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+@pytest.mark.parametrize("restitution", [0.05, 0.5, 0.9])
+def test_the_report_says_how_deep_an_impact_sinks_in(restitution: float, speed: float) -> None:
+    scene = falling(restitution, restitution)
+    (per_speed,) = re.findall(r"sinks in by up to ([0-9.]+) mm", restitution_of(scene, "ball"))
+    depth, _ = impact(load_files(scene), speed)
+    assert 0.8 < 1000 * depth / (float(per_speed) * speed) < 1.05  # at 0.05, the step of 2 ms adds damping
+
+
+def test_native_contacts_say_what_unlike_restitutions_cost() -> None:
+    """MuJoCo averages time constants too: bouncing on something dead is 60 times softer than either."""
+    artifact = compile_mjcf(falling(0.9, 0.0), contacts="native")
+    (loss,) = [loss for loss in artifact.losses if loss.feature == "restitution" and "averages" in loss.reason]
+    assert loss.reason == (
+        "MuJoCo averages the damping of a pair: it rebounds at 0.289 for 0.9 and 0; the scene specifies 0. "
+        "An impact sinks in by up to 84 mm per m/s of its speed."
+    )
+    depth, speed = impact(load(artifact), 0.3)
+    assert depth == pytest.approx(0.3 * 0.084, rel=0.05) and speed / 0.3 == pytest.approx(0.289, abs=0.01)
+    assert loss.size == Size(0.289, "1")
+
+
+def falling(floor: float, ball: float) -> Scene:
+    """A ball that touches a floor, both with a restitution, where nothing is heavy."""
+    scene = scene_of(
+        solid("floor", box(2, 2, 2), pose(0, 0, -1), restitution=floor, fixed=True),
+        solid("ball", Sphere(0.2), pose(0, 0, 0.2), restitution=ball),
+    )
+    return replace(scene, gravity=np.zeros(3))
+
+
+def restitution_of(scene: Scene, name: str) -> str:
+    (reason,) = [s.reason for s in compile_mjcf(scene).losses if (s.feature, s.element) == ("restitution", name)]
+    return reason
+
+
+def impact(model: mujoco.MjModel, speed: float) -> tuple[float, float]:
+    """Return how deep a ball sinks in [m] that meets the floor at a speed [m/s], and the speed with which it leaves."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qvel[2], lowest, fastest = -speed, 0.2, 0.0
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+        lowest, fastest = min(lowest, data.qpos[2]), max(fastest, data.qvel[2])
+    return 0.2 - lowest, fastest
 
 
 def test_the_contacts_of_a_robot_stay_as_mujoco_makes_them() -> None:

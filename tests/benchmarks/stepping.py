@@ -33,8 +33,8 @@ import mujoco
 
 from simfoundry.assets.cache import Cache
 from simfoundry.backends import compile_scene
-from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, EMPTY, desired_contact, exact_model, is_native
-from simfoundry.backends.mjcf.contacts import contact_geoms, surface_attributes
+from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, EMPTY, desired_contact, is_native
+from simfoundry.backends.mjcf.contacts import contact_geoms, exact_model, surface_attributes
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from tests.benchmarks import reference

@@ -16,6 +16,7 @@ from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from tests.corpora.roundtrip import MAINS, trip_by_scene
+from tests.mechanisms import mechanisms
 from tests.scenes_apart import apart
 from tests.specs.documents import SPECS
 from tests.targets.everything import LIGHTS, write_everything
@@ -36,6 +37,14 @@ def test_mjcf_gives_everything_back_but_the_other_variants(everything: Scene, tm
     said, unsaid = trip_by_scene(everything, "mjcf", tmp_path)
     assert not unsaid
     assert [d.path for d in said] == ["cup.variants"]
+
+
+def test_a_motor_that_only_damps_comes_back_from_mjcf(tmp_path: Path) -> None:
+    compile_scene(mechanisms(), "mjcf").write(tmp_path / "build")
+    report = import_file(tmp_path / "build/scene.xml", tmp_path / "back.scene.yaml")
+    assert not [note for note in report.notes if "actuator" in note.what]
+    hinge = next(j for j in lower_file(tmp_path / "back.scene.yaml").object("pot").joints if j.name == "hinge")
+    assert hinge.drive is not None and (hinge.drive.stiffness, hinge.drive.damping) == (0.0, 0.05)
 
 
 def test_urdf_gives_everything_back_that_it_can_hold(everything: Scene, tmp_path: Path) -> None:

@@ -262,7 +262,7 @@ def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(OWN_ROBOTS, str(tmp_path / "nowhere"))
-    with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS names .*nowhere, which does not exist"):
+    with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS is set to .*nowhere, but this folder does not exist"):
         lower_file(WITH_ROBOTS[0])
 
 

@@ -113,10 +113,10 @@ def test_a_stage_refers_to_a_robot_s_own_usd(robot_data: Path, tmp_path: Path) -
     assert [p.GetName() for p in cameras] == ["palm"]
     assert cameras[0].GetParent().GetName() == "base"
     reasons = {loss.path: loss.reason for loss in compile_scene(scene, "usd").losses}
-    assert reasons["hand"].startswith("Its file refers to 14 layers that do not exist, such as base.usd.")
+    assert reasons["hand"].startswith("The robot's file refers to 14 layers that do not exist, such as base.usd.")
     for target in ("mjcf", "urdf", "pybullet"):
         reasons = {loss.path: loss.reason for loss in compile_scene(scene, target).losses}
-        assert "It has no MJCF or URDF model" in reasons["hand"], target
+        assert "The robot has no MJCF or URDF model" in reasons["hand"], target
 
 
 @pytest.mark.parametrize(

@@ -88,10 +88,10 @@ def test_a_crash_is_told_with_what_was_done(worker: Worker) -> None:
 
 def test_a_hang_is_ended(worker: Worker) -> None:
     before = worker.call(f"{HERE}:pid")
-    worker.limits = Limits(5.0, worker.limits.memory)
+    worker.limits = Limits(2.0, worker.limits.memory)
     with pytest.raises(WorkerError) as error:
         worker.call(f"{HERE}:hang")
-    assert error.value.how == "did not respond for 5 s" and error.value.doing == "a long step"
+    assert error.value.how == "did not respond for 2 s" and error.value.doing == "a long step"
     assert not Path(f"/proc/{before}").exists()
 
 

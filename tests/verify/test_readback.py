@@ -106,7 +106,7 @@ def slippery(folder: Path) -> None:
 
 
 def native_contacts(folder: Path) -> None:
-    (folder / "contacts.xml").unlink()
+    replaced(folder / "scene.xml", '<include file="contacts.xml" />', "")
 
 
 def renamed(folder: Path) -> None:

@@ -1,10 +1,10 @@
-"""MJCF backend for MuJoCo, which writes ``scene.xml`` with its contact pairs, assets and loader.
+"""The MJCF backend for MuJoCo, which writes ``scene.xml`` with its contact pairs, assets and loader.
 
 Naming: the body of a root link is named after the object, and any other body is named ``object.link``. The free joint
 of a root is named after the object, and any other joint is named ``object.joint``. Collision geoms are named
 ``object.collider`` or ``object.link.collider``. Visual geoms are named ``object:visual``, or ``:background:visual`` in
 the background. A primitive that is both visual and collider becomes one geom with the collider's name. Visual geoms are
-in group 2; colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
+in group 2. Colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
 geom that uses it, for example ``bowl_collision_3``.
 
 Settings shared by all scenes are in ``settings.xml``. Each material becomes a default class;
@@ -12,12 +12,14 @@ Settings shared by all scenes are in ``settings.xml``. Each material becomes a d
 Links connected by a joint do not collide: for example, a joint rather than contacts keeps a drawer in its cabinet.
 
 The initial state is stored in the ``initial`` keyframe. Without this keyframe, free bodies are at their initial poses,
-but joints are at zero. The ``ref`` attribute could also specify an initial joint position, but it has three drawbacks:
-ball joints do not support it, some readers measure joint coordinates relative to it (Newton uses ``qpos - ref``), and
-anyone editing a position by hand would have to change the body pose, ``ref`` and the keyframe together.
+but joints are at zero. A keyframe must also contain the poses of free bodies; the loader and the importer use the poses
+of the bodies instead, so that manual changes to them take effect. The ``ref`` attribute could also specify an initial
+joint position, but it has three drawbacks: ball joints do not support it, some readers measure joint coordinates
+relative to it (Newton uses ``qpos - ref``), and anyone editing a position by hand would have to change the body pose,
+``ref`` and the keyframe together.
 
-A robot keeps its own MJCF model, placed below a body named after the robot. All of its names are prefixed with that
-name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
+A robot keeps its own MJCF model, placed below a body named after the robot. All names in the model are prefixed with
+the robot's name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
-from simfoundry.backends.names import InvalidSceneError, check_names
+from simfoundry.backends.names import InvalidSceneError, check_names, check_timestep
 from simfoundry.backends.robot_models.robot_object import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
@@ -64,16 +66,20 @@ def compile_mjcf(
     Args:
         scene: The lowered scene.
         timestep: The simulation time step [s].
-        cylinder_sides: If this number is at least three, cylinders collide as prisms with this many sides, for readers
-            that do not support cylinder collisions.
+        cylinder_sides: If this whole number is not zero, cylinders collide as prisms with this many sides (at least
+            three), for readers that do not support cylinder collisions.
         contacts: `exact` to write contact pairs, or `native` to omit them, in which case MuJoCo uses the larger of the
             two friction coefficients.
 
     Raises:
-        InvalidSceneError: If a name or the contact mode is invalid.
+        InvalidSceneError: If a name or an option is invalid.
     """
     if contacts not in (EXACT, NATIVE):
         raise InvalidSceneError(f"option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
+    if cylinder_sides and (cylinder_sides < 3 or cylinder_sides % 1):
+        message = f"option `cylinder_sides` must be a whole number of at least 3, or 0, not `{cylinder_sides:g}`"
+        raise InvalidSceneError(message)
+    check_timestep(timestep)
     check_names(scene)
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []
@@ -129,7 +135,7 @@ def compile_mjcf(
 
 
 def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses) -> ET.Element:
-    """Return the root of an MJCF file with its compiler settings, solver settings and default classes."""
+    """Return the root of an MJCF file that contains compiler settings, solver settings and default classes."""
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     root = ET.fromstring(_SETTINGS.read_text(encoding="utf-8").replace("SCENE", scene.name), comments)
     settings = {element.tag: element for element in root}
@@ -151,6 +157,7 @@ def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialC
 def _add_keyframe(root: ET.Element, qpos: list[float], ctrl: list[float]) -> None:
     """Add the initial state of all joints and actuators as a keyframe."""
     root.append(ET.Comment("The initial state. Without this keyframe, all joints start at zero."))
+    root.append(ET.Comment("load.py places free bodies at the pose of their body element instead of the pose here."))
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", {"name": "initial"} | state)
 

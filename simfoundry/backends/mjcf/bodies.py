@@ -24,9 +24,9 @@ _JOINT_TYPES = {
 
 
 def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> Iterator[float]:
-    """Add an object's bodies to the world, and yield its initial ``qpos`` in MuJoCo's depth-first order.
+    """Add an object's bodies to the world, and yield their initial ``qpos`` in MuJoCo's depth-first order.
 
-    Each tree of links is a child of the world body, the only place where MuJoCo allows free joints.
+    Each tree of links is a child of the world body, because MuJoCo allows free joints only there.
     """
     links = {link.name: link for link in item.links}
 
@@ -49,14 +49,14 @@ def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: 
 
 
 def add_background(world: ET.Element, background: Background, assets: Assets) -> None:
-    """Add the background as visual geoms without collisions."""
+    """Add the background as visual geoms that do not collide."""
     for visual in background.visuals:
         posed = replace(visual, X_LG=background.X_WB @ visual.X_LG)
         _add_visual(world, f":background:{visual.name}", posed, assets)
 
 
 def free_joint_name(tree: Tree) -> str:
-    """Return the name of the free joint at the root of a tree: the object's name or ``object.joint``."""
+    """Return the name of the free joint at the root of a tree, which is the object's name or ``object.joint``."""
     return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
 
 
@@ -89,7 +89,7 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
 
 
 def _fill_body(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """Add the mass properties and geoms of a link.
+    """Add the mass properties and geoms of a link to its body.
 
     A primitive that is both visual and collider becomes one geom in the visual group.
     """
@@ -114,7 +114,10 @@ def _placed_shape(part: Visual | Collider, assets: Assets, name: str) -> dict[st
 
 
 def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False) -> dict[str, str]:
-    """Return the type and size attributes of a geom; a new mesh asset is named after ``name``."""
+    """Return the type and size attributes of a geom.
+
+    If the geom needs a new mesh asset, the asset is named after ``name``.
+    """
     match geometry:
         case Box(size=size):
             return {"type": "box", "size": numbers(size / 2)}
@@ -142,7 +145,7 @@ def _turn(q: Array) -> dict[str, str]:
 
 
 class Assets:
-    """The ``<asset>`` element under construction, and the files that it refers to, keyed by file name."""
+    """The ``<asset>`` element under construction, along with the files that it refers to, keyed by file name."""
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
@@ -152,7 +155,7 @@ class Assets:
         self._taken: set[str] = set()
 
     def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
-        """Return the asset name for ``mesh``; a new asset is named after ``wish``."""
+        """Return the name of the asset for ``mesh``. A new asset is named after ``wish``."""
         key = (mesh.digest, collides)
         if key not in self._names:
             name = self._names[key] = self._new_name(wish, numbered=collides)
@@ -191,7 +194,7 @@ _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
 
 
 def add_mimics(root: ET.Element, scene: Scene) -> None:
-    """Add ``<equality>`` with one entry named ``object.joint`` per mimic joint.
+    """Add an ``<equality>`` element with one entry named ``object.joint`` per mimic joint.
 
     MuJoCo applies the polynomial to deviations from the model's reference configuration, in which all joints are at
     zero.
@@ -207,7 +210,7 @@ def add_mimics(root: ET.Element, scene: Scene) -> None:
 
 
 def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
-    """Add ``<actuator>`` with one entry named ``object.joint`` per drive, and return the initial ``ctrl``.
+    """Add an ``<actuator>`` element with one entry named ``object.joint`` per drive, and return the initial ``ctrl``.
 
     The control is the drive target, clipped to the joint limits. The stiffness is limited to values that are stable at
     a time step of ``timestep`` [s].
@@ -218,7 +221,7 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
         for joint in (joint for joint in item.joints if joint.name in drives):
             name, drive = f"{item.name}.{joint.name}", drives[joint.name]
             ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
-            ctrl.append(drive.target if drive.stiffness else 0.0)
+            ctrl.append(drive.target)
     if ctrl:
         root.append(actuator)
     return ctrl

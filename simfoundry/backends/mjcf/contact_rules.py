@@ -19,10 +19,10 @@ Contacts with geoms that do not belong to the scene, such as robot geoms, still 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations, product
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -66,17 +66,19 @@ class ContactSurface(NamedTuple):
 
 
 class ContactGeom(NamedTuple):
-    """A collision geom with its name, body, static flag, surface and material class."""
+    """A collision geom with its name, body, static flag, surface, material class and contact masks."""
 
     name: str
     body: str
     static: bool
     surface: ContactSurface
     material: str
+    contype: int = 1
+    conaffinity: int = 1
 
 
 class UnlikeGroup(NamedTuple):
-    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. Any static geoms are in ``one``."""
+    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. If one group is static, it is ``one``."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -172,7 +174,8 @@ def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurfac
 def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[ContactGeom, ContactGeom]]:
     """Yield the pairs of geoms in a group that can collide."""
     for one, other in product(group.one, group.other):
-        if one.body != other.body and (not excluded or frozenset((one.body, other.body)) not in excluded):
+        masked = not (one.contype & other.conaffinity or other.contype & one.conaffinity)
+        if not masked and one.body != other.body and frozenset((one.body, other.body)) not in excluded:
             yield one, other
 
 
@@ -187,13 +190,15 @@ def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], lis
 
 
 def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
-    """Return the text of :data:`CONTACTS_FILE`, with one class per type of contact and its pairs."""
+    """Return the text of :data:`CONTACTS_FILE`, in which each type of contact has a class with its pairs."""
     kept, left = written_groups(geoms)
-    classes, lines, names = list[str](), list[str](), set[str]()
+    classes, lines, names = list[str](), list[str](), Counter[str]()
     for group in kept:
         pairs = list(group_pairs(group, excluded))
         if pairs:
-            name = _unused_name(f"{group.one[0].material}_on_{group.other[0].material}", names)
+            name = f"{group.one[0].material}:{group.other[0].material}"  # no class in scene.xml contains a colon
+            names[name] += 1
+            name += f":{names[name]}" if names[name] > 1 else ""
             pair = f"      <pair {_attributes(group.contact)} />"
             classes += [f'    <default class="{name}">', pair, "    </default>"]
             lines += [f'    <pair class="{name}" geom1="{a.name}" geom2="{b.name}" />' for a, b in pairs]
@@ -201,25 +206,17 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
         return EMPTY
     about = [
         "Contacts between different materials, with the geometric mean of both frictions instead of the larger one.",
-        "Generated from scene.xml; after you edit a friction there, run load.py with its option `contacts`.",
+        "Generated from scene.xml; after you edit a friction there, run load.py with its `contacts` option.",
     ]
     if left:
         count = sum(len(group.one) * len(group.other) for group in left)
-        about += [f"{count} more pairs between moving objects are too many for a file; load.py adds them in memory."]
-    body = ["  <default>", *classes, "  </default>", "  <contact>", *lines, "  </contact>"] if lines else []
+        about += [f"{count} more pairs of geoms are too many for a file; load.py makes their contacts exact in memory."]
+    body = ["  <default>", *classes, "  </default>", "  <contact>", *lines, "  </contact>"]
     return "\n".join(["<mujoco>", *(f"  <!-- {line} -->" for line in about), *body, "</mujoco>", ""])
 
 
-def _unused_name(wish: str, taken: set[str]) -> str:
-    name, k = wish, 2
-    while name in taken:
-        name, k = f"{wish}_{k}", k + 1
-    taken.add(name)
-    return name
-
-
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return the ``condim``, ``friction`` and ``solref`` of a pair; pairs do not inherit values from their geoms."""
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair, which are not inherited from its geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -232,28 +229,11 @@ def _attributes(surface: ContactSurface) -> str:
     return text if damping is None else f'{text} solref="{" ".join(map(format_number, damping))}"'
 
 
-def read_scene(folder: Path) -> mujoco.MjSpec:
-    """Read the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
-    assets = {path.name: path.read_bytes() for path in (folder / "assets").glob("*")}
-    return _specification((folder / "scene.xml").read_bytes(), assets)
-
-
-def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
-    """Compile the files of a build into a model with exact contacts, as the build's `load()` does."""
-    assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
-    spec = _specification(files["scene.xml"], assets)
-    make_exact(spec)
-    return spec.compile()
-
-
-def _specification(text: bytes, assets: Mapping[str, bytes]) -> mujoco.MjSpec:
-    import mujoco
-
-    return mujoco.MjSpec.from_string(text.decode(), include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
-
-
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
-    """Return the scene's collision geoms, their counterparts in the specification by name, and the robots' geoms."""
+    """Return the collision geoms of the scene, their counterparts in the specification, and the geoms of the robots.
+
+    The counterparts are keyed by name. Geoms and bodies without a name get one that contains :data:`PROXY`.
+    """
     robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
     ours: list[ContactGeom] = []
     by_name: dict[str, mujoco.MjsGeom] = {}
@@ -267,9 +247,10 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
             if foreign_body:
                 foreign.append(geom)
                 continue
-            if not geom.name:  # masks and pairs refer to geoms by name
-                geom.name = f"{body.name}{PROXY}_of_{len(by_name)}"
-            ours.append(ContactGeom(geom.name, body.name, static, _surface(geom), geom.classname.name))
+            body.name = body.name or f"{PROXY}_of_{len(by_name)}"  # masks and pairs refer to bodies and geoms by name
+            geom.name = geom.name or f"{body.name}{PROXY}_of_{len(by_name)}"
+            kind, masks = geom.classname.name, (geom.contype, geom.conaffinity)
+            ours.append(ContactGeom(geom.name, body.name, static, _surface(geom), kind, *masks))
             by_name[geom.name] = geom
         pending += [(b, static and not b.joints, foreign_body or b.name in robots) for b in reversed(body.bodies)]
     return ours, by_name, foreign
@@ -283,8 +264,24 @@ def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
 
 
 def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
-    """Return the pairs of bodies whose contacts are excluded in a specification."""
-    return frozenset(frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes)
+    """Return the pairs of bodies that MuJoCo does not collide.
+
+    These pairs are excluded, welded together, or connected by a joint, unless one of them is static. MuJoCo does not
+    apply these rules to explicit contact pairs.
+    """
+    static, welded = list[str](), list[tuple[list[str], list[str]]]()
+    pending = [(body, static, static) for body in spec.worldbody.bodies]
+    while pending:
+        body, group, above = pending.pop()
+        if body.joints:
+            group, above = [], group
+            welded.append((group, above))
+        if group is not static:
+            group.append(body.name)
+        pending += [(child, group, above) for child in body.bodies]
+    pairs = [(pair.bodyname1, pair.bodyname2) for pair in spec.excludes]
+    pairs += [pair for group, above in welded for pair in product(group, group + above)]
+    return frozenset(map(frozenset, pairs))
 
 
 def make_exact(spec: mujoco.MjSpec) -> None:
@@ -295,7 +292,9 @@ def make_exact(spec: mujoco.MjSpec) -> None:
     geoms, by_name, foreign = read_geoms(spec)
     excluded = excluded_bodies(spec)
     moving = sorted(by_surface(geoms, static=False).items(), key=lambda entry: -len(entry[1]))
-    bit_of = dict(zip((surface for surface, _ in moving), _free_bits(foreign), strict=False))
+    edited = any((geom.contype, geom.conaffinity) != (1, 1) for geom in geoms)  # proxies would overwrite these masks
+    bits = [] if edited else _free_bits(foreign)
+    bit_of = dict(zip((surface for surface, _ in moving), bits, strict=False))
     proxied: list[UnlikeGroup] = []
     for group in unlike_groups(geoms):
         if _needs_proxies(group, bit_of):
@@ -309,7 +308,10 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits unused by robots, or none if a robot geom would not collide with the first bit alone."""
+    """Return the mask bits that robots do not use.
+
+    No bits are returned if a robot geom would not collide with the first bit alone.
+    """
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -372,7 +374,7 @@ def _add_proxies(
 
 
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
-    """Add a proxy with the shape of ``geom``; the proxy's values take priority in all of its contacts."""
+    """Add a proxy with the shape of ``geom``, whose values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     values = {"condim": dimensions, "friction": [mu, spinning, rolling], "solref": [*solref(contact.restitution)]}
     values |= {"contype": mask, "conaffinity": 0, "priority": 1, "group": 4}

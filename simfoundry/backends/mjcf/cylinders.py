@@ -49,5 +49,7 @@ def prism_losses(scene: Scene, sides: int) -> Iterator[Loss]:
         radii = [c.geometry.radius for k in item.links for c in k.colliders if isinstance(c.geometry, Cylinder)]
         if radii:
             off = share * max(radii) * 1000
-            reason = f"It collides as a {sides}-sided prism of equal volume, up to {off:.2g} mm away from its surface."
+            reason = (
+                f"Cylinders collide as {sides}-sided prisms of equal volume, up to {off:.2g} mm away from the surface."
+            )
             yield approximate("cylinder", item.name, reason, off, "mm")

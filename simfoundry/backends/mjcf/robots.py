@@ -1,7 +1,7 @@
 """Robots and mounted cameras in MJCF. Each robot's own model is placed below a body named after the robot.
 
-The scene's options override the options in the robot's file. Robot contacts use the values in the robot's file, except
-for the stiffness of the finger contacts.
+The scene's options override those in the robot's file. Robot contacts use the values in the robot's file, except that
+the finger contacts are stiffer.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
-    """Add each mounted camera to the body of its link, unless its robot was not written."""
+    """Add each mounted camera to the body of its link, except cameras on robots that were not written."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
         robot, camera, name = robots.get(mounted.carrier), mounted.camera, mounted.carrier
@@ -149,12 +149,12 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
     """Yield a robot's losses in MuJoCo for a time step of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "It has no MJCF; MuJoCo reads its URDF and uses the convex hulls of its meshes as colliders."
+        reason = "The robot has no MJCF, so MuJoCo reads its URDF and uses the convex hulls of the meshes as colliders."
         yield approximate("robots", robot.name, reason)
     if read.servos:
-        reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
+        reason = "The model has no actuators, so a stiff, critically damped position servo is added to each joint."
         yield approximate("robot_motors", robot.name, reason)
-    reason = "It uses the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
+    reason = "The robot keeps the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
         firm = 1000 * _FIRM * timestep

@@ -38,7 +38,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
 
 
 def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
-    """Add the lights that have a position or direction, with diffuse shading only and without attenuation."""
+    """Add the lights that have a position or a direction. They use only diffuse shading, without attenuation."""
     for light in lights:
         if light.type is LightType.DOME:
             continue
@@ -53,7 +53,10 @@ def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
 
 
 def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
-    """Return the attributes of MuJoCo's headlight, the sum of all dome lights, or None if the scene has no lights."""
+    """Return the attributes of MuJoCo's headlight, or None if the scene has no lights.
+
+    The headlight represents the sum of all dome lights.
+    """
     if not lights:
         return None
     domes: list[Array] = [light.intensity * light.rgb for light in lights if light.type is LightType.DOME]
@@ -62,7 +65,7 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss per dome light."""
-    reason = "MuJoCo has no dome lights; its color illuminates all surfaces equally, without shading."
+    reason = "MuJoCo has no dome lights; the light's color illuminates all surfaces equally, without shading."
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)
 
 
@@ -71,7 +74,10 @@ MARK = "simfoundry:scene"
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:
-    """Add a ``<custom>`` element with categories, labels, stated relations, and names that MJCF cannot represent."""
+    """Add a ``<custom>`` element.
+
+    The element contains the categories, the labels, the stated relations, and names that MJCF cannot represent.
+    """
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
     for item in scene.objects:

@@ -1,4 +1,4 @@
-"""PyBullet backend, which writes URDFs, a loader, and ``world.json`` with the data that URDF cannot represent.
+"""The PyBullet backend, which writes URDFs, a loader, and ``world.json`` with the data that URDF cannot represent.
 
 ``world.json`` contains the surfaces and joint motions of the objects, the motors and frames of the robots, and the
 ``getCameraImage`` arguments for each camera.
@@ -18,7 +18,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
 from simfoundry.backends.features import Loss, approximate, drop
-from simfoundry.backends.names import check_names
+from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
 from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light
 from simfoundry.backends.robot_models.robot_object import RobotUrdf, Write, robot_urdf, without_model
@@ -42,8 +42,8 @@ BACKGROUND = "_background.urdf"
 GRASP_ITERATIONS = 200
 
 _GRIPS = {
-    False: "It uses the friction in its file, which Bullet multiplies by the square root of the scene's.",
-    True: "It grips as in MuJoCo, which uses the larger friction; for unequal scene frictions, this is approximate.",
+    False: "Bullet multiplies the friction in the robot's file by the square root of the scene's friction.",
+    True: "The robot grips as in MuJoCo, which uses the larger friction; with unequal frictions, this is approximate.",
 }
 # The reasons for the losses of robot surfaces and motors; the key is true if the robot was converted from its MJCF.
 _MOTORS = {
@@ -59,7 +59,12 @@ _LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
-    """Compile a scene for PyBullet with a time step of ``timestep`` [s]; raise InvalidSceneError for invalid names."""
+    """Compile a scene for PyBullet with a time step of ``timestep`` [s].
+
+    Raises:
+        InvalidSceneError: If a name or the time step is invalid.
+    """
+    check_timestep(timestep)
     check_names(scene)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
@@ -121,7 +126,7 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
-    """Return the robots in a scene as URDFs, keyed by name, and the losses of robots and mounted cameras."""
+    """Return the robots in a scene as URDFs, keyed by name, and the losses of the robots and mounted cameras."""
     robots, losses = {}, []
     for robot in scene.robots:
         found = robot_urdf(robot, write)
@@ -133,7 +138,7 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
         losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
     for mounted in scene.mounted:
-        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
+        reason = f"The camera is mounted on `{mounted.carrier}`, but cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
     return robots, losses
 
@@ -161,12 +166,13 @@ def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, ob
 
 
 def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
-    """Return the gains of a servo for Bullet's motors, which are velocity constraints, or nothing if they are unknown.
+    """Return the gains of a servo for Bullet's motors, or nothing if they are unknown.
 
-    A spring and damper move a light joint at a velocity of ``stiffness * error / damping``. Bullet's motor moves the
-    joint by ``gain * error`` per step of ``timestep`` [s], using as much force as necessary. The loader's ``press``
-    function limits the force of gripper joints based on their stiffness, so the stiffness is included for them. For arm
-    joints, which do not sag, this limit would only cause oscillations.
+    Bullet's motors are velocity constraints. A spring and damper move a light joint at a velocity of ``stiffness *
+    error / damping``, whereas Bullet's motor moves the joint by ``gain * error`` per step of ``timestep`` [s], using as
+    much force as necessary. The loader's ``press`` function limits the force of gripper joints based on their
+    stiffness, so the stiffness is included for them. For arm joints, which do not sag, this limit would only cause
+    oscillations.
     """
     if joint not in robot.servos:
         return {}
@@ -180,9 +186,9 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
     Most of a finger's inertia comes from its geared motor: up to a thousand times the inertia of its links. Bullet
     resolves contacts with a few dozen impulses per step, each proportional to the affected inertia. Without rotors, a
-    finger with 1e-5 kg m^2 would therefore press with only a hundredth of its motor's force. Each rotor is modeled as a
-    thin disk with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia
-    as zero.
+    finger with an inertia of 1e-5 kg m^2 would therefore press with only a hundredth of its motor's force. Each rotor
+    is modeled as a thin disk with half of its inertia about the transverse axes, because Bullet treats a physically
+    impossible inertia as zero.
     """
     links = {link.name: link for link in item.links}
     for joint in item.joints:
@@ -194,14 +200,18 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
-    """Return a camera's image size, view matrix and projection matrix; matrices are column-major, as in OpenGL."""
+    """Return a camera's image size, view matrix and projection matrix. As in OpenGL, the matrices are column-major."""
     view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.X_WC.inverse().matrix
     matrices = {"view": rounded_list(view.T), "projection": rounded_list(projection_matrix(camera).T)}
     return {"width": camera.width, "height": camera.height, **matrices}
 
 
 def projection_matrix(camera: Camera) -> Array:
-    """Return a pinhole camera's OpenGL projection matrix, shape (4, 4); the first pixel's center is (0, 0)."""
+    """Return the OpenGL projection matrix of a pinhole camera whose first pixel has its center at (0, 0).
+
+    Returns:
+        Projection matrix, shape (4, 4).
+    """
     left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
     top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
     matrix = np.diag([2 / (right - left), 2 / (top - bottom), -(FAR + NEAR) / (FAR - NEAR), 0.0])
@@ -211,7 +221,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
-    """Return the arguments for the main light and the sum of all dome lights, or none if there are no lights."""
+    """Return the arguments for the main light and for the sum of all dome lights, or none if there are no lights."""
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)

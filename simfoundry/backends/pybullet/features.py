@@ -1,4 +1,4 @@
-"""Losses that occur in PyBullet; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in PyBullet. The fidelity of each feature is listed in ``features.yaml``."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _MARGIN = (
 )
 _LIGHTS = {
     LightType.DISTANT: "PyBullet uses its own shading model: the brightness differs, and shadows are soft.",
-    LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
-    LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
+    LightType.POINT: "PyBullet replaces the point light with parallel rays from its position toward the origin.",
+    LightType.DOME: "PyBullet adds the light's mean intensity, without its color, to the ambient light.",
 }
 
 

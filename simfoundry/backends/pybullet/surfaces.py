@@ -1,13 +1,13 @@
 """Collision shapes and surfaces in Bullet.
 
-Each link has a single friction, restitution and resistance for all of its colliders. Bullet multiplies the frictions
-and the restitutions of two bodies, so each link stores the square root of its own value; the product is then the
-geometric mean.
+Each link has a single friction, restitution and resistance for all of its colliders. Bullet multiplies the friction
+coefficients of two bodies, and likewise their restitutions. Each link therefore stores the square root of its own
+value, and the product is the geometric mean.
 
-For spinning and rolling, Bullet's pairwise resistance is the sum of each link's coefficient times the sliding friction
-of the other link, whereas the scene uses the larger resistance of the two links. If all links that a resisting link can
-touch have the same friction, one value is exact. Otherwise, an intermediate value is used, and :class:`Resistance`
-contains the error.
+For spinning and rolling, Bullet multiplies each link's coefficient by the other link's sliding friction and adds the
+two products, whereas the scene uses the larger resistance of the two links. The written value is exact if all links
+that a resisting link can touch have the same friction. Otherwise, an intermediate value is used, and
+:class:`Resistance` contains the error.
 
 Convex meshes are shrunk by the collision margin that Bullet adds around them.
 """
@@ -29,7 +29,12 @@ from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 
 class Resistance(NamedTuple):
-    """The value written for each link, keyed by qualified name, and the largest relative error of any pair of links."""
+    """The resistance to write for each link.
+
+    Attributes:
+        written: The values to write, keyed by the qualified name of the link.
+        error: The largest relative error of any pair of links.
+    """
 
     written: dict[str, float]
     error: float
@@ -68,7 +73,7 @@ def robot_friction(link: Link, scene: Scene) -> float:
 
 
 def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dict[str, float]:
-    """Return the ``changeDynamics`` arguments for a link."""
+    """Return the arguments with which ``changeDynamics`` is called for a link."""
     surface = {
         "lateral_friction": rounded(math.sqrt(link_mean(link, "friction"))),
         "restitution": rounded(math.sqrt(link_mean(link, "restitution"))),
@@ -85,7 +90,7 @@ def scene_resistances(scene: Scene) -> Resistances:
 
 
 def _resistance(scene: Scene, field: str) -> Resistance:
-    """Return the values to write for the resistance ``field``, based on the largest value [m] in each link."""
+    """Return the values to write for the ``field`` resistance, based on the largest value [m] in each link."""
     owners: dict[_BulletSurface, set[str]] = {}
     surfaces: dict[str, _BulletSurface] = {}
     for item, link in [(o, k) for o in scene.objects for k in o.links if k.colliders]:
@@ -102,7 +107,7 @@ def _resistance(scene: Scene, field: str) -> Resistance:
 
 
 def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[float]:
-    """Return the values of ``a`` that would be exact for each of its pairs with the ``others``.
+    """Return a list of the values of ``a`` that would make its contact with each of the ``others`` exact.
 
     If both links have resistance, each contributes its share.
     """
@@ -131,7 +136,7 @@ SKIN = 1e-3
 
 
 def split_under_skin() -> Split:
-    """Return a split that shrinks each mesh by Bullet's margin; meshes that are too thin remain unchanged."""
+    """Return a split that shrinks each mesh by Bullet's margin, leaving meshes that are too thin unchanged."""
     done: dict[str, Mesh] = {}
 
     def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
@@ -167,7 +172,10 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
 
 
 def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
-    """Return a point at least ``depth`` [m] below every plane: the guess if possible, or else the deepest point."""
+    """Return a point at least ``depth`` [m] below every plane.
+
+    This is the guess if it satisfies the condition. Otherwise, it is the deepest point.
+    """
     from scipy.optimize import linprog
 
     if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
@@ -180,7 +188,7 @@ def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
 
 
 def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
-    """Return the triangles in counterclockwise order as seen from outside, int32, shape (m, 3)."""
+    """Return the triangles in counterclockwise order as seen from outside, as an int32 array of shape (m, 3)."""
     a, b, c = (points[simplices[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
     faces = simplices.astype(np.int32)

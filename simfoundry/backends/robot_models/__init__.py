@@ -1,1 +1,1 @@
-"""Robot models for all backends: they are read by MuJoCo, converted to articulated objects, and written as URDF."""
+"""Robot models for all backends, which are read by MuJoCo, converted to articulated objects, and written as URDF."""

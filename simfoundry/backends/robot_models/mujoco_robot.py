@@ -35,7 +35,7 @@ _OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="f
 
 
 class RobotModelError(SimfoundryError):
-    """Raised if a robot model cannot be used; the message names the robot and the problem."""
+    """Raised if a robot model cannot be used. The message names the robot and the problem."""
 
     @classmethod
     def missing(cls, where: str, kind: str, name: str, known: Iterable[str]) -> RobotModelError:
@@ -52,7 +52,7 @@ class MujocoRobot:
         prefix: The prefix of all names in ``spec``.
         spec: The specification of the robot.
         model: The compiled specification.
-        files: The meshes and textures by file name.
+        files: The meshes and textures, keyed by file name.
         qpos: The initial positions, shape (nq,).
         ctrl: The initial controls, shape (nu,).
         servos: The names of the actuators that were added.
@@ -97,9 +97,9 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
 def _assemble(
     native: NativeModel, prefix: str, files: dict[str, bytes]
 ) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
-    """Return a single spec that combines the model with its attached models at the world origin.
+    """Return a single spec in which the model and its attached models are combined at the world origin.
 
-    Also returns the positions and controls in the ``home`` keyframe, which are empty if the keyframe does not exist.
+    Also returns the positions and controls in the ``home`` keyframe, which are empty if there is no such keyframe.
     """
     import mujoco
 
@@ -109,7 +109,7 @@ def _assemble(
     for part in native.attached:
         carrier = whole.body(part.to)
         if carrier is None:
-            raise ValueError(f"it has no body `{part.to}` to attach {part.file.name} to")
+            raise ValueError(f"the model has no body `{part.to}` to which {part.file.name} can be attached")
         child = _read(part.file, files)
         _same_options(whole, child)
         frame = carrier.add_frame(pos=part.X_LB.p, quat=part.X_LB.q)
@@ -123,14 +123,14 @@ def _assemble(
 
 
 def _same_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
-    """Copy the options of ``source`` to ``target``, because MuJoCo otherwise warns when it attaches models."""
+    """Copy the options of ``source`` to ``target``. Otherwise, MuJoCo would print a warning when it attaches models."""
     for name in dir(source.option):
         if not name.startswith("_"):
             setattr(target.option, name, getattr(source.option, name))
 
 
 def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
-    """Read a model, rename its meshes and textures by content, and add them to ``files``."""
+    """Read a model, name its meshes and textures after their content, and add them to ``files``."""
     import mujoco
 
     if file.suffix.lower() == ".urdf":
@@ -158,7 +158,10 @@ def _keep(path: Path, files: dict[str, bytes]) -> str:
 
 
 def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
-    """Return the text of a URDF with meshes named by content, omitting COLLADA meshes, which MuJoCo cannot read."""
+    """Return the text of a URDF whose meshes are named after their content.
+
+    COLLADA meshes are omitted, because MuJoCo cannot read them.
+    """
     text = file.read_text(encoding="utf-8")
     for name in urdf_meshes(text):
         path = urdf_mesh(file, name)
@@ -203,7 +206,7 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
 
 
 def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
-    """Return initial positions as specified by the scene and the gripper, or otherwise by the ``home`` keyframe."""
+    """Return the initial positions specified by the scene and the gripper, or otherwise by the ``home`` keyframe."""
     import mujoco
 
     qpos = np.array(home)
@@ -224,7 +227,10 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
 def _controls(
     native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray, home: np.ndarray
 ) -> np.ndarray:
-    """Return the controls that hold the initial state, with servo targets at the joint positions and open grippers."""
+    """Return the controls that hold the initial state.
+
+    Servo targets are the joint positions, and grippers are open.
+    """
     import mujoco
 
     command = native.gripper.command if native.gripper is not None else {}
@@ -249,7 +255,11 @@ def xml(read: MujocoRobot) -> str:
 
 
 def body_name(read: MujocoRobot, frame: str) -> str:
-    """Return the prefixed name of the body for a robot frame; raise :class:`RobotModelError` if the body is missing."""
+    """Return the prefixed name of the body that a robot frame belongs to.
+
+    Raises:
+        RobotModelError: If the body is missing.
+    """
     link = read.native.frame(frame).link if frame else root_name(read).removeprefix(read.prefix)
     name = read.prefix + link
     bodies = [body.name for body in read.spec.bodies]

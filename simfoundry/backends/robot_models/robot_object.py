@@ -1,7 +1,7 @@
-"""Conversion of a robot to an articulated object or a URDF, for targets in whose format the robot has no model.
+"""Conversion of a robot to an articulated object or a URDF, for targets whose format the robot has no model in.
 
-The model read by MuJoCo is converted to the scene's representation: a tree of links with masses, shapes and joints.
-Closed loops are cut, and the robot's ``follow`` describes their effect on the joints.
+The model read by MuJoCo is converted to the scene's representation, a tree of links with masses, shapes and joints.
+Closed loops are cut, and the robot's ``follow`` field describes their effect on the joints.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class RobotObject:
 
     Attributes:
         item: The object.
-        links: The link names in the item, which contain no dots, keyed by the link names in the model.
-        joints: The joint names in the item, keyed by the joint names in the model.
+        links: The names of the links in the object, which contain no dots, keyed by the names in the model.
+        joints: The names of the joints in the object, keyed by the names in the model.
         loops: The number of closed loops that were cut.
     """
 
@@ -88,7 +88,7 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
 
 
 def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
-    """Return a mapping from the model's joint names to the item's joint names.
+    """Return a mapping from the joint names in the model to the joint names in the object.
 
     Raises:
         RobotModelError: If the model is not a tree of links connected by single-axis joints.
@@ -99,7 +99,10 @@ def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that become links, parents first; the world is omitted if it only supports the base."""
+    """Return the bodies that become links, with parents first.
+
+    The world is omitted if its only purpose is to support the base.
+    """
     for b in range(model.nbody):
         if model.body_jntnum[b] > 1 or (model.body_jntnum[b] and int(model.jnt_type[model.body_jntadr[b]]) < 2):
             name = model.body(b).name
@@ -122,7 +125,7 @@ def _names(given: list[str]) -> dict[str, str]:
 
 
 def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
-    """Return a body as a link whose frame is shifted by ``shift`` [m] to its joint."""
+    """Return a body as a link whose frame is shifted by ``shift`` [m] to the link's joint."""
     mass = max(float(model.body_mass[b]), _LIGHTEST)
     moments = np.maximum(model.body_inertia[b], _LEAST)
     axes = Pose.of(q=model.body_iquat[b]).rotation
@@ -189,7 +192,7 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
-    """Return the drives of joints with their own actuator and of gripper joints that do not follow another joint."""
+    """Return the drives of joints that have an actuator and of gripper joints that do not follow another joint."""
     import mujoco
 
     model, drives = read.model, {}
@@ -214,7 +217,10 @@ def _leaders(read: MujocoRobot) -> Iterator[str]:
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """Return the mimics from the description and the model's equations, by joint, and the number of cut loops."""
+    """Return the mimics, keyed by joint, and the number of loops that were cut.
+
+    The mimics come from the description and from the model's equations.
+    """
     import mujoco
 
     model, gripper = read.model, read.native.gripper
@@ -243,10 +249,10 @@ _STRONG = 100.0
 class RobotUrdf:
     """A robot as URDF, with the file at ``path`` in ``files`` and the root link at ``X_WB``.
 
-    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` and ``servos`` are keyed by the URDF's joint names.
-    ``servos`` contains the servos with known gains: the stiffness [N m/rad or N/m], and the damping, which includes the
-    joint's own damping. ``joints`` maps joint names in the scene to joint names in the URDF, and ``frames`` maps frames
-    in the scene to links. ``item`` is the object from which the URDF was converted, if any.
+    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` and ``servos`` are keyed by the joint names in the
+    URDF. ``servos`` contains the servos with known gains: the stiffness [N m/rad or N/m], and the damping, which
+    includes the damping of the joint itself. ``joints`` maps joint names in the scene to joint names in the URDF, and
+    ``frames`` maps frames in the scene to links. ``item`` is the object from which the URDF was converted, if any.
     """
 
     path: str
@@ -264,7 +270,11 @@ class RobotUrdf:
 
 
 def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
-    """Return the robot as URDF, or None if it has neither URDF nor MJCF; raise :class:`RobotModelError` on errors."""
+    """Return the robot as URDF, or None if it has neither a URDF nor an MJCF model.
+
+    Raises:
+        RobotModelError: If the model cannot be read or converted.
+    """
     native = robot.best(ModelFormat.URDF)
     if native is not None:
         return _native(robot, native)
@@ -317,9 +327,10 @@ def _effort(joint: ET.Element) -> float:
 
 
 def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
-    """Copy a URDF and its meshes to ``robots/`` with the same relative layout, and also return the URDF's new path.
+    """Copy a URDF and its meshes to ``robots/`` with the same relative layout.
 
-    Mesh paths are made relative to the URDF; the rest of the text is unchanged.
+    Mesh paths are made relative to the URDF, and the rest of the text is unchanged. Also returns the new path of the
+    URDF.
     """
     needed = model_files(native.file)
     top = Path(os.path.commonpath([file.parent for file in needed]))
@@ -361,7 +372,7 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
     """Yield the losses from converting a robot's MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"It has no model in this format; its {kind} is converted, with convex hulls as colliders."
+    reason = f"The robot has no model in this format, so its {kind} is converted, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
@@ -371,4 +382,4 @@ def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator
 
 def without_model(name: str) -> Loss:
     """Return the loss for a robot that has neither an MJCF nor a URDF."""
-    return drop("robots", name, "It has no MJCF or URDF model, and its USD cannot be converted.")
+    return drop("robots", name, "The robot has no MJCF or URDF model, and its USD cannot be converted.")

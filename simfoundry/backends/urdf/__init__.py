@@ -1,11 +1,11 @@
-"""URDF backend, which writes one URDF per object, and ``poses.json`` with the poses and joint positions.
+"""The URDF backend, which writes one URDF per object, and ``poses.json`` with the poses and joint positions.
 
 ``physics.json`` contains additional physical properties, which the loaders for Drake, Genesis and SAPIEN use.
 
-A free object is written as a robot whose root is not attached to anything, and ``floating`` joints are never written,
-because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their links, and products of
-inertia are written explicitly, because some readers ignore the rotation of an inertial frame. Links, joints and
-colliders keep their names from the scene; the robot is named after the object.
+A free object is written as a robot whose root is not attached to anything. Joints of type ``floating`` are never
+written, because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their links, and
+products of inertia are written explicitly, because some readers ignore the rotation of an inertial frame. Links, joints
+and colliders keep their names from the scene, and the URDF's robot is named after the object.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ _LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulato
 
 
 def compile_urdf(scene: Scene) -> Artifact:
-    """Compile a scene to URDFs; raise :class:`InvalidSceneError` if a name is invalid."""
+    """Compile a scene to URDFs.
+
+    Raises:
+        InvalidSceneError: If a name is invalid.
+    """
     check_names(scene)
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)

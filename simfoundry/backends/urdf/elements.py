@@ -64,14 +64,17 @@ _WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
 
 
 def _is_plain(item: SceneObject) -> bool:
-    """Return true if the URDF of an object is the same in all dialects, without geometry to split or ball joints."""
+    """Return true if the URDF of an object is the same in all dialects.
+
+    This is the case if there is no geometry to split and there are no ball joints.
+    """
     shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
     joints = [joint for joint in item.joints if joint.type is JointType.BALL]
     return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
 
 
 def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
-    """Return the URDF of one tree of links, and add its assets to ``files``."""
+    """Return the URDF of a single tree of links, and add its assets to ``files``."""
     root = ET.Element("robot", name=tree.name)
     for link in tree.links:
         _add_link(root, link, dialect, files)
@@ -81,7 +84,10 @@ def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the files in ``known``, plus a visual-only URDF with a single link in the world frame and its assets."""
+    """Return the files in ``known``, plus a URDF of the background and its assets.
+
+    The URDF has a single link, which is in the world frame and contains only visuals.
+    """
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
@@ -99,7 +105,7 @@ def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 
 def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
-    """Yield the geometry, with a cylinder and two spheres in place of a capsule, which URDF does not support."""
+    """Yield the geometry, replacing a capsule, which URDF does not support, by a cylinder and two spheres."""
     if not isinstance(geometry, Capsule):
         yield "", geometry, IDENTITY
         return
@@ -197,7 +203,10 @@ def _joint_type(joint: Joint, dialect: Dialect) -> str:
 
 
 def _limit(joint: Joint) -> dict[str, str]:
-    """Return the attributes of a ``limit`` element; without limits, many readers lock prismatic joints at zero."""
+    """Return the attributes of a ``limit`` element.
+
+    Prismatic joints without limits get very large limits, because many readers would otherwise lock them at zero.
+    """
     strength = joint.drive.force_limit if joint.drive is not None else None
     limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
     unbounded = (-UNBOUNDED_M, UNBOUNDED_M) if joint.type is JointType.PRISMATIC else None

@@ -1,4 +1,4 @@
-"""Losses that occur in URDF and its JSON manifests; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in URDF and its JSON manifests. The fidelity of each feature is listed in ``features.yaml``."""
 
 from __future__ import annotations
 
@@ -52,12 +52,15 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def robot_losses(name: str) -> tuple[Loss, Loss]:
-    """Return the losses that every robot has in URDF, regardless of its model."""
+    """Return the losses that apply to every robot in URDF, regardless of its model."""
     return _drop("robot_motors", name), _drop("robot_contacts", name)
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:
-    """Yield the joint losses that occur in every URDF dialect: armatures, and prismatic joints without limits."""
+    """Yield the joint losses that occur in every URDF dialect.
+
+    These concern armatures, and prismatic joints without limits.
+    """
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:

@@ -1,4 +1,7 @@
-"""The JSON files next to the URDFs: ``poses.json`` contains poses, and ``physics.json`` all other properties."""
+"""The JSON files next to the URDFs.
+
+``poses.json`` contains poses, and ``physics.json`` contains all other properties.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,8 @@ _SERVO_TIME = 0.05
 def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]) -> bytes:
     """Return ``physics.json``, which lists collision shapes with the same names and in the same order as the URDF.
 
-    Converted robots are described like objects. For robots with their own URDF, only motors and mimic joints that are
-    missing from the URDF are included.
+    Converted robots are described in the same way as objects. For robots with their own URDF, only motors and mimic
+    joints that are missing from the URDF are included.
     """
     own = {name: _robot(robot) for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
@@ -39,7 +42,10 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
 
 
 def excluded_between(scene: Scene) -> list[list[list[str]]]:
-    """Return the pairs of links in different bodies that do not collide; each link is given by body and link name."""
+    """Return the pairs of links in different bodies that do not collide.
+
+    Each link is identified by the name of its body and its own name.
+    """
     parts = [tree for item in scene.objects for tree in trees(item)]
     home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
     own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
@@ -65,7 +71,7 @@ def _joint(joint: Joint) -> dict[str, object]:
 
 
 def drive_data(drive: Drive) -> dict[str, float]:
-    """Return a drive's stiffness, damping and target, and its ``force_limit`` if any.
+    """Return the stiffness, damping and target of a drive, along with its ``force_limit`` if it has one.
 
     The force is ``stiffness * (target - position) - damping * velocity``.
     """
@@ -75,7 +81,7 @@ def drive_data(drive: Drive) -> dict[str, float]:
 
 
 def mimic_data(leader: Mimic) -> dict[str, object]:
-    """Return the name of the joint that a mimic joint follows, and the ratio and offset."""
+    """Return the name of the joint that a mimic joint follows, along with the ratio and the offset."""
     return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
 
 
@@ -85,7 +91,7 @@ def pose_data(pose: Pose) -> dict[str, object]:
 
 
 def _robot(robot: RobotUrdf) -> dict[str, object]:
-    """Return the motors of a robot with its own URDF; the URDF specifies the maximum forces."""
+    """Return the motors of a robot with its own URDF, in which the maximum forces are specified."""
     motors = {
         name: drive_data(Drive(force / _SERVO_ERROR, _SERVO_TIME * force / _SERVO_ERROR, robot.positions[name], force))
         for name, force in robot.efforts.items()
@@ -103,7 +109,10 @@ def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
 
 
 def placement(tree: Tree) -> dict[str, object]:
-    """Return the pose, the fixed flag, and the joints' positions and closed limits for a part of an object."""
+    """Return the placement of a part of an object.
+
+    This consists of the pose, the fixed flag, the joint positions, and the limits at which the joints are closed.
+    """
     closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
     joints = {j.name: rounded(j.position) for j in tree.joints if j.has_axis}
     placed = {"fixed": tree.fixed, **pose_data(tree.X_WT), "joints": joints}

@@ -1,4 +1,7 @@
-"""USD backend, which uses UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics; this module lays out the stage."""
+"""The USD backend, which uses UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics.
+
+This module lays out the stage.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +69,7 @@ def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
 
 
 def _define_physics(world: Prim, scene: Scene) -> None:
-    """Define the physics scene, whose gravity direction must be valid even if there is no gravity."""
+    """Define the physics scene. The direction of gravity must be valid even if there is no gravity."""
     prim = world.define("Physics", "PhysicsScene")
     magnitude = float(np.linalg.norm(scene.gravity))
     direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])

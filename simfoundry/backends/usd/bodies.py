@@ -31,12 +31,12 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Return true if no link in the tree can move; such links have colliders but no rigid bodies."""
+    """Return true if no link in the tree can move. Such links have colliders but no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
 def define_object(scopes: Scopes, item: SceneObject) -> None:
-    """Define ``item`` at its world pose, with its links as sibling prims below it, posed by the joint positions.
+    """Define ``item`` at its world pose, with its links as sibling prims below it at the given joint positions.
 
     The articulation root of a free object is its root link. For a fixed object, PhysX requires the articulation root on
     a prim above both the root link and the joint that fixes it; otherwise PhysX simulates the joints in maximal
@@ -112,7 +112,10 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact. A static link has no rigid body, so it is represented by its colliders."""
+    """Exclude pairs of links from contact.
+
+    A static link is represented by its colliders, because it has no rigid body.
+    """
     every_mover, every_touched = defaultdict[str, list[Prim]](list), defaultdict[str, list[Prim]](list)
     found = defaultdict[Prim, list[Prim]](list)
 
@@ -139,13 +142,13 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
-    """Return the prim that contains an object's links: the object's own prim or the prim of its variant."""
+    """Return the prim that contains an object's links, which is the prim of the object or of its variant."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim
 
 
 def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
-    """Return an object's rigid bodies and the collision prims of each link, keyed by qualified name."""
+    """Return the rigid bodies of an object, and the collision prims of each link, keyed by qualified name."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     for tree in trees(item):
@@ -199,9 +202,10 @@ _FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
 
 
 def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
-    """Weld a fixed object's root link to the world relative to the object's prim, so that moving the prim moves both.
+    """Weld the root link of a fixed object to the world relative to the object's prim.
 
-    The joint's name starts with a capital letter, unlike joint names in a scene.
+    Moving the prim therefore moves both the object and its anchor. The joint's name starts with a capital letter,
+    unlike joint names in a scene.
     """
     prim = scope.define("Anchor", "PhysicsFixedJoint")
     _frames(prim, carrier, root, Pose.of(), Pose.of())
@@ -209,7 +213,7 @@ def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
 
 
 def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
-    """Define ``joint`` between the ``parent`` and ``child`` links; if ``leader`` is given, the joint follows it.
+    """Define ``joint`` between the ``parent`` and ``child`` links. If ``leader`` is given, the joint follows it.
 
     In UsdPhysics, angles are in degrees and joints rotate about a coordinate axis of the joint frames. Both frames are
     therefore rotated so that the coordinate axis closest to the scene's joint axis coincides with it.

@@ -1,4 +1,4 @@
-"""Losses that occur in a USD stage; ``features.yaml`` lists the fidelity of each feature."""
+"""Losses that occur in a USD stage. The fidelity of each feature is listed in ``features.yaml``."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ def usd_losses(scene: Scene) -> tuple[Loss, ...]:
 
 
 def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
-    """Yield the friction and restitution losses; both quantities are exact only with PhysX's combine modes."""
+    """Yield the friction and restitution losses. Both quantities are exact only with PhysX's combine modes."""
     colliders = [c for item in objects for link in item.links for c in link.colliders]
     for name in ("friction", "restitution"):
         values = [float(getattr(collider, name)) for collider in colliders]
         worst = max(values, key=lambda v: abs(math.sqrt(v) - v), default=0.0)
         if math.sqrt(worst) != worst:
             reason = (
-                f"Its square root is written with PhysX's combine mode `multiply`, which yields the geometric mean. "
-                f"A plain UsdPhysics reader that averages gets up to {math.sqrt(worst):.3g} instead of {worst:.3g}; "
+                f"The square root of the {name} is written with PhysX's `multiply` combine mode, which yields the "
+                f"geometric mean. A plain UsdPhysics reader that averages the stored values gets up to "
+                f"{math.sqrt(worst):.3g} instead of {worst:.3g}; "
                 f"for such readers, `load(own_{name}=True)` in load.py sets the surface's own value."
             )
             yield approximate(name, "", reason, abs(math.sqrt(worst) - worst))

@@ -1,7 +1,7 @@
 """USD prims as plain Python objects, and their text format.
 
-:func:`usda` formats prims like USD's own writer; authoring through USD layers would take five times as long. Vectors,
-quaternions (w first) and matrix rows are tuples; arrays are lists.
+:func:`usda` formats prims like USD's own writer, but is five times as fast as authoring through USD layers. Vectors,
+quaternions (w first) and matrix rows are tuples, and arrays are lists.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Targets(NamedTuple):
 class Prim:
     """A prim under construction.
 
-    ``path`` is the prim's path on the stage, without variant selections; ``references`` are in USD syntax. A prim with
-    ``variants`` has one variant set named ``variant``, in which one variant is ``selected``; each variant is a prim
+    ``path`` is the prim's path on the stage, without variant selections. ``references`` are in USD syntax. A prim with
+    ``variants`` has one variant set named ``variant``, in which one variant is ``selected``. Each variant is a prim
     with its own name and type.
     """
 
@@ -68,16 +68,16 @@ class Prim:
         return self.variants[name]
 
     def define(self, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
-        """Define a child prim of the given type and apply API schemas, even if they are not registered."""
+        """Define a child prim of the given type and apply API schemas, including schemas that are not registered."""
         self.children[name] = Prim(name, type_name, f"{self.path}/{name}", specifier, schemas=list(schemas))
         return self.children[name]
 
     def attribute(self, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
-        """Author an attribute; names that start with ``simfoundry:`` are custom because no schema defines them."""
+        """Author an attribute. Names that start with ``simfoundry:`` are custom because no schema defines them."""
         self.properties[name] = Attribute(type_name, value, uniform)
 
     def floats(self, value: float, *names: str) -> None:
-        """Author single-precision attributes with the same value, rounded to twelve digits."""
+        """Author several single-precision attributes with the same value, rounded to twelve digits."""
         for name in names:
             self.attribute(name, "float", rounded(value))
 
@@ -90,7 +90,7 @@ class Prim:
         self.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
 
     def place(self, pose: Pose, scale: Sequence[float] | None = None) -> None:
-        """Set the pose relative to the parent, in double precision; ``scale`` is applied first."""
+        """Set the pose relative to the parent in double precision. The ``scale`` is applied first."""
         p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
         operations: dict[str, tuple[str, tuple[float, ...]]] = {}
         if any(p):
@@ -111,7 +111,7 @@ def settled(value: float) -> float:
 
 
 def vec3(values: Iterable[float]) -> tuple[float, ...]:
-    """Return three values for single precision; out-of-range values become infinite, as they do for readers."""
+    """Return three values in single precision. Values out of range become infinite, as they do for readers."""
     return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 

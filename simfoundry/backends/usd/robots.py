@@ -1,4 +1,4 @@
-"""Mounted cameras and robots on a stage; robots are referenced from their own USD or converted from MJCF or URDF."""
+"""Mounted cameras and robots on a stage. Robots are referenced from their own USD or converted from MJCF or URDF."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _LAYER = re.compile(r"layer @([^@]+)@")
 
 @dataclass
 class RobotsInUsd:
-    """The robots on a stage: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
+    """The robots on a stage.
+
+    The fields are the converted ``items``, the ``files`` by path, the ``losses``, and the ``frames`` by robot and name.
+    """
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
@@ -38,7 +41,7 @@ class RobotsInUsd:
 
 
 def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
-    """Define all robots below ``/World/Robots``, or omit this prim if the scene has no robots."""
+    """Define all robots below ``/World/Robots``. This prim is omitted if the scene has no robots."""
     found = RobotsInUsd()
     if not scene.robots:
         return found
@@ -51,7 +54,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = "It uses the friction in its file, which readers combine with the scene's by their own rules."
+        reason = "Readers combine the friction in the robot's file with the scene's friction by their own rules."
         found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
@@ -72,7 +75,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
 
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    """Copy the robot's own USD with all files in its folder, reference it, and set the scene's joint positions."""
+    """Reference the robot's own USD, copy all files in its folder, and set the joint positions of the scene."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(native.file))
@@ -111,12 +114,12 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
         count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
-        reason = f"Its file refers to {count} not exist, such as {absent[0].rpartition('/')[2]}."
+        reason = f"The robot's file refers to {count} not exist, such as {absent[0].rpartition('/')[2]}."
         yield drop("robots", robot.name, reason)
 
 
 def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
-    """Return the spec in our layer that overrides a prim of the referenced stage."""
+    """Return the spec in our layer that overrides a prim on the referenced stage."""
     spec = model
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":
@@ -158,19 +161,23 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
-            reason = f"It is mounted on `{mounted.carrier}`, which is not written."
+            reason = f"The camera is mounted on `{mounted.carrier}`, which is not written."
             yield drop("mounted_cameras", mounted.camera.name, reason)
         for prim, X_LF in found:
             define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
         item = scene.by_name.get(mounted.carrier)
         for one in (item, *item.variants) if item is not None and mounted.link else ():
             if one.variant and mounted.link not in {link.name for link in one.links}:
-                reason = f"Variant `{one.variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
+                variant = f"Variant `{one.variant}` of `{mounted.carrier}`"
+                reason = f"{variant} has no link `{mounted.link}` on which to mount the camera."
                 yield approximate("mounted_cameras", mounted.camera.name, reason)
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """Yield the prim of a mounted camera's link, once per variant that has this link, and the pose of its frame."""
+    """Yield the prim and the frame pose of the link that carries a mounted camera.
+
+    If the carrier has variants, this is done once for each variant that has this link.
+    """
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]

@@ -1,6 +1,6 @@
-"""Shapes and materials: primitives become USD primitives, and meshes become references to a layer next to the stage.
+"""Shapes and materials on a stage. Primitives become USD primitives, and meshes become references to a separate layer.
 
-Visual materials use UsdPreviewSurface; contact materials have UsdPhysics, PhysX and Newton attributes. Arrays are
+Visual materials use UsdPreviewSurface, and contact materials have UsdPhysics, PhysX and Newton attributes. Arrays are
 stored in layers in USD's binary format, which is a third of the size of the text format and is memory-mapped when read.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def new_crate(default_prim: str) -> Sdf.Layer:
-    """Return an empty layer in meters with z up, which the caller fills and passes to :func:`crate_bytes`."""
+    """Return an empty layer in meters with z up, to be filled by the caller and passed to :func:`crate_bytes`."""
     from pxr import Sdf
 
     layer = Sdf.Layer.CreateAnonymous(".usdc")
@@ -50,7 +50,7 @@ def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, unif
 
 
 def crate_bytes(layer: Sdf.Layer) -> bytes:
-    """Return the layer in the crate format; identical layers produce identical bytes, even across Python versions.
+    """Return the layer in the crate format. Identical layers produce identical bytes, even across Python versions.
 
     USD can only write crates to files. The crate version is 0.8.0, which all releases since 2020 can read.
     """
@@ -98,7 +98,7 @@ def _mesh_name(mesh: Mesh) -> str:
 
 
 def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
-    """Return a layer of meshes that are named by content, free of duplicates, and sorted by name.
+    """Return a layer of meshes that are named after their content, free of duplicates, and sorted by name.
 
     Meshes are in single precision and have texture coordinates if the source has them. They are defined as classes, so
     opening this layer on its own shows nothing; a mesh is visible only through a prim that references its class.
@@ -133,7 +133,7 @@ def _define_mesh(prim: Sdf.PrimSpec, mesh: Mesh) -> None:
 
 
 def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the unit normals of triangles, shape (m, 3), with upward normals for degenerate triangles."""
+    """Return the unit normals of triangles as an array of shape (m, 3). Degenerate triangles have upward normals."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -160,7 +160,10 @@ def define_visual(parent: Prim, looks: Prim, visual: Visual) -> None:
 
 
 def visual_material(scope: Prim, visual: Visual) -> Prim:
-    """Return the material of ``visual``. Materials are named by content and shared by visuals that look the same."""
+    """Return the material of ``visual``.
+
+    Materials are named after their content and shared by visuals that look the same.
+    """
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
     rgba = tuple([rounded(v) for v in visual.rgba.tolist()])

@@ -84,7 +84,7 @@ _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
 
 
 def _materials(world: Prim) -> dict[str, Any]:
-    """Return the values of all materials on the stage, by path."""
+    """Return the values of all materials on the stage, keyed by path."""
     looks, contacts = (world.children[scope].children.values() for scope in ("Looks", "Contacts"))
     shaders = {p.path: {name: _values(shader) for name, shader in p.children.items()} for p in looks}
     return {path: look(found) for path, found in shaders.items()} | {p.path: contact(_values(p)) for p in contacts}
@@ -146,10 +146,10 @@ def _transform(values: Mapping[str, Any]) -> list[float]:
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
-    """Return the scene-linear red, green, blue and opacity of a material, which multiply any texture.
+    """Return the scene-linear red, green, blue and opacity by which a material multiplies any texture.
 
-    ``material`` contains the shader attributes by shader name. Returns None if the material no longer has the structure
-    that this backend writes.
+    ``material`` contains the shader attributes, keyed by shader name. Returns None if the material no longer has the
+    structure that this backend writes.
     """
     surface, texture = material.get("Surface", {}), material.get("Texture", {})
     color = texture.get("inputs:scale") if texture else surface.get("inputs:diffuseColor")
@@ -158,7 +158,10 @@ def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
 
 
 def contact(material: Mapping[str, Any]) -> list[float] | None:
-    """Return a contact material's friction and restitution, each as the PhysX value and the surface's own value."""
+    """Return the friction and the restitution of a contact material.
+
+    For both quantities, the value for PhysX is followed by the value of the surface itself.
+    """
     names = ("physics:dynamicFriction", f"{KEY}:friction", "physics:restitution", f"{KEY}:restitution")
     values = [plain(material.get(name)) for name in names]
     return None if None in values else values

@@ -1,4 +1,4 @@
-"""Cameras, lights and the background of a scene; Gaussian splats are stored in a separate layer."""
+"""Cameras, lights and the background of a scene. Gaussian splats are stored in a separate layer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
 
 
 def splat_layer(splat: Splat) -> bytes:
-    """Return a layer whose default prim is the Gaussian field; colors are spherical harmonics, sorted by order."""
+    """Return a layer whose default prim is the Gaussian field.
+
+    The colors are spherical harmonics, sorted by order.
+    """
     from pxr import Sdf, Vt
 
     layer = new_crate("splat")
@@ -62,7 +65,7 @@ X_CU = Pose.of(q=(0.0, 1.0, 0.0, 0.0))
 
 
 def define_camera(scope: Prim, camera: Camera) -> None:
-    """Define ``camera`` with exact intrinsics, and with the image size in pixels as a custom attribute.
+    """Define ``camera`` with exact intrinsics, and store the image size in pixels in a custom attribute.
 
     USD has a single focal length, so unequal ``fx`` and ``fy`` are represented by non-square pixels with a stretched
     vertical aperture.

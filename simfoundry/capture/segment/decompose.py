@@ -30,10 +30,10 @@ MIN_PIXELS = 60  # minimum number of pixels of an object: 8 x 8 is enough for a 
 
 
 def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
-    """Segment the objects on ``support``, number them from 1, and determine the support of each.
+    """Segment the objects on ``support``, number them from 1, and determine the support of each object.
 
     If ``frame.instances`` is set, its masks are cleaned and used. Otherwise, the surface above the support is cut at
-    depth steps and inward creases; outward bends do not separate objects. Parts separated by an occluder are joined
+    depth steps and inward creases. Outward bends do not separate objects. Parts separated by an occluder are joined
     again if they are coplanar, and unsupported parts are joined to the parts that they touch.
 
     Raises:
@@ -53,7 +53,7 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
 
 
 def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:
-    """Return the masks from the capture, without specks and without objects that are not on the support."""
+    """Return the masks from the capture. Specks and objects that are not on the support are removed."""
     on_it, height = _near(points_W, support), points_W[..., 2]
     out = np.zeros(instances.shape, np.int32)
     for k in np.unique(instances[instances > 0]):
@@ -69,7 +69,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurfac
 
 
 def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
-    """Segment at the resolution of the depth noise, then extend the regions to the true silhouettes."""
+    """Segment the image at the resolution of the depth noise, then extend the regions to the actual silhouettes."""
     depth = frame.depth
     standing = _standing(depth, points_W, support)
     if not standing.any():
@@ -99,7 +99,7 @@ def _instances(crop: Crop, support: SupportSurface) -> Labels:
 
 
 def _crop(frame: Frame, points_W: Array, support: SupportSurface) -> Crop | None:
-    """Crop the image to the objects on the support; return None if there are no objects."""
+    """Crop the image to the objects on the support, or return None if there are no objects."""
     high = _standing(frame.depth, points_W, support)
     if high.sum() < MIN_PIXELS:
         return None
@@ -142,20 +142,26 @@ def _near(points_W: Array, support: SupportSurface) -> Mask:
 
 
 def _standing(depth: Array, points_W: Array, support: SupportSurface) -> Mask:
-    """Return a mask of the pixels clearly above the support."""
+    """Return a mask of the pixels that are clearly above the support."""
     return _near(points_W, support) & (points_W[..., 2] > np.maximum(LOWEST, depth_sigma(depth)))
 
 
 def _padded(mask: Mask, pad: int = 16) -> slice:
-    """Return the slice from the first to the last row with a marked pixel, extended by ``pad`` [px] on both sides."""
+    """Return the slice from the first to the last row with a marked pixel.
+
+    The slice is extended by ``pad`` [px] on both sides.
+    """
     rows = np.nonzero(mask)[0]
     return slice(max(0, int(rows.min()) - pad), min(len(mask), int(rows.max()) + pad + 1))
 
 
 def _within(support: SupportSurface, xy: Array, margin: float) -> Mask:
-    """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the support outline grown by ``margin`` [m].
+    """Return a mask of the points inside the support outline.
 
-    A negative margin shrinks the outline. NaN points are False.
+    Args:
+        support: The support.
+        xy: World points [m], shape (..., 2). NaN points are never inside.
+        margin: Distance by which the outline is grown, or shrunk if negative [m].
     """
     import cv2
 
@@ -169,7 +175,10 @@ def _within(support: SupportSurface, xy: Array, margin: float) -> Mask:
 
 
 def _without_specks(labels: Labels, crop: Crop) -> Labels:
-    """Merge regions too small to be objects into the region that they touch, or remove them."""
+    """Remove regions that are too small to be objects.
+
+    Such a region is merged into the region that it touches, if there is one.
+    """
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     areas = np.bincount(labels[labels > 0], crop.pixel_area[labels > 0], minlength=count)
@@ -184,7 +193,10 @@ def _without_specks(labels: Labels, crop: Crop) -> Labels:
 
 
 def _without_foreign_regions(labels: Labels, crop: Crop, support: SupportSurface) -> Labels:
-    """Drop regions that are not on the support, such as a wall at its end, a chair behind it, or a lamp above it."""
+    """Drop regions that are not on the support.
+
+    Examples are a wall at its end, a chair behind it, and a lamp above it.
+    """
     parts = parts_of(labels, crop.points_W, crop.pixel_area)
     on, hidden, sunk = carriers(parts), below(labels, crop), sinking(labels, crop)
     graph = borders(labels, crop).values()
@@ -225,7 +237,10 @@ def _on_border(mask: Mask, crop: Crop) -> float:
 
 
 def _is_warp(mask: Mask, top: float, crop: Crop) -> bool:
-    """Return True if a low region fades into the support without an edge, which indicates a sensor error."""
+    """Return True if a low region fades into the support without an edge.
+
+    This indicates a sensor error.
+    """
     if top > LOW:
         return False
     edge = crop.edge[grown(mask) & ~mask & np.isfinite(crop.depth)]

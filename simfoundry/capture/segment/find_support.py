@@ -1,4 +1,7 @@
-"""Find the surface that supports the objects, using RANSAC to find candidate planes."""
+"""Find the surface that supports the objects.
+
+Candidate planes are found with RANSAC.
+"""
 
 from __future__ import annotations
 
@@ -32,19 +35,28 @@ SHADOW = 0.25  # [m] maximum width of the hidden strip behind an object that is 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """The plane ``normal @ p = offset`` in the camera frame [m]; the normal points toward the camera."""
+    """The plane ``normal @ p = offset`` in the camera frame [m].
+
+    The normal points toward the camera.
+    """
 
     normal: Array
     offset: float
 
     def height(self, points: Array) -> Array:
-        """Return the signed distance [m] of camera-frame points, shape (..., 3); positive toward the camera."""
+        """Return the signed distance of points from the plane [m].
+
+        The points are in the camera frame and have shape (..., 3). The distance is positive toward the camera.
+        """
         return np.asarray(points @ self.normal - self.offset)
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A depth image with points and normals in the camera frame; normals are NaN where depth is sparse."""
+    """A depth image with points and normals in the camera frame.
+
+    Normals are NaN where depth is sparse.
+    """
 
     depth: Array
     K: Array
@@ -54,7 +66,10 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The visible surface of a plane: its pixels, its plan in the world frame of ``X_WC``, and its support score."""
+    """The visible surface of a plane.
+
+    It consists of its pixels, its plan in the world frame of ``X_WC``, and its score as the support.
+    """
 
     plane: Plane
     X_WC: Pose
@@ -64,14 +79,14 @@ class _Surface:
 
 
 def find_support(frame: Frame) -> SupportSurface:
-    """Find the surface that supports the objects in ``frame``, and define the world frame on it.
+    """Find the surface that supports the objects in ``frame``, and define a world frame on it.
 
     The origin is the centroid of the visible surface, and z is the plane's normal toward the camera. x is the camera's
     viewing direction projected onto the plane (the image's up direction if the camera looks straight down), and y
     points to the left.
 
     Among all planes that could be a tabletop, the support is the one with the most objects and visible surface,
-    weighted by proximity. A box with another box on top scores lower than the table below, because the table supports
+    weighted by proximity. A box with another box on top scores lower than the table below because the table supports
     both. The floor scores lower because it is farther away and the objects on a table are too high above the floor to
     count as standing on it.
 
@@ -92,11 +107,12 @@ def find_support(frame: Frame) -> SupportSurface:
 
 
 def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
-    """Return the planes through ``points`` (camera frame [m], shape (n, 3)) that could be a tabletop, largest first.
+    """Return the planes through ``points`` that could be a tabletop, starting with the largest one.
 
-    A plane qualifies if the camera is above it, the camera's up direction does not point below it, and it is not seen
-    edge-on from the side, like a wall beside the camera. A single camera cannot distinguish a wall straight ahead from
-    a table straight below, so both are kept.
+    The points are in the camera frame [m] and have shape (n, 3). A plane qualifies if the camera is above it, the
+    camera's up direction does not point below it, and it is not seen edge-on from the side, like a wall beside the
+    camera. A single camera cannot distinguish a wall straight ahead from a table straight below, so both of them
+    qualify.
     """
     rest = points[rng.choice(len(points), min(len(points), MAX_POINTS), replace=False)]
     fewest = max(30, int(SMALLEST_SHARE * len(rest)))
@@ -116,9 +132,10 @@ def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
 
 
 def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
-    """Return the qualifying hypothesis with the most inliers, weighted by proximity; None if there is no such plane.
+    """Return the qualifying hypothesis with the most inliers, weighted by proximity.
 
-    Nearer points have more weight because each of their pixels covers less surface.
+    Nearer points have more weight because each of their pixels covers less surface. The result is None if no hypothesis
+    qualifies.
     """
     normals, offsets = _hypotheses(points, rng)
     if not len(normals):
@@ -130,7 +147,7 @@ def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
 
 
 def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
-    """Return the total weight of the points in each plane, shape (m,)."""
+    """Return the total weight of the points in each plane, as an array of shape (m,)."""
     tolerance = TOLERANCE * depth_sigma(points[:, 2])
     weight = 1.0 / points[:, 2]
     parts = zip(np.array_split(normals, 16), np.array_split(offsets, 16), strict=True)
@@ -141,7 +158,7 @@ def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Sample triples of nearby points, and return the qualifying planes through them.
 
     Returns:
-        Unit normals, shape (m, 3), and offsets [m], shape (m,).
+        Unit normals, as an array of shape (m, 3), and offsets [m], as an array of shape (m,).
     """
     from scipy.spatial import cKDTree
 
@@ -165,7 +182,10 @@ def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def refine(plane: Plane, points: Array, rounds: int = 6) -> Plane:
-    """Refit ``plane`` to its inliers among ``points`` [m], shape (n, 3), by iteratively reweighted least squares."""
+    """Refit ``plane`` to its inliers among ``points`` by iteratively reweighted least squares.
+
+    The points [m] have shape (n, 3).
+    """
     for _ in range(rounds):
         sigma = depth_sigma(points[:, 2])
         residual = np.abs(plane.height(points)) / sigma
@@ -200,7 +220,7 @@ def world_on(plane: Plane) -> Pose:
 
 
 def _view(frame: Frame, step: int = 1) -> _View:
-    """Subsample a depth image by ``step``, and compute its points and normals."""
+    """Subsample a depth image by ``step``, and compute the points and normals of its pixels."""
     import cv2
 
     K = np.array(frame.K, dtype=np.float64)
@@ -213,13 +233,19 @@ def _view(frame: Frame, step: int = 1) -> _View:
 
 
 def _on_plane(view: _View, plane: Plane) -> Mask:
-    """Return a mask of the pixels on the plane, excluding surfaces that cross it, such as the back of a chair."""
+    """Return a mask of the pixels on the plane.
+
+    Surfaces that cross the plane, such as the back of a chair, are excluded.
+    """
     near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
     return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
 
 
 def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
-    """Find the visible surface of ``plane`` and compute its score as the support; return None if it has no surface."""
+    """Find the visible surface of ``plane`` and compute its score as the support.
+
+    The result is None if the plane has no surface.
+    """
     import cv2
 
     X_WC = world_on(plane)
@@ -248,7 +274,10 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
 
 
 def _measured(view: _View, found: _Surface) -> SupportSurface | None:
-    """Refine a plane at full resolution using only the pixels of its connected surface, and extract the outline."""
+    """Refine a plane at full resolution and extract the outline of its surface.
+
+    Only the pixels of the plane's connected surface are used.
+    """
     plane = found.plane
     on_surface = found.plan.contains(found.X_WC.apply(view.points)[..., :2])
     for _ in range(2):
@@ -267,12 +296,13 @@ def _measured(view: _View, found: _Surface) -> SupportSurface | None:
 
 
 def _plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array, finest: float) -> Plan | None:
-    """Return a plan of the largest connected surface in ``inliers``, with areas hidden by objects filled in.
+    """Return a plan of the largest connected surface in ``inliers``. Areas hidden by objects are filled in.
 
     Args:
         inliers: Mask of the plane's pixels.
-        hidden: Mask of the pixels whose rays do not reach the plane, because an object is in front or there is no
-            reading. All other rays pass through the plane, so there is no surface at those pixels.
+        hidden: Mask of the pixels whose rays are not known to reach the plane, because an object is in front of it or
+            there is no reading. All other rays outside ``inliers`` pass through the plane, so there is no surface at
+            those pixels.
         X_WC: Camera pose in the world frame on the plane.
         K: Intrinsic matrix [px].
         points_W: Points of the image in the world [m], shape (h, w, 3).
@@ -315,7 +345,11 @@ def _plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array,
 
 
 def polygon_of(plan: Plan) -> Array:
-    """Return the boundary of a plan in world xy [m]: a simple counterclockwise polygon, shape (n, 2)."""
+    """Return the boundary of a plan in world xy, which is a simple counterclockwise polygon.
+
+    Returns:
+        Array of shape (n, 2) [m].
+    """
     import cv2
     from shapely.geometry import Polygon
 
@@ -331,7 +365,11 @@ def polygon_of(plan: Plan) -> Array:
 
 
 def _pixel_of_cell(X_WC: Pose, K: Array, corner: Array, cell: float) -> Array:
-    """Return the homography, shape (3, 3), from plan cells (column, row, 1) to pixels (u, v, 1)."""
+    """Return the homography from plan cells (column, row, 1) to pixels (u, v, 1).
+
+    Returns:
+        Array of shape (3, 3).
+    """
     X_CW = X_WC.inverse()
     plane = np.column_stack([X_CW.rotation[:, 0], X_CW.rotation[:, 1], X_CW.p])
     cells = np.array([[cell, 0, corner[0]], [0, cell, corner[1]], [0, 0, 1]])
@@ -339,7 +377,10 @@ def _pixel_of_cell(X_WC: Pose, K: Array, corner: Array, cell: float) -> Array:
 
 
 def _largest(mask: Mask, measured: Mask) -> Mask | None:
-    """Return the component of ``mask`` that contains the most pixels of ``measured``; None if the mask is empty."""
+    """Return the component of ``mask`` that contains the most pixels of ``measured``.
+
+    The result is None if the mask is empty.
+    """
     labels, areas = components(mask)
     sizes = np.bincount(labels[measured], minlength=len(areas))[1:]
     return np.asarray(labels == 1 + int(np.argmax(sizes))) if len(sizes) else None

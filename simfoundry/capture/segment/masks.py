@@ -35,21 +35,24 @@ def grown(mask: Mask, kernel: Kernel = SQUARE, times: int = 1) -> Mask:
 
 
 def shrunk(mask: Mask, kernel: Kernel) -> Mask:
-    """Erode a mask; pixels at the edge of the image are not eroded from outside."""
+    """Erode a mask.
+
+    Pixels at the edge of the image are not eroded from outside the image.
+    """
     import cv2
 
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
 
 
 def opened(mask: Mask, kernel: Kernel) -> Mask:
-    """Open a mask: remove parts narrower than the kernel."""
+    """Open a mask, which removes parts narrower than the kernel."""
     import cv2
 
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0)
 
 
 def closed(mask: Mask, radius: int) -> Mask:
-    """Close a mask: fill gaps up to twice ``radius`` [px] wide, including those at the edge of the image."""
+    """Close a mask, which fills gaps up to twice ``radius`` [px] wide, including those at the edge of the image."""
     import cv2
 
     pad = radius + 2
@@ -61,7 +64,7 @@ def components(mask: Mask, connectivity: int = 4) -> tuple[Labels, NDArray[np.in
     """Number the connected components of a mask from 1.
 
     Returns:
-        The labels, which are 0 outside the mask, and the number of pixels in each component; the entry for 0 is 0.
+        The labels, which are 0 outside the mask, and the number of pixels in each component. The entry for 0 is 0.
     """
     import cv2
 
@@ -79,14 +82,17 @@ def filled(mask: Mask) -> Mask:
 
 
 def thinned(points: Array, count: int) -> Array:
-    """Return every n-th point, with n chosen so that ``count`` to twice as many points remain."""
+    """Return every n-th point.
+
+    The number n is chosen so that ``count`` to twice as many points remain.
+    """
     return points[:: max(1, len(points) // count)]
 
 
 def hull_mm(points: Array, count: int = 2000) -> NDArray[np.float32]:
     """Return the convex hull [mm] of points [m] in the xy plane.
 
-    The points have shape (n, 2) or (n, 3); they are thinned to about ``count`` points first.
+    The points have shape (n, 2) or (n, 3). They are thinned to about ``count`` points first.
     """
     import cv2
 
@@ -94,7 +100,7 @@ def hull_mm(points: Array, count: int = 2000) -> NDArray[np.float32]:
 
 
 def in_hull(hull: NDArray[np.float32], points: Array) -> Mask:
-    """Return a mask of the points [m] whose xy position is inside a convex hull [mm]."""
+    """Return a mask of the points [m] whose xy positions are inside a convex hull [mm]."""
     import cv2
 
     inside = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in points[:, :2] * 1000]
@@ -115,10 +121,10 @@ def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A map of the support seen from above.
+    """A map of the support as seen from above.
 
-    ``mask`` is bool, shape (rows, columns), with rows along world y and columns along world x. Cell (r, c) is centered
-    at ``corner + cell * (c, r)`` in world xy [m].
+    ``mask`` is a bool array of shape (rows, columns), with rows along world y and columns along world x. Cell (r, c) is
+    centered at ``corner + cell * (c, r)`` in world xy [m].
     """
 
     mask: Mask
@@ -126,7 +132,10 @@ class Plan:
     cell: float
 
     def contains(self, xy: Array) -> Mask:
-        """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the plan; False for NaN points."""
+        """Return a mask of the points inside the plan.
+
+        The points ``xy`` are in the world [m] and have shape (..., 2). NaN points are never inside.
+        """
         index = np.round((np.nan_to_num(xy, nan=-1e6) - self.corner) / self.cell)
         rows, columns = self.mask.shape
         inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)

@@ -1,4 +1,4 @@
-"""Use color to merge parts of the same object, and to split regions that contain two objects."""
+"""Merge parts of the same object, and split regions that contain two objects, on the basis of color."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ FOOT = 0.02  # [m] both objects must reach below this height above the support
 
 
 def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
-    """Return the smoothed hue of an RGB image, and a mask of its vivid pixels, which are neither gray nor dark.
+    """Return the smoothed hue of an RGB image and a mask of its vivid pixels.
 
-    Hue values range from 0 to 180, where 180 is a full circle.
+    Vivid pixels are neither gray nor dark. Hue values range from 0 to 180, where 180 is a full circle.
     """
     import cv2
 
@@ -53,7 +53,7 @@ class Hue:
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
-        """Return the difference between the two hues around the color wheel, from 0 to 90."""
+        """Return the difference between the two hues around the color wheel, which is between 0 and 90."""
         turn = abs(self.hue - other.hue)
         return min(turn, 180 - turn)
 
@@ -71,7 +71,10 @@ class Hue:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Evidence that two parts may belong to the same object: hues, supports, hidden lower edges, and borders."""
+    """The evidence that two parts may belong to the same object.
+
+    It consists of hues, supports, hidden lower edges, and borders.
+    """
 
     hues: dict[int, Hue]
     on: dict[int, int]
@@ -80,7 +83,10 @@ class _Family:
     adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: RegionPart, other: RegionPart) -> bool:
-        """Return True if ``part`` belongs to ``other``: a cap behind missing depth, or a part of the same hue."""
+        """Return True if ``part`` belongs to ``other``.
+
+        The part is either a cap behind missing depth or has the same hue as the other part.
+        """
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True
@@ -109,7 +115,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """Return the labels of the smallest part that belongs to another part and of the part that it belongs to."""
+    """Return the label of the smallest part that belongs to another part, and the label of that other part."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
@@ -118,7 +124,7 @@ def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | No
 
 
 def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
-    """Return the pairs (low, high) of adjacent regions."""
+    """Return the pairs (low, high) of labels of adjacent regions."""
     sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
     pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -126,7 +132,7 @@ def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
 
 
 def _is_lid(part: RegionPart, other: RegionPart) -> bool:
-    """Return True if ``part`` is inside the top of ``other`` and flush with it."""
+    """Return True if ``part`` is inside the top of ``other`` and flush with that top."""
     flush = abs(part.top - other.top) < FLUSH and other.bottom + FLUSH < part.bottom < other.top
     return flush and shared_footprint(part, other) > 0.5
 
@@ -161,9 +167,9 @@ def _distance(one: RegionPart, other: RegionPart) -> float:
 
 
 def split_necks(labels: Labels, crop: Crop) -> Labels:
-    """Split clearly non-convex regions at necks between a vivid and a dull half that both stand on the support.
+    """Split clearly non-convex regions at necks between a vivid half and a dull half that both stand on the support.
 
-    Color alone is not a reason to split an object, because bottles have caps and boxes have prints. However, a color
+    Color alone is not a reason to split an object, since bottles have caps and boxes have prints. However, a color
     border at a neck of the outline separates two objects if both halves reach the support.
     """
     _, vivid = hue_and_vivid(crop.color)

@@ -31,7 +31,7 @@ Plane = tuple[Array, Array]
 def merge_smooth(labels: Labels, crop: Crop, edge: float = EDGE) -> Labels:
     """Merge neighbors, starting with the least separated, until every remaining border is an edge.
 
-    A region much smaller than its neighbor needs a stronger border to count as a separate object; caps, handles and
+    A region much smaller than its neighbor needs a stronger border to count as a separate object. Caps, handles and
     smeared object bases do not qualify.
     """
     graph = borders(labels, crop)
@@ -53,7 +53,7 @@ def merge_smooth(labels: Labels, crop: Crop, edge: float = EDGE) -> Labels:
 
 
 def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[tuple[int, int], Border]:
-    """Return the borders after merging region ``gone`` into region ``keep``."""
+    """Return the borders that remain after region ``gone`` has been merged into region ``keep``."""
     out: dict[tuple[int, int], Border] = {}
     for border in graph.values():
         a, b = (keep if k == gone else k for k in (border.a, border.b))
@@ -96,7 +96,7 @@ def join_hanging(labels: Labels, crop: Crop) -> Labels:
 
 
 def join_hidden(labels: Labels, crop: Crop) -> Labels:
-    """Merge regions that are faces of the same box behind an occluder, including the pixels between them."""
+    """Merge regions that are faces of the same box behind an occluder. The pixels between them are included."""
     behind: dict[int, set[int]] = {}
     # Thin uniformly, so that the number of points stays proportional to the size of each region.
     points = {k: crop.points_W[labels == k][::4] for k in range(1, int(labels.max()) + 1)}
@@ -113,7 +113,7 @@ def join_hidden(labels: Labels, crop: Crop) -> Labels:
 
 
 def join_containers(labels: Labels, crop: Crop) -> Labels:
-    """Merge the outside of a bowl or mug with the inside that is visible behind its near rim."""
+    """Merge the outside of a bowl or mug with its inside, which is visible behind the near rim."""
     points = {k: thinned(crop.points_W[labels == k], 1500) for k in range(1, int(labels.max()) + 1)}
     parent: dict[int, int] = {}
     for front, back in _occlusions(labels, crop):
@@ -124,7 +124,10 @@ def join_containers(labels: Labels, crop: Crop) -> Labels:
 
 
 def _one_box(a: Array, b: Array) -> bool:
-    """Return True if two point sets [m] (z up, shape (n, 3)) show the same upright face, or the top of one long box."""
+    """Return True if two sets of points show the same upright face or the top of one long box.
+
+    The points [m] have shape (n, 3), and z points up.
+    """
     small, large = sorted((a, b), key=len)
     if len(small) < 20:
         return False
@@ -146,7 +149,7 @@ def _one_box(a: Array, b: Array) -> bool:
 
 
 def _one_rim(front: Array, back: Array) -> bool:
-    """Return True if the highest points of two sets [m] form a circular rim.
+    """Return True if the highest points of two sets of points [m] form a circular rim.
 
     ``front`` is the near part of the rim, and ``back`` is inside it.
     """
@@ -196,9 +199,10 @@ def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Lab
 
 
 def _main_plane(points: Array, level: bool) -> Plane | None:
-    """Return the center and normal of the plane that contains the most ``points``.
+    """Return the center and normal of the plane that contains the largest number of ``points``.
 
-    Only roughly horizontal planes are considered if ``level`` is True, otherwise only roughly vertical ones.
+    If ``level`` is True, only roughly horizontal planes are considered. Otherwise, only roughly vertical planes are
+    considered.
     """
     rng = np.random.default_rng(0)
     triples = points[rng.integers(len(points), size=(400, 3))]

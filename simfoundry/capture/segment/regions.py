@@ -1,7 +1,8 @@
-"""Cut the surfaces above the support into smooth regions bounded by steps and inward creases, and find their borders.
+"""Cut the surfaces above the support into smooth regions, and find the borders between these regions.
 
-All fits are made in disparity (1/z), because the disparity of a plane is exactly affine in pixel coordinates. A tangent
-plane is therefore represented by three numbers per pixel: the disparity and its derivatives along u and v.
+The regions are bounded by steps and inward creases. All fits are made in disparity (1/z) because the disparity of a
+plane is exactly affine in pixel coordinates. A tangent plane is therefore represented by three numbers per pixel: the
+disparity and its derivatives along u and v.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ class Crop:
     """The part of the image around the objects on the support.
 
     All arrays have the shape (h, w, ...) of ``window``. ``mask`` marks the pixels above the support. ``edge`` and
-    ``step`` are the strengths of all edges and of depth steps, evaluated over ``reach`` [px] and relative to the noise:
-    a value of 1 is a likely edge. ``down`` is the direction (u, v) in the image in which a point on the optical axis
-    would fall. ``whole`` is the shape of the full image.
+    ``step`` are the strengths of all edges and of depth steps, respectively. They are evaluated over ``reach`` [px] and
+    relative to the noise, so that a value of 1 is a likely edge. ``down`` is the direction (u, v) in the image in which
+    a point on the optical axis would fall. ``whole`` is the shape of the full image.
     """
 
     window: Window
@@ -61,12 +62,12 @@ def edges_of(depth: Array, K: Array, reach: int) -> tuple[Array, Array, Array]:
     """Smooth a depth image [m], and compute its edges.
 
     The edge strength is the distance of two surfaces from each other's tangent planes, measured ``reach`` pixels to
-    either side; the maximum over four directions is used. At an inward crease, such as the base of a box on a table,
+    either side. The maximum over four directions is used. At an inward crease, such as the base of a box on a table,
     each surface is in front of the other's tangent plane. At a step, such as one box in front of another, one surface
     is in front and the other behind.
 
     Returns:
-        The points in the camera frame [m], the edges and the steps, both as in :class:`Crop`.
+        The points in the camera frame [m], the edges, and the steps. Edges and steps are defined as in :class:`Crop`.
     """
     fits = tangents(depth, reach, stride=1 + (reach - 1) // 5)
     inward, step = np.zeros(depth.shape), np.zeros(depth.shape)
@@ -129,7 +130,7 @@ class Border:
     """The border between two regions ``a < b``.
 
     ``pairs`` is the number of pixel pairs across the border. ``bend`` and ``jump`` are means over these pairs in units
-    of the noise: ``bend`` is positive for an inward crease and negative for an outward one; ``jump`` is positive if
+    of the noise. ``bend`` is positive for an inward crease and negative for an outward one. ``jump`` is positive if
     ``b`` is in front. ``meets`` is the fraction of the closer pairs across which the surface is continuous within the
     noise.
     """
@@ -143,12 +144,15 @@ class Border:
 
     @property
     def edge(self) -> float:
-        """Edge strength: 1 is a likely border between two objects; negative values are convex edges of one object."""
+        """The edge strength of the border.
+
+        A value of 1 is a likely border between two objects, and negative values are convex edges of one object.
+        """
         return max(self.bend, 0.8 * abs(self.jump))
 
 
 def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
-    """Return all borders between regions in ascending order, keyed by (a, b) with a < b.
+    """Return all borders between regions, keyed by (a, b) with a < b, in ascending order.
 
     The tangent planes are fitted separately within each region, and the values are signed, so that noise cancels out
     along a border.
@@ -188,7 +192,8 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
     Neighbors across a depth step or with a different label are excluded, so that the fits do not bend around edges.
 
     Returns:
-        The fits (d, d_u, d_v) in 1/m and 1/m per pixel, shape (h, w, 3); NaN for pixels without depth.
+        The fits (d, d_u, d_v), as an array of shape (h, w, 3). The unit of d is 1/m, and the unit of d_u and d_v is 1/m
+        per pixel. Pixels without depth are NaN.
     """
     h, w = depth.shape
     near_depth, disparity = depth.astype(np.float32), (1.0 / depth).astype(np.float32)
@@ -221,7 +226,10 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
 
 
 def _solve(s: Array) -> Array:
-    """Solve the least-squares problem at every pixel from its moment sums, with slight damping toward no slope."""
+    """Solve the least-squares problem at every pixel from its moment sums.
+
+    The solution is slightly damped toward zero slope.
+    """
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -232,7 +240,10 @@ def _solve(s: Array) -> Array:
 
 
 def normals_of(fits: Array, K: Array) -> Array:
-    """Return the unit normals of tangent planes, pointing toward the camera, shape (h, w, 3)."""
+    """Return the unit normals of tangent planes, as an array of shape (h, w, 3).
+
+    The normals point toward the camera.
+    """
     h, w = fits.shape[:2]
     u, v = np.meshgrid(np.arange(w) - K[0, 2], np.arange(h) - K[1, 2])
     d, d_u, d_v = np.moveaxis(fits, -1, 0)
@@ -241,10 +252,10 @@ def normals_of(fits: Array, K: Array) -> Array:
 
 
 def _across(shape: tuple[int, ...], reach: int) -> Iterator[tuple[Window, Window, Window, tuple[int, int]]]:
-    """Yield windows for comparing pixels across the image in each direction.
+    """Yield windows for comparing pixels on opposite sides of a middle pixel, for each direction.
 
-    Each item contains three windows, which select the middle pixels, the pixels ``reach`` before them, and the pixels
-    ``reach`` after them, followed by the offset (u, v) between the last two windows.
+    Each item contains three windows and an offset. The windows select the middle pixels, the pixels ``reach`` before
+    them, and the pixels ``reach`` after them. The offset (u, v) is that between the last two windows.
     """
     h, w = shape
     for du, dv in ((1, 0), (0, 1), (1, 1), (1, -1)):
@@ -259,11 +270,11 @@ def _moved(window: Window, du: int, dv: int) -> Window:
 
 
 def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, Array]:
-    """Return the bend and jump of the surface [m] between pixels ``a`` and pixels ``b`` at ``offset`` (u, v).
+    """Return the bend and the jump of the surface between pixels ``a`` and pixels ``b`` at ``offset`` (u, v).
 
-    The bend is positive for an inward crease (each surface is in front of the other's tangent plane) and negative for
-    an outward one. The jump is positive if ``b`` is in front of ``a`` and negative if it is behind. At least one of the
-    two is 0.
+    Both are in meters, and at least one of them is 0. The bend is positive for an inward crease, where each surface is
+    in front of the other's tangent plane, and negative for an outward one. The jump is positive if ``b`` is in front of
+    ``a`` and negative if it is behind.
     """
     along_a = offset[0] * a[..., 1] + offset[1] * a[..., 2]
     along_b = offset[0] * b[..., 1] + offset[1] * b[..., 2]
@@ -289,5 +300,9 @@ def _breaks(depth: Array) -> Array:
 
 
 def _noise_of(depth: Array) -> Array:
-    """Return the edge strength [m] that smoothed noise can reach, shape (h, w)."""
+    """Return the edge strength that smoothed noise can reach [m].
+
+    Returns:
+        Array of shape (h, w).
+    """
     return np.asarray(0.0015 + 0.8 * np.nan_to_num(depth_sigma(depth), nan=1.0))

@@ -1,4 +1,7 @@
-"""Extend object silhouettes to pixels that segmentation missed: pixels without depth, and the bottoms of bowls."""
+"""Extend object silhouettes to pixels that the segmentation missed.
+
+These are pixels without depth and the bottoms of bowls.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ SURROUNDED = 14  # minimum number of directions, out of 16, in which there is a 
 
 
 def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int) -> Labels:
-    """Assign unlabeled pixels to the objects that they belong to.
+    """Assign unlabeled pixels to the objects to which they belong.
 
-    An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses,
-    unless the support is visible through the opening.
+    An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses.
+    Openings through which the support is visible are excluded.
     """
     out, measured, numbers = labels.copy(), np.isfinite(depth), range(1, int(labels.max()) + 1)
     for k in numbers:  # a pixel in the gaps of two objects goes to the lower number
@@ -81,7 +84,10 @@ def _bounded(area: Mask, mask: Mask, free: Mask) -> Mask:
 
 
 def _is_round(xy: Array) -> bool:
-    """Return True if positions [m], shape (n, 2), fill their bounding circle at least as well as a square does."""
+    """Return True if positions fill their bounding circle at least as well as a square does.
+
+    The positions [m] have shape (n, 2).
+    """
     import cv2
 
     hull = cv2.convexHull((xy * 1000).astype(np.float32))

@@ -1,4 +1,7 @@
-"""The support graph, which describes the parts that stand on other parts, and tests for hidden and sunken parts."""
+"""The support graph, which specifies the part on which each part stands.
+
+This module also contains tests for hidden and sunken parts.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,11 @@ OVERLAP = 0.05  # minimum overlap between an object and its support, as a fracti
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
-    """A labeled region: its heights above the support [m], area facing the camera [m²], and points in the world [m]."""
+    """A labeled region.
+
+    It stores the heights of the region above the support [m], its area facing the camera [m²], and its points in the
+    world [m].
+    """
 
     label: int
     bottom: float
@@ -28,12 +35,12 @@ class RegionPart:
 
     @property
     def is_grounded(self) -> bool:
-        """True if the part reaches down to the support, within the uncertainty due to noise and smoothing."""
+        """True if the part reaches down to the support, given the uncertainty due to noise and smoothing."""
         return self.bottom < CONTACT + 0.005
 
 
 def parts_of(labels: Labels, points_W: Array, pixel_area: Array) -> list[RegionPart]:
-    """Return a part for each of the regions 1..n, in ascending order."""
+    """Return a part for each of the regions 1 to n, in ascending order."""
     out = []
     for label in range(1, int(labels.max()) + 1):
         mask = (labels == label) & np.isfinite(pixel_area)  # user-provided masks may include pixels without depth
@@ -44,16 +51,21 @@ def parts_of(labels: Labels, points_W: Array, pixel_area: Array) -> list[RegionP
 
 
 def carriers(parts: list[RegionPart]) -> dict[int, int]:
-    """Map each part to its support: the part on whose top it starts, or 0 for the table.
+    """Map each part to its support.
 
-    If a part neither reaches the table nor has another part below it, its base is hidden, and it is assumed to stand on
-    the table. Being close to another part is not evidence of standing on it.
+    The support is the part on whose top it starts or the part that contains it, or 0 for the table. If a part neither
+    reaches the table nor has another part below it, its base is hidden, and it is assumed to stand on the table. Being
+    close to another part is not evidence of standing on it.
     """
     return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the part whose top meets the bottom of ``part`` and whose footprint overlaps it most, or 0."""
+    """Return the label of the part on which ``part`` stands, or 0 if there is no such part.
+
+    The top of this part meets the bottom of ``part``. If there are several such parts, the one with the largest overlap
+    of footprints is returned.
+    """
     others = [p for p in parts if p.label != part.label and -CONTACT < part.bottom - p.top < 1.5 * CONTACT]
     share, label = max(((shared_footprint(part, p), -p.label) for p in others), default=(0.0, 0))
     return -label if share > OVERLAP else 0
@@ -94,7 +106,7 @@ def shared_footprint(one: RegionPart, other: RegionPart) -> float:
 def below(labels: Labels, crop: Crop) -> dict[int, float]:
     """Return the fraction of each region's lower edge that has an occluder or missing depth below it.
 
-    At 1, the base of the object may be hidden; at 0, the background is visible below it.
+    If the fraction is 1, the base of the object may be hidden. If it is 0, the background is visible below it.
     """
     at, under, other = _pixels_below(labels, crop)
     here, there = crop.depth[at], crop.depth[under]
@@ -103,9 +115,10 @@ def below(labels: Labels, crop: Crop) -> dict[int, float]:
 
 
 def sinking(labels: Labels, crop: Crop) -> dict[int, float]:
-    """Return the fraction of each region's lower edge at which the surface continues below the support's level.
+    """Return the fraction of each region's lower edge at which the surface continues below the level of the support.
 
-    An object on the support ends at that level; an object on the floor behind the support does not.
+    For an object on the support, the surface ends at that level. For an object on the floor behind the support, it does
+    not.
     """
     at, under, other = _pixels_below(labels, crop)
     here, there = crop.points_W[at], crop.points_W[under]
@@ -117,9 +130,9 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
-    """Return the labeled pixels, the pixels right below them in the direction of gravity, and the lower pixels' labels.
+    """Return the labeled pixels, the pixels right below them, and the labels of the lower pixels.
 
-    Labels outside the crop are -1.
+    The direction of gravity determines the pixels below. Labels outside the crop are -1.
     """
     h, w = labels.shape
     du, dv = (round(x * (crop.reach + 2)) for x in crop.down)
@@ -131,7 +144,7 @@ def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
 
 
 def _shares(labels: Labels, at: Pixels, edge: Mask, marked: Mask) -> dict[int, float]:
-    """Return the fraction of each region's ``edge`` pixels that are ``marked``."""
+    """Return the fraction of the ``edge`` pixels in each region that are ``marked``."""
     count = int(labels.max()) + 1
     own = labels[at][edge]
     shares = np.bincount(own, marked[edge], count) / np.maximum(np.bincount(own, minlength=count), 1)

@@ -1,1 +1,4 @@
-"""Fit a closed, textured solid that stands on its support to the visible points of an object."""
+"""Fit solids to the visible points of objects.
+
+The solids are closed and textured, and they stand on their supports.
+"""

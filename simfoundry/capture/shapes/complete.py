@@ -1,9 +1,9 @@
-"""Complete the shapes of objects that are not primitives from their visible surface and its mirror image.
+"""Complete the shapes of objects that are not primitives, using their visible surface and its mirror image.
 
 The solid is a stack of horizontal slices. In each slice, the near side is the visible surface, and the far side is its
 mirror image across a vertical plane through the object. The far side does not extend into space that the camera
-observed to be free, but it extends at least as far as the visible surface above it. Each slice is star-shaped about its
-center, so the stack is a closed surface without self-intersections.
+observed to be free. However, it extends at least as far as the visible surface above it. Each slice is star-shaped
+about its center, so the stack is a closed surface without self-intersections.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _SEEN_PAST = 0.01  # [m] a point is free if the observed surface is at least thi
 class _Slice(NamedTuple):
     """A horizontal slice at height ``level`` [m].
 
-    ``t`` [m] are the positions of its columns across the object; ``near`` and ``far`` [m] are the positions of its two
-    sides along the depth axis.
+    ``t`` contains the positions of its columns across the object [m]. ``near`` and ``far`` contain the positions of its
+    two sides along the depth axis [m].
     """
 
     level: float
@@ -46,7 +46,10 @@ class _Slice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """The axes of the slices: ``across`` the object and ``along`` its depth (world xy, shape (2,))."""
+    """The axes of the slices, with ``across`` along the width and ``along`` along the depth of the object.
+
+    Both are directions in world xy of shape (2,).
+    """
 
     evidence: Evidence
     across: Array
@@ -54,7 +57,10 @@ class _Axes:
 
     @classmethod
     def of(cls, evidence: Evidence) -> _Axes:
-        """Return axes aligned with the broad side of the object, at most 50 degrees from those of the view."""
+        """Return axes that are aligned with the broad side of the object.
+
+        They differ by at most 50 degrees from the axes of the view.
+        """
         across = evidence.across
         xy = evidence.points[:, :2] - np.median(evidence.points[:, :2], axis=0)
         values, vectors = np.linalg.eigh(np.cov(xy.T))
@@ -90,7 +96,7 @@ def complete(evidence: Evidence) -> FitCandidate:
 
 
 def _slices(axes: _Axes) -> list[_Slice]:
-    """Return the slices of the solid, from the bottom up."""
+    """Return the slices of the solid, ordered from bottom to top."""
     fronts = _fronts(axes)
     slices: list[_Slice] = []
     for front, middle in zip(fronts, _mirror_depths(fronts), strict=True):
@@ -102,7 +108,7 @@ def _slices(axes: _Axes) -> list[_Slice]:
 
 
 def _fronts(axes: _Axes) -> list[_Slice]:
-    """Return the visible part of each slice, from the top down."""
+    """Return the visible part of each slice, ordered from top to bottom."""
     evidence = axes.evidence
     t, s = evidence.points[:, :2] @ axes.across, evidence.points[:, :2] @ axes.along
     z = evidence.points[:, 2]
@@ -131,10 +137,10 @@ def _columns(t: Array) -> Array:
 def _mirror_depths(fronts: list[_Slice]) -> Array:
     """Return the position of the mirror plane in each slice [m].
 
-    The plane is computed from the curvature of the front: over the inner 85% of its width, an ellipse curves back by
+    The plane is computed from the curvature of the front. Over the inner 85% of its width, an ellipse curves back by
     0.47 of its half depth. A flat front provides no information, so the depth prior for boxes is used instead. Standing
-    objects are usually symmetric about a single plane from base to cap, so all slices use the median position, as far
-    as their widths allow.
+    objects are usually symmetric about a single plane from base to cap. All slices therefore use the median position,
+    as far as their widths allow.
     """
     width = np.array([one.t[-1] - one.t[0] for one in fronts])
     front, turned = np.array([np.percentile(one.near, [10.0, 85.0]) for one in fronts]).T
@@ -143,7 +149,10 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """Return a percentile of the depths ``s`` near each column; columns without points are interpolated."""
+    """Return a percentile of the depths ``s`` near each column.
+
+    Columns without points are interpolated.
+    """
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))
@@ -161,7 +170,7 @@ def _free_limit(axes: _Axes, front: _Slice) -> Array:
 
 
 def _extend(axes: _Axes, own: _Slice, above: _Slice) -> _Slice:
-    """Extend a slice to the columns of the slice above it, except for those that overhang observed free space."""
+    """Extend a slice to the columns of the slice above it, except columns that overhang observed free space."""
     t, low, high = above.t, own.t[0], own.t[-1]
     held = ~axes.is_free(t, (above.near + above.far) / 2, own.level)
     first = last = int(np.argmin(np.abs(t - (low + high) / 2)))
@@ -179,7 +188,11 @@ def _extend(axes: _Axes, own: _Slice, above: _Slice) -> _Slice:
 
 
 def _ring(axes: _Axes, one: _Slice) -> Array:
-    """Return a star-shaped outline about the slice's center in the world [m], counterclockwise, shape (SIDES, 3)."""
+    """Return an outline of a slice that is star-shaped about the slice's center, in counterclockwise order.
+
+    Returns:
+        Points in the world [m], as an array of shape (SIDES, 3).
+    """
     angle = np.arange(SIDES) * (2 * math.pi / SIDES)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
     t, near, far = one.t, one.near, one.far
@@ -196,7 +209,7 @@ def _ring(axes: _Axes, one: _Slice) -> Array:
 
 
 def _smooth(rings: Array) -> Array:
-    """Smooth out noise with one pass around each ring and one pass up the stack."""
+    """Smooth out noise with a pass around each ring and a pass up the stack."""
     round_ = 0.25 * np.roll(rings, 1, axis=1) + 0.5 * rings + 0.25 * np.roll(rings, -1, axis=1)
     padded = np.concatenate([round_[:1], round_, round_[-1:]])
     out = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
@@ -218,7 +231,10 @@ def _carve(axes: _Axes, rings: Array) -> Array:
 
 
 def _stand(rings: Array, base_z: float) -> Array:
-    """Close the stack by adding half a level on top and extending the lowest slice straight down to the base."""
+    """Close the stack at the top and the bottom.
+
+    Half a level is added at the top, and the lowest slice is extended straight down to the base.
+    """
     pitch = float(rings[1, 0, 2] - rings[0, 0, 2]) if len(rings) > 1 else 2 * float(rings[0, 0, 2] - base_z)
     top, foot = rings[-1:].copy(), rings[:1].copy()
     top[..., 2] += pitch / 2
@@ -227,7 +243,10 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilize(rings: Array) -> Array:
-    """Add a thin pad to a solid that would tip over: a hull of its base and a disk under its center of mass."""
+    """Add a thin pad to a solid that would otherwise tip over.
+
+    The pad is the hull of the solid's base and a disk under its center of mass.
+    """
     import shapely
 
     foot = rings[0, :, :2]
@@ -248,9 +267,13 @@ def _stabilize(rings: Array) -> Array:
 
 
 def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
-    """Return the convex hull of a base outline and a disk, sampled at the same angles as the outline, shape (SIDES, 2).
+    """Return the convex hull of a base outline and a disk, sampled at the same angles as the outline.
 
-    Each point is where a ray from the center of the base through a point of its outline meets the hull.
+    A ray from the center of the base through a point of the outline meets the hull at the corresponding point of the
+    result.
+
+    Returns:
+        Array of shape (SIDES, 2).
     """
     from scipy.spatial import ConvexHull
 
@@ -266,11 +289,11 @@ def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
 
 
 def loft_mesh(rings: Array) -> Mesh:
-    """Return a closed mesh through rings of points [m], shape (k, sides, 3).
+    """Return a closed mesh through rings of points [m], given as an array of shape (k, sides, 3).
 
-    The rings are ordered from the bottom up, and each is counterclockwise when seen from above. The mesh is closed with
-    a triangle fan on the first ring and one on the last, centered at the mean of the ring. Both rings must be
-    star-shaped about their means.
+    The rings are ordered from the bottom up, and the points of each ring are counterclockwise when seen from above. The
+    mesh is closed with a triangle fan on the first ring and one on the last ring, centered at the mean of the ring.
+    These two rings must be star-shaped about their means.
     """
     levels, sides, _ = rings.shape
     top_down = rings[::-1].reshape(-1, 3)
@@ -279,9 +302,10 @@ def loft_mesh(rings: Array) -> Mesh:
 
 
 def hull_margin(footprint: Array, point: Array) -> float:
-    """Return the distance [m] of a point from the boundary of the convex hull of ``footprint`` (xy [m], shape (n, 2)).
+    """Return the distance of a point from the boundary of the convex hull of ``footprint`` [m].
 
-    The distance is positive inside the hull and negative outside.
+    The points of ``footprint`` are xy positions [m] of shape (n, 2). The distance is positive inside the hull and
+    negative outside.
     """
     from scipy.spatial import ConvexHull
 

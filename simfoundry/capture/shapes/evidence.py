@@ -1,8 +1,9 @@
 """Measure how well a solid explains the camera's view of an object, using ray casts.
 
 Ray casts against primitives are analytic, so a fit can evaluate many of them. A ray cast returns the depth of the first
-hit along each ray (infinity for a miss), and the slant, which is the cosine between the ray and the surface normal
-multiplied by the length of the ray: ``(depth - observed) * slant`` is the distance perpendicular to the surface [m].
+hit along each ray (infinity for a miss) and the slant. The slant is the cosine between the ray and the surface normal,
+multiplied by the length of the ray, so that ``(depth - observed) * slant`` is the distance perpendicular to the surface
+[m].
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ class Evidence:
         support: The surface that supports the objects.
         points: Points of the object in the world frame [m], shape (n, 3), without flying pixels.
         rays: Directions in the world frame, shape (m, 3). ``eye + depth * ray`` is the point at a depth.
-        depth: Depth observed along each ray [m], shape (m,); NaN for rays without a reading.
-        inside: Mask of the object's own rays, shape (m,).
-        hidden: Mask of the rays of other objects, shape (m,).
+        depth: Depth observed along each ray [m], shape (m,). Rays without a reading are NaN.
+        inside: Mask of the rays that pass through the object's pixels, shape (m,).
+        hidden: Mask of the rays that pass through the pixels of other objects, shape (m,).
         scale: Distance above which a residual no longer counts as noise [m].
         base_z: Height of the surface on which the object stands [m].
     """
@@ -59,37 +60,45 @@ class Evidence:
 
     @property
     def eye(self) -> Array:
-        """Camera center in the world [m], shape (3,)."""
+        """The camera center in the world [m], as an array of shape (3,)."""
         return self.support.X_WC.p
 
     @property
     def view(self) -> Array:
-        """Horizontal unit direction from the camera to the object, shape (2,)."""
+        """The horizontal unit direction from the camera to the object, as an array of shape (2,)."""
         away = np.median(self.points[:, :2], axis=0) - self.eye[:2]
         norm = float(np.linalg.norm(away))
         return away / norm if norm > 1e-6 else np.array([1.0, 0.0])
 
     @property
     def across(self) -> Array:
-        """Horizontal unit direction to the left, as seen by the camera, shape (2,)."""
+        """The horizontal unit direction to the left as seen by the camera, as an array of shape (2,)."""
         return np.array([-self.view[1], self.view[0]])
 
     @property
     def top(self) -> float:
-        """Noise-robust height of the object [m]: the median of its highest 2% of points, but at least of ten points."""
+        """A noise-robust estimate of the height of the object [m].
+
+        This is the median height of the highest 2% of its points, or of its ten highest points if the object has few
+        points.
+        """
         z = self.points[:, 2]
         count = max(min(10, len(z)), len(z) // 50)
         return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
 
     def judge(self, cast: Callable[..., SolidHits], *solid: object) -> RayAgreement:
-        """Cast the rays against a solid using ``cast``, and compare the hits with the observations."""
+        """Compare a solid with the observations.
+
+        The rays are cast against the solid with the function ``cast``.
+        """
         return agreement(self, cast(self.eye, self.rays, *solid))
 
 
 def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, labels: Labels | None = None) -> Evidence:
-    """Collect the evidence for the object under ``mask`` (bool, shape (h, w)).
+    """Collect the evidence for the object under ``mask``, a bool array of shape (h, w).
 
-    ``labels`` (int32, shape (h, w)) identifies the other objects, so that rays that end on them do not count as misses.
+    ``labels`` is an int32 array of shape (h, w) that identifies the other objects. Rays that end on them do not count
+    as misses.
     """
     keep = mask & np.isfinite(frame.depth) & ~flying_pixels(frame.depth)
     distance = float(np.median(frame.depth[keep])) if keep.any() else 1.0
@@ -110,10 +119,14 @@ def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, lab
 
 
 def main_body(points: Array, pitch: float) -> Mask:
-    """Return a mask of the points on the object itself, excluding stray background under its mask; bool, shape (n,).
+    """Return a mask of the points that belong to the object itself.
 
-    Points are connected through a grid of ``pitch`` [m]. A connected part is kept if it has at least a tenth as many
-    points as the largest part, so that an object split in two by an occluder remains whole.
+    Stray background points under the object's mask are excluded. Points are connected through a grid of ``pitch`` [m].
+    A connected part is kept if it has at least a tenth as many points as the largest part, so that an object split in
+    two by an occluder remains whole.
+
+    Returns:
+        Bool array of shape (n,).
     """
     from scipy import ndimage
 
@@ -130,7 +143,7 @@ def main_body(points: Array, pitch: float) -> Mask:
 
 
 def depth_scale(distance: float) -> float:
-    """Return the residual [m] that exceeds the noise of common depth cameras at a given distance [m].
+    """Return the residual [m] that exceeds the noise of common depth cameras at the given distance [m].
 
     The residual grows with the square of the distance.
     """
@@ -138,9 +151,9 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> Mask:
-    """Return a mask of flying pixels, which are located between a near and a far surface.
+    """Return a mask of flying pixels, which are located between a near surface and a far surface.
 
-    Fewer than three of a flying pixel's eight neighbors have similar depth.
+    A pixel is a flying pixel if fewer than three of its eight neighbors have a similar depth.
     """
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
@@ -154,13 +167,19 @@ def flying_pixels(depth: Array) -> Mask:
 def binned(
     bins: NDArray[np.intp], values: Array, count: int, fewest: int, statistic: Callable[[Array], np.floating]
 ) -> Array:
-    """Return a statistic of the values in each of ``count`` bins; NaN for bins with fewer than ``fewest`` values."""
+    """Return a statistic of the values in each of ``count`` bins.
+
+    The result is NaN for bins with fewer than ``fewest`` values.
+    """
     groups = (values[bins == k] for k in range(count))
     return np.array([statistic(group) if len(group) >= fewest else np.nan for group in groups])
 
 
 def smooth_gaps(x: Array, values: Array) -> Array:
-    """Interpolate NaN values, extrapolate the ends as constants, and apply a three-point median filter."""
+    """Interpolate NaN values and apply a three-point median filter.
+
+    Values beyond the ends are extrapolated as constants.
+    """
     from scipy.ndimage import median_filter
 
     good = np.isfinite(values)
@@ -168,7 +187,10 @@ def smooth_gaps(x: Array, values: Array) -> Array:
 
 
 def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows and columns of the rays, a regular grid over the mask's bounding window and a margin."""
+    """Return the rows and columns of the rays.
+
+    The rays form a regular grid over the bounding window of the mask and a margin around it.
+    """
     rows, cols = np.nonzero(mask)
     margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
     top, bottom = max(0, rows.min() - margin), min(mask.shape[0] - 1, rows.max() + margin)
@@ -180,14 +202,18 @@ def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 @dataclass(frozen=True, eq=False)
 class SolidHits:
-    """The hits of rays on a solid: ``depth`` along each ray (inf for a miss) and ``slant``, both with shape (m,)."""
+    """The hits of rays on a solid.
+
+    ``depth`` is the depth along each ray (inf for a miss), and ``slant`` is the slant of each ray. Both have shape
+    (m,).
+    """
 
     depth: Array
     slant: Array
 
 
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
-    """Cast rays against a box with full extents ``size`` [m], centered at ``X_WO``."""
+    """Cast rays against a box that has the full extents ``size`` [m] and is centered at ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
@@ -215,8 +241,8 @@ def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidH
 def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits:
     """Cast rays against a surface of revolution about the local z axis.
 
-    ``profile`` is a polyline of (radius, height) [m], shape (k, 2); each of its edges sweeps out a cone, a cylinder or
-    a ring.
+    ``profile`` is a polyline of (radius, height) [m], given as an array of shape (k, 2). Each of its edges sweeps out a
+    cone, a cylinder or a ring.
     """
     o, d = _to_local(eye, rays, X_WO)
     r0, z0 = profile[:-1, 0][:, None], profile[:-1, 1][:, None]
@@ -252,9 +278,9 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
 
 
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
-    """Cast rays against triangles in the world (vertices [m], shape (n, 3); faces, shape (k, 3)).
+    """Cast rays against triangles in the world.
 
-    This works for any rays and any solid.
+    The vertices [m] have shape (n, 3), and the faces have shape (k, 3). This function works for any rays and any solid.
     """
     face = first_faces(eye, rays, vertices, faces)
     hit = face >= 0
@@ -269,9 +295,9 @@ def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]
 
 
 def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the index of the first face that each ray hits, or -1 for a miss, shape (m,).
+    """Return the index of the first face that each ray hits, as an array of shape (m,).
 
-    The arguments are the same as for :func:`cast_mesh`.
+    The index is -1 for a miss. The arguments are the same as for :func:`cast_mesh`.
     """
     corners = vertices[faces] - eye
     units = unit(rays)
@@ -299,7 +325,7 @@ class RayAgreement:
     Attributes:
         explained: Fraction of the object's measured rays that end within the noise scale of the solid.
         intrusion: Number of rays on which the solid occupies space that was observed to be free, divided by the number
-            of the object's rays.
+            of rays through the object's pixels.
         fit: Median distance between the observations and the solid [m], over the object's measured rays that hit it.
         cost: Value that a fit minimizes, roughly in [0, 2].
     """
@@ -340,7 +366,11 @@ def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
 
 
 def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Array, Array]:
-    """Return the nearest hit per ray among the previous hits, shape (m,), and candidates on each edge, shape (k, m)."""
+    """Return the nearest hit on each ray.
+
+    The hits to compare are the previous hits, which have shape (m,), and the candidates on each edge, which have shape
+    (k, m).
+    """
     pick = np.argmin(depth, axis=0)[None]
     nearest = np.take_along_axis(depth, pick, 0)[0]
     closer = nearest < best
@@ -352,8 +382,8 @@ class FitCandidate:
     """The best solid from one family of shapes.
 
     The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
-    mesh. ``profile`` contains (radius, height) [m], shape (k, 2), for a body of revolution. ``guessed`` is True if a
-    prior supplied an extent that was not visible.
+    mesh. For a body of revolution, ``profile`` contains pairs (radius, height) [m], as an array of shape (k, 2).
+    ``guessed`` is True if a prior supplied an extent that was not visible.
     """
 
     family: str
@@ -365,5 +395,5 @@ class FitCandidate:
 
     @property
     def cost(self) -> float:
-        """The cost used for comparing candidates."""
+        """The cost by which candidates are compared."""
         return self.agreement.cost + PRIOR[self.family]

@@ -31,9 +31,9 @@ class FittedShape:
         X_WO: Pose of the solid in the world. The origin is the center of the bounding box for a primitive, and the
             center of the base (z up) for a mesh.
         fit_m: Median distance of the object's visible points from the surface [m].
-        confidence: Confidence in the fit, in [0, 1]; see :func:`confidence`.
+        confidence: Confidence in the fit, in [0, 1]. See :func:`confidence`.
         hollow: True for an open container that is modeled with its cavity.
-        profile: Pairs (radius, height) [m], shape (k, 2), if the mesh is a body of revolution, otherwise None.
+        profile: Pairs (radius, height) [m], shape (k, 2), or None if the mesh is not a body of revolution.
     """
 
     geometry: Geometry
@@ -47,15 +47,15 @@ class FittedShape:
 def fit_shape(
     frame: Frame, support: SupportSurface, mask: Mask, base_z: float, *, labels: Labels | None = None
 ) -> FittedShape:
-    """Fit the solid that best explains the object under ``mask`` (bool, shape (h, w)).
+    """Fit the solid that best explains the object under ``mask``, a bool array of shape (h, w).
 
     Args:
         frame: The RGB-D frame.
         support: The surface that supports the objects.
         mask: The object's pixels.
         base_z: Height in the world of the surface on which the object stands [m].
-        labels: Labels of all objects in the image (int32, shape (h, w)). If specified, pixels of other objects without
-            depth are treated as unknown rather than free.
+        labels: Labels of all objects in the image (int32, shape (h, w)). If they are specified, pixels of other objects
+            without depth are treated as unknown rather than free.
 
     Raises:
         CaptureError: Fewer than ``MIN_POINTS`` pixels have depth.
@@ -81,8 +81,8 @@ def fit_shape(
 def choose(found: list[FitCandidate]) -> FitCandidate:
     """Return the candidate with the lowest cost.
 
-    A completed shape follows every dent, so its residuals are smaller than those of a box even for a slightly bulging
-    carton. It is therefore chosen only if it explains clearly more than the best simple shape.
+    A completed shape follows every dent. Even for a slightly bulging carton, its residuals are therefore smaller than
+    those of a box. It is chosen only if it explains clearly more than the best simple shape.
     """
     best = min(found, key=lambda c: c.cost)
     simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
@@ -91,7 +91,10 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:
-    """Fit every family of shapes that the evidence supports. With few points, these are only boxes and cylinders."""
+    """Fit every family of shapes that the evidence supports.
+
+    If there are only a few points, these families are boxes and cylinders.
+    """
     found = [fit_box(evidence), fit_cylinder(evidence)]
     if len(evidence.points) < FEW_POINTS:
         return found
@@ -121,5 +124,5 @@ def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
 
 
 def size_of(geometry: Geometry) -> tuple[float, ...]:
-    """Return the extents of a geometry's bounding box in its own frame [m]."""
+    """Return the extents of the bounding box of a geometry in its own frame [m]."""
     return tuple(np.ptp(tessellate(geometry).vertices, axis=0).tolist())

@@ -1,4 +1,7 @@
-"""Fit bodies of revolution to bottles and jars, which are solid, and to bowls, cups and pots, which are hollow."""
+"""Fit bodies of revolution to bottles, jars, bowls, cups and pots.
+
+Bottles and jars are solid, whereas bowls, cups and pots are hollow.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ def fit_lathe(evidence: Evidence) -> FitCandidate:
 
 
 def fit_hollow(evidence: Evidence) -> FitCandidate | None:
-    """Fit the open container of revolution that best explains the evidence; None if no points are inside a rim."""
+    """Fit the open container of revolution that best explains the evidence.
+
+    The result is None if there are no points inside a rim.
+    """
     axis, radius = _rim_axis(evidence)
     if _seen_through_rim(evidence, axis, radius).mean() < OPEN:
         return None
@@ -41,7 +47,7 @@ def fit_hollow(evidence: Evidence) -> FitCandidate | None:
 def _fit(
     evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array]
 ) -> tuple[Array, Array]:
-    """Search for the best axis near ``axis`` [m]; return that axis and the profile about it."""
+    """Search for the best axis near ``axis`` [m], and return it along with the profile about it."""
 
     def cost(x: Array) -> float:
         return _agreement(evidence, x, profile_of(evidence, x)).cost
@@ -52,7 +58,10 @@ def _fit(
 
 
 def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
-    """Return the solid for a profile, simplified by up to ``PROFILE_STEP``; the ends of the profile are kept."""
+    """Return the solid for a profile.
+
+    The profile is simplified by up to ``PROFILE_STEP``, but its ends are preserved.
+    """
     import shapely
 
     line = shapely.LineString(np.round(profile, 4)).simplify(PROFILE_STEP, preserve_topology=False)
@@ -76,19 +85,25 @@ def _cylindrical(evidence: Evidence, axis: Array) -> tuple[Array, Array]:
 
 
 def _level_radii(r: Array, z: Array, edges: Array) -> Array:
-    """Return the median radius in each level between ``edges``; NaN for levels with too few points."""
+    """Return the median radius in each level between ``edges``.
+
+    The result is NaN for levels with too few points.
+    """
     level = np.clip(np.searchsorted(edges, z) - 1, 0, LEVELS - 1)
     return binned(level, r, LEVELS, _MIN_IN_LEVEL, np.median)
 
 
 def _fill(z: Array, radii: Array, fallback: float) -> Array:
-    """Interpolate levels that were not visible, and extrapolate the ends as constants."""
+    """Interpolate levels that were not visible. Values beyond the ends are extrapolated as constants."""
     filled = smooth_gaps(z, radii) if np.isfinite(radii).any() else np.full(len(z), fallback)
     return np.maximum(filled, _MIN_RADIUS)
 
 
 def solid_profile(evidence: Evidence, axis: Array) -> Array:
-    """Return the profile of a closed solid about ``axis``: the median side radius in each level, and a flat top."""
+    """Return the profile of a closed solid about ``axis``.
+
+    It consists of the median side radius in each level and a flat top.
+    """
     r, z = _cylindrical(evidence, axis)
     height = max(evidence.top - evidence.base_z, 2 * _MIN_RADIUS)
     side = z < height - 0.4 * evidence.scale  # points above this height are on the lid
@@ -101,7 +116,10 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
-    """Return a mask of the points clearly below the rim that are seen through the opening of ``radius`` [m]."""
+    """Return a mask of the points that are clearly below the rim and seen through the opening.
+
+    The opening has the given ``radius`` [m].
+    """
     below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
@@ -112,7 +130,10 @@ def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
 
 
 def hollow_profile(evidence: Evidence, axis: Array) -> Array:
-    """Return the profile of an open container about ``axis``: cavity floor, inner wall, rim, outer wall, and base."""
+    """Return the profile of an open container about ``axis``.
+
+    It consists of the cavity floor, the inner wall, the rim, the outer wall, and the base.
+    """
     r, z = _cylindrical(evidence, axis)
     height = max(evidence.top - evidence.base_z, 4 * FLOOR)
     near_rim = r[z > height - max(0.8 * evidence.scale, 0.08 * height)]
@@ -137,7 +158,10 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def _rim_axis(evidence: Evidence) -> tuple[Array, float]:
-    """Return an initial axis and radius for a container, from a robust circle fit to the points near the top."""
+    """Return an initial axis and radius for a container.
+
+    They are the result of a robust circle fit to the points near the top.
+    """
     axis, radius = start_axis(evidence)
     band = max(0.8 * evidence.scale, 0.1 * (evidence.top - evidence.base_z))
     rim = evidence.points[evidence.points[:, 2] > evidence.top - band, :2]

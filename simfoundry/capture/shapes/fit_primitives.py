@@ -1,4 +1,7 @@
-"""Fit boxes, cylinders and spheres: find the pose and size that best explain the rays."""
+"""Fit boxes, cylinders and spheres.
+
+A fit determines the pose and size that best explain the rays.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,12 @@ Solid = tuple[Cylinder | Sphere, Pose]
 
 
 def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
-    """Minimize ``cost`` with the Nelder-Mead method from ``start``; ``steps`` are the edges of the initial simplex.
+    """Minimize ``cost`` with the Nelder-Mead method, starting from ``start``.
+
+    ``steps`` are the edges of the initial simplex. The result is deterministic.
 
     Returns:
-        The minimum cost and its parameters; the result is deterministic.
+        The minimum cost and its parameters.
     """
     from scipy.optimize import minimize
 
@@ -34,10 +39,12 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
-    """Estimate an initial vertical axis from the object's width across the view and from its nearest points.
+    """Estimate an initial vertical axis.
+
+    The estimate is based on the width of the object across the view and on its nearest points.
 
     Returns:
-        The position of the axis in xy [m], shape (2,), and the radius [m].
+        The position of the axis in xy [m], as an array of shape (2,), and the radius [m].
     """
     view, across = evidence.view, evidence.across
     t, s = evidence.points[:, :2] @ across, evidence.points[:, :2] @ view
@@ -65,7 +72,10 @@ def fit_cylinder(evidence: Evidence) -> FitCandidate:
 
 
 def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
-    """Fit the cylinder lying on ``base_z`` (with a horizontal axis) that best explains the evidence."""
+    """Fit the cylinder lying on ``base_z`` that best explains the evidence.
+
+    The axis of the cylinder is horizontal.
+    """
 
     def solid(x: Array) -> Solid:
         shape = Cylinder(float(max(x[3], SMALLEST)), float(max(x[4], SMALLEST)))
@@ -141,7 +151,7 @@ def fit_box(evidence: Evidence) -> FitCandidate:
 
 
 def _box_around(evidence: Evidence, yaw: float) -> Array:
-    """Return the parameters (x, y, yaw, three extents) of the box around the points at a given yaw."""
+    """Return the parameters (x, y, yaw, three extents) of the box around the points for a given yaw."""
     c, s = math.cos(yaw), math.sin(yaw)
     local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
     low, high = np.percentile(local, [1.0, 99.0], axis=0)
@@ -151,7 +161,10 @@ def _box_around(evidence: Evidence, yaw: float) -> Array:
 
 
 def _distinct(starts: list[Array], count: int = 2) -> list[Array]:
-    """Return the first ``count`` starts whose yaws differ by more than 10 degrees (modulo a quarter turn)."""
+    """Return the first ``count`` starts whose yaws differ by more than 10 degrees.
+
+    Yaws are compared modulo a quarter turn.
+    """
     chosen: list[Array] = []
     for start in starts:
         turns = [abs((start[2] - other[2] + math.pi / 4) % (math.pi / 2) - math.pi / 4) for other in chosen]
@@ -161,7 +174,7 @@ def _distinct(starts: list[Array], count: int = 2) -> list[Array]:
 
 
 def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
-    """Convert parameters (x, y, yaw, three extents) to full extents [m] and a pose."""
+    """Convert parameters (x, y, yaw, three extents) to the full extents of a box [m] and its pose."""
     size = np.maximum(x[3:6], SMALLEST)
     yaw = float(x[2])
     return frozen_array(size), Pose.of((x[0], x[1], base_z + size[2] / 2), (math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)))
@@ -174,8 +187,8 @@ def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
     """Move one face at a time or change the yaw, in progressively smaller steps, as long as the cost decreases.
 
-    Nelder-Mead stalls at discontinuities caused by individual pixels, especially if a band of pixels without depth
-    separates the object from the background: in that case, no small change to all parameters reduces the cost.
+    The Nelder-Mead method stalls at discontinuities caused by individual pixels, especially if a band of pixels without
+    depth separates the object from the background. In that case, no small change to all parameters reduces the cost.
     """
     for step in _WALK:
         while True:
@@ -188,7 +201,10 @@ def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Arra
 
 
 def _moves(x: Array, step: float) -> Iterator[Array]:
-    """Yield boxes that have one face moved by ``step`` [m] or that are rotated enough to move a corner about as far."""
+    """Yield boxes in which one face has been moved by ``step`` [m], and boxes that have been rotated.
+
+    A rotation moves a corner about as far as ``step``.
+    """
     c, s = math.cos(x[2]), math.sin(x[2])
     for sign in (step, -step):
         for axis, direction in ((0, (c, s)), (1, (-s, c))):

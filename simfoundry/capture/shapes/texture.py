@@ -1,7 +1,8 @@
-"""Determine the colors of captured objects: a single robust color, or a texture baked from the image.
+"""Determine the colors of captured objects.
 
-Every texel of the texture corresponds to a point on the surface, whose color is looked up in the image. Points that the
-camera did not see get the color of the visible point on the opposite side.
+The result is either a single robust color or a texture baked from the image. Every texel of the texture corresponds to
+a point on the surface, and the color of this point is looked up in the image. Points that the camera did not see get
+the color of the visible point on the opposite side.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ _TOO_FAR = 0.3  # as a fraction of the object's size; beyond this, a uniform col
 
 @dataclass(frozen=True, eq=False)
 class _Texels:
-    """The texels on the surface, with ``row`` and ``col`` in the texture, and the points [m] and normals in the object
-    frame, shape (n, 3).
+    """The texels on the surface.
+
+    ``row`` and ``col`` are their positions in the texture. The points [m] and normals are in the object frame and have
+    shape (n, 3).
     """
 
     row: NDArray[np.intp]
@@ -40,10 +43,10 @@ class _Texels:
 
 
 def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
-    """Return the robust mean color of the pixels under ``mask`` (bool, shape (h, w)), as sRGB in [0, 1].
+    """Return the robust mean color of the pixels under ``mask``, as sRGB in [0, 1].
 
-    The rim of the mask is excluded because colors mix there, as are the darkest 10% (shadows) and the lightest 20%
-    (highlights).
+    ``mask`` is a bool array of shape (h, w). The rim of the mask is excluded because colors mix there. The darkest 10%
+    (shadows) and the lightest 20% (highlights) are also excluded.
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -56,9 +59,10 @@ def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
 
 
 def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: Mask) -> Mesh:
-    """Return a fitted shape as a mesh in its object frame, with a PNG texture from the image (texture v points up).
+    """Return a fitted shape as a mesh in its object frame, with a PNG texture from the image.
 
-    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors outside the mask are never used.
+    ``mask`` is a bool array of shape (h, w) that marks the object's pixels. Colors outside the mask are never used. The
+    v axis of the texture coordinates points up.
 
     Raises:
         ValueError: The mask is empty.
@@ -78,7 +82,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
 
 
 def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
-    """Find the texels inside each face, and the surface point and normal at each texel."""
+    """Find the texels inside each face, along with the surface point and the normal at each texel."""
     normals = face_normals(vertices, faces)
     point_map = np.full((atlas.size, atlas.size, 3), np.nan)
     normal_map = np.zeros((atlas.size, atlas.size, 3))
@@ -109,8 +113,8 @@ def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
 class _View:
     """The image prepared for texturing, and the projection of object points into it.
 
-    ``colors`` is float32, shape (h, w, 3), and contains only colors of the object. ``core`` is bool, shape (h, w), and
-    marks the object's pixels without the rim, where colors mix.
+    ``colors`` is a float32 array of shape (h, w, 3) that contains only colors of the object. ``core`` is a bool array
+    of shape (h, w) that marks the object's pixels without the rim, where colors mix.
     """
 
     shape: FittedShape
@@ -120,7 +124,10 @@ class _View:
     colors: NDArray[np.float32]
 
     def look(self, points: Array, normals: Array) -> tuple[Array, Mask]:
-        """Return the colors of points in the object frame, shape (n, 3) in [0, 255], and a mask of visible points."""
+        """Return the colors of points in the object frame and a mask of the visible points.
+
+        The colors have shape (n, 3) and are in [0, 255].
+        """
         from scipy import ndimage
 
         p_W = self.shape.X_WO.apply(points)
@@ -142,10 +149,10 @@ class _View:
 
 
 def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
-    """Return the colors of all texels, shape (n, 3).
+    """Return the colors of all texels, as an array of shape (n, 3).
 
     A texel that was not visible gets the color of the opposite point if that point was visible. Otherwise, it gets the
-    color of the nearest visible point, or ``plain`` if that point is too far away.
+    color of the nearest visible point, or the color ``plain`` if that point is too far away.
     """
     points, normals = texels.points, texels.normals
     center = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -163,7 +170,10 @@ def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
 
 
 def _borrow(key: Array, colors: Array, done: Mask) -> None:
-    """Replace each color that is not ``done``, in place, with the nearest color that is, unless it is too far away."""
+    """Replace each color that is not marked as ``done`` with the nearest color that is marked.
+
+    The colors are replaced in place. A color is not replaced if the nearest one is too far away.
+    """
     from scipy.spatial import cKDTree
 
     lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
@@ -175,7 +185,10 @@ def _borrow(key: Array, colors: Array, done: Mask) -> None:
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
-    """Return the texture; texels off the surface get the nearest color, so that filtering does not blend in black."""
+    """Return the texture.
+
+    Texels off the surface get the nearest color so that filtering does not blend in black.
+    """
     picture = np.zeros((size, size, 3), dtype=np.float32)
     on_surface = np.zeros((size, size), dtype=bool)
     picture[texels.row, texels.col] = colors
@@ -184,7 +197,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
 
 
 def _nearest_fill(picture: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
-    """Fill each pixel that is not ``known`` with the color of the nearest known pixel."""
+    """Fill each unknown pixel with the color of the nearest pixel that is marked as ``known``."""
     from scipy import ndimage
 
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -213,9 +226,9 @@ _DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1],
 class Atlas:
     """An unwrapped mesh whose vertices are duplicated along chart seams.
 
-    ``source`` is the index of each vertex in the original mesh, shape (n,). ``faces`` index the new vertices, shape
-    (m, 3), in the order of the original faces. ``texel`` are positions in the texture [texels, x right, y down], shape
-    (n, 2).
+    ``source`` contains the index of each vertex in the original mesh and has shape (n,). ``faces`` contains indices of
+    the new vertices in the order of the original faces and has shape (m, 3). ``texel`` contains positions in the
+    texture [texels, x to the right, y down] and has shape (n, 2).
     """
 
     source: NDArray[np.intp]
@@ -225,12 +238,18 @@ class Atlas:
 
     @property
     def uv(self) -> Array:
-        """Texture coordinates, v up, shape (n, 2)."""
+        """The texture coordinates, as an array of shape (n, 2).
+
+        The v axis points up.
+        """
         return np.column_stack([self.texel[:, 0] / self.size, 1.0 - self.texel[:, 1] / self.size])
 
 
 def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
-    """Unwrap a mesh (vertices [m], shape (n, 3); faces shape (m, 3)) into a square texture of ``size`` texels."""
+    """Unwrap a mesh into a square texture of ``size`` texels.
+
+    The vertices [m] have shape (n, 3), and the faces have shape (m, 3).
+    """
     facing = _facing(vertices, faces)
     chart = _charts(faces, facing)
     source_parts, texel_parts, extents = [], [], []
@@ -254,12 +273,12 @@ def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
 
 
 def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Return the unit normals of faces, shape (m, 3)."""
+    """Return the unit normals of faces, as an array of shape (m, 3)."""
     return unit(area_normals(vertices[faces]))
 
 
 def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Return the pairs of faces that share an edge, shape (k, 2)."""
+    """Return the pairs of faces that share an edge, as an array of shape (k, 2)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
     order = np.lexsort((owner, edges[:, 1], edges[:, 0]))
@@ -269,7 +288,10 @@ def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
 
 
 def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Return the direction of each face. An isolated face gets its neighbors' direction, to keep the charts few."""
+    """Return the direction of each face.
+
+    An isolated face gets the direction of its neighbors, which reduces the number of charts.
+    """
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
     pairs = _neighbors(faces)
@@ -295,7 +317,11 @@ def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.in
 
 
 def _pack(extents: Array, size: int) -> tuple[Array, float]:
-    """Pack rectangles into the texture, and return their corners [texels] and the largest possible scale [texels/m]."""
+    """Pack rectangles into the texture.
+
+    Returns:
+        The corners of the rectangles [texels] and the largest possible scale [texels/m].
+    """
     low, high = 0.0, size / max(float(extents.max()), 1e-9)
     for _ in range(24):
         middle = (low + high) / 2
@@ -307,7 +333,10 @@ def _pack(extents: Array, size: int) -> tuple[Array, float]:
 
 
 def _shelves(extents: Array, size: int) -> Array | None:
-    """Return the corners of rectangles placed on shelves, tallest first, or None if they do not fit."""
+    """Return the corners of rectangles that are placed on shelves, with the tallest rectangles first.
+
+    The result is None if the rectangles do not fit.
+    """
     corners = np.zeros_like(extents)
     x = y = _GUTTER
     shelf = 0.0

@@ -36,7 +36,7 @@ class Examined:
     """The result of examining a layout.
 
     Attributes:
-        reasons: Reasons for rejection; empty if the layout was accepted.
+        reasons: Reasons for rejection. There are none if the layout was accepted.
         state: Settled state of all objects, or their initial state if an object is too far away for all arms.
         unchecked: Checks that could not be performed.
     """
@@ -83,7 +83,7 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason for each required relation that does not hold, and another reason if the goal is already true."""
+    """Yield a reason for each required relation that does not hold, and one more if the goal is already true."""
     required = (
         ("not_as_asked", "does not hold at rest", layout.asked),
         ("relation_lost", "no longer holds", kept_relations(twin, layout.poses)),
@@ -103,10 +103,10 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
-    """Return the twin's relations that must still hold after the ``moved`` objects are moved.
+    """Return the relations of the twin that must still hold after the ``moved`` objects have been moved.
 
-    These are the relations that do not involve moved objects, those between a rider and its support, and those that
-    concern only an object's own joints or orientation.
+    These are all relations that do not involve a moved object, relations between a rider and its support, and relations
+    that concern only the joints or the orientation of a single object.
     """
     gone = set(moved)
 
@@ -151,7 +151,10 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
 
 
 def _too_far(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason for each task object that no arm is long enough to reach, even if it moves while settling."""
+    """Yield a reason for each task object that is too far away for every arm.
+
+    The distance that the object may move while it settles is taken into account.
+    """
     for name in _grasped(twin) if twin.goal is not None else ():
         box = twin.box(name, state.poses[name])
         slack = DRIFT + math.sin(math.radians(TILT_DEG)) * float(np.linalg.norm(box[1] - box[0]))
@@ -187,7 +190,7 @@ class SettledLayout:
     Attributes:
         state: Final state, rounded to the precision of documents.
         moved: Displacement of each free object [m].
-        tilted: Tilt of each free object [deg]; 0 for balls.
+        tilted: Tilt of each free object [deg]. The tilt of a ball is 0.
         restless: Names of the objects that did not come to rest.
         deepest: Largest final penetration depth [m].
         between: Names of the two objects with the largest penetration.
@@ -202,9 +205,9 @@ class SettledLayout:
 
 
 def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
-    """Simulate a state until all objects are at rest or the maximum settling time is reached.
+    """Simulate a state until all objects are at rest or the settling time runs out.
 
-    ``absent`` objects are ignored; they are moved far away from the scene and from each other.
+    Objects in ``absent`` are ignored. They are moved far away from the scene and from each other.
     """
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]

@@ -1,4 +1,4 @@
-"""Keep track of the objects in a scene and place more objects among them, individually or in batches."""
+"""Keep track of the objects in a scene, and add more objects to it, individually or in batches."""
 
 from __future__ import annotations
 
@@ -36,7 +36,14 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return the object called ``name``, to be placed on ``on`` with all its riders except those in ``staying``."""
+        """Prepare an object for placement.
+
+        Args:
+            twin: The twin.
+            name: Name of the object.
+            on: Name of the object on which it will be placed.
+            staying: Names of riders that do not move along with it.
+        """
         riders = tuple(n for n in twin.riders(name) if n not in set(staying))
         key = (name, on, riders)
         if key not in twin.placeables:
@@ -49,21 +56,28 @@ class Placeable:
         return support.height - self.outline.low + CLEARANCE
 
     def anywhere(self, support: Support) -> Region:
-        """Return the region that covers an entire support, with any yaw."""
+        """Return the region that covers an entire support and allows any yaw."""
         key = (support.name, support.height)
         if key not in self._regions:
             self._regions[key] = Region(*support.bounds, (-math.pi, math.pi), support, self.height(support))
         return self._regions[key]
 
     def pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
-        """Return the pose of the object when its frame is at x, y, z [m] and it is rotated by ``yaw`` [rad] about z."""
+        """Return the pose of the object for a given position and yaw.
+
+        Args:
+            x: x coordinate of the object's frame [m].
+            y: y coordinate of the object's frame [m].
+            z: Height of the object's frame [m].
+            yaw: Rotation about z [rad].
+        """
         w, qx, qy, qz = self.upright.q.tolist()
         c, s = math.cos(yaw / 2), math.sin(yaw / 2)
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
 def by_area(areas: Mapping[str, float]) -> tuple[str, ...]:
-    """Return object names sorted by decreasing shadow area [m^2], and alphabetically if areas are equal."""
+    """Return object names in order of decreasing shadow area [m^2]. Objects with equal areas are sorted by name."""
     return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
 
@@ -104,7 +118,10 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Ignore a support in overlap tests if nothing protrudes above its level, because placed objects touch it."""
+        """Exclude a support from overlap tests if nothing protrudes above its level.
+
+        Placed objects touch the support.
+        """
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -137,7 +154,7 @@ class Arrangement:
         """Place objects anywhere on a support, one after another.
 
         Returns:
-            None if all objects were placed; otherwise, the first object that could not be placed and its search result.
+            None if all objects were placed, otherwise the first object that could not be placed and its search result.
         """
         self._stand_on(support)
         for first in range(0, len(things), TOGETHER):
@@ -154,14 +171,14 @@ class Arrangement:
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-        """Return True if an object is clear of the entries ``met`` even though it overlaps their rectangles."""
+        """Return True if an object does not actually collide with the entries ``met``, whose rectangles it overlaps."""
         self.pose(thing, thing.pose(x, y, region.z, yaw))
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return True if an object or any of its riders is closer to any of the ``others`` than the required clearance.
+        """Return True if an object or one of its riders is too close to any of the ``others``.
 
-        Contact with the object named ``on`` is allowed, but overlap is not.
+        The required clearance does not apply to the object named ``on``. That object may be touched but not penetrated.
         """
         solids = self.twin.solids
         return any(

@@ -131,9 +131,10 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
-    """Return the level surface on which objects stand around an anchor, or None if there is none.
+    """Return the level surface on which objects stand around an anchor, or None if there is no such surface.
 
-    This is the surface under the anchor or, for a fixed anchor, the surface under most of the objects.
+    This is the surface under the anchor. If there is no such surface and the anchor is fixed, it is the surface under
+    most of the objects.
     """
     low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
     seen = [anchor]
@@ -150,7 +151,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
 
 
 def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, name: str, word: str) -> Iterator[Reason]:
-    """Yield the reasons why a predicate between an object and the anchor can never hold."""
+    """Yield the reasons why a predicate can never hold between an object and the anchor."""
     if word in DROPPED:
         try:
             twin.judge(f"{word}({name}, {anchor})", twin.state)
@@ -221,7 +222,7 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
 
 
 def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[Reason]:
-    """Yield a reason if too little of an object fits into the anchor's cavity in any orientation."""
+    """Yield a reason if, in every orientation, too little of an object fits into the anchor's cavity."""
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]
     forms = [form for form in bodies[name].forms if form is not None]
@@ -241,7 +242,10 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return True if any of many drops succeeds in placing an object inside the anchor, even if it fits only partly."""
+    """Return True if at least one of many drops places an object inside the anchor.
+
+    The object may also be only partly inside.
+    """
     rng = np.random.default_rng(0)  # use a fixed seed, because the result must not depend on the candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
@@ -267,10 +271,10 @@ AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
-    """Return sets of up to ``together`` predicates that can hold at once; each predicate is in at least one set.
+    """Return sets of up to ``together`` predicates that can hold at the same time.
 
-    The sets are as large as possible. A predicate that cannot be part of any set of the maximum size appears in the
-    largest sets possible for it.
+    Each predicate is in at least one set, and the sets are as large as possible. A predicate that cannot be part of any
+    set of the maximum size appears in the largest sets that can contain it.
     """
     words = tuple(dict.fromkeys(allowed))
     found: list[tuple[str, ...]] = []
@@ -283,7 +287,7 @@ def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...
 
 
 def compatible(words: Iterable[str]) -> bool:
-    """Return True if the given predicates between the same two objects can hold at once."""
+    """Return True if the given predicates can hold at the same time between the same two objects."""
     some = set(words)
     if any(pair <= some for pair in AGAINST):
         return False
@@ -291,7 +295,11 @@ def compatible(words: Iterable[str]) -> bool:
 
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
-    """Return the horizontal unit vector toward a predicate's side, shape (3,), or None if it has no side."""
+    """Return the horizontal unit vector toward the side that a predicate requests.
+
+    Returns:
+        Array of shape (3,), or None if the predicate does not request a side.
+    """
     if word not in AXES:
         return None
     column, sign = AXES[word]
@@ -318,9 +326,9 @@ def too_full(
         twin: The twin. Objects that the axis does not move stay in place.
         places: Level surfaces on which the objects must stand.
         axis: The scene axis that moves objects, or None.
-        items: Distractors to choose from. All are used before any distractor is repeated.
-        count: Number of distractors. In the best case, the smallest distractors are chosen.
-        around: Name of the object onto which the axis moves objects; by default, the owner of one of ``places``.
+        items: Distractors to choose from. All of them are used before any distractor is repeated.
+        count: Number of distractors. The smallest distractors are assumed, as the best case.
+        around: Name of the object onto which the axis moves objects. The default is the owner of one of ``places``.
     """
     moves = axis.objects if axis is not None else {}
     names = list(dict.fromkeys(place.name for place in places))
@@ -342,9 +350,10 @@ def too_full(
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Return a lower bound on the total shadow area [m^2] of ``count`` objects chosen from ``items`` in turn.
+    """Return a lower bound on the total shadow area [m^2] of ``count`` distractors chosen from ``items``.
 
-    If the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed and the result is 0.
+    All items are used before any item is repeated. If the bounding rectangles fit into the ``free`` area [m^2], the
+    exact shadows are not computed, and the result is 0.
     """
     if not count or _sum([item.size[0] * item.size[1] for item in items], count) <= free:
         return 0.0
@@ -354,6 +363,9 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
 
 
 def _sum(areas: Sequence[float], count: int) -> float:
-    """Return the sum of ``count`` areas, used in turn. An incomplete last round uses the smallest areas."""
+    """Return the sum of ``count`` areas, cycling through the list.
+
+    If the last cycle is incomplete, it uses the smallest areas.
+    """
     whole, rest = divmod(count, len(areas))
     return whole * sum(areas) + sum(sorted(areas)[:rest])

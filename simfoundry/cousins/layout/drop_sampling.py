@@ -31,7 +31,7 @@ DROPS = 64
 def drop(
     table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: Rng
 ) -> Reason | None:
-    """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
+    """Place an object on or inside the anchor. All poses that are free and satisfy the predicates are equally likely.
 
     An object that must be on the anchor is placed on one of the anchor's levels or where it first touches the anchor
     from above, and may slide from there as it settles. Poses in which it balances on a narrow edge are rejected. An
@@ -100,10 +100,12 @@ def drop(
 
 
 def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
-    """Return the pose of an object that stands on a level.
+    """Return the pose of an object that stands on a level surface.
 
-    The object's frame is above the point ``xy`` [m] and rotated by ``yaw`` [rad] about z. If the object overhangs the
-    level, :class:`PlaceError` is raised.
+    The object's frame is above the point ``xy`` [m] and rotated by ``yaw`` [rad] about z.
+
+    Raises:
+        PlaceError: The object overhangs the surface.
     """
     X_WO = thing.pose(*xy, thing.height(level), yaw)
     turn = cmath.rect(1.0, yaw)
@@ -114,7 +116,7 @@ def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: fl
 
 
 def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
-    """Return True if an object would balance on a narrow edge, with its center above the edge."""
+    """Return True if an object would balance on a narrow edge with its center above the edge."""
     import shapely
 
     edges = twin[anchor].edges
@@ -125,7 +127,7 @@ def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str)
 
 
 def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
-    """Return the object lying on its side in two orientations, or an empty list if it has riders."""
+    """Return the object lying on its side in two different orientations, or an empty list if it has riders."""
     if thing.riders:
         return []
     sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
@@ -170,15 +172,19 @@ assert SURE < ENCLOSED
 
 
 def cavity_extents(hole: Cavity) -> Array:
-    """Return the side lengths [m] of a cavity's bounding box, including walls, shape (3,)."""
+    """Return the side lengths of a cavity's bounding box, including the walls.
+
+    Returns:
+        Array of shape (3,) [m].
+    """
     cells = np.argwhere(hole.depth > 0)
     return np.asarray((np.ptp(cells, axis=0) + 1) * hole.cell)
 
 
 def largest_share(forms: Iterable[Form], extents: Array) -> float:
-    """Return the largest fraction of an object's volume that fits into a box in any sampled orientation.
+    """Return the fraction of an object's volume that fits into a box in the best of the sampled orientations.
 
-    ``extents`` [m] are the side lengths of the box.
+    ``extents`` contains the side lengths of the box [m].
     """
     found = [volume_samples(form, SAMPLES) for form in forms]
     points = np.concatenate(found)
@@ -199,16 +205,23 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return masks of the values inside windows of the given length, shape (n, n); window i starts at value i."""
+    """Return a mask for each window of the given length that marks the values inside the window.
+
+    Returns:
+        Array of shape (n, n). Row i belongs to the window that starts at value i.
+    """
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 
 
 def _orientations() -> Array:
-    """Return unit quaternions (w, x, y, z) distributed evenly over all rotations, shape (TURNS, 4).
+    """Return unit quaternions that are distributed evenly over all rotations.
 
-    They form a super-Fibonacci spiral; see Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)",
-    CVPR 2022.
+    The quaternions form a super-Fibonacci spiral. See Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling
+    of SO(3)", CVPR 2022.
+
+    Returns:
+        Quaternions (w, x, y, z), as an array of shape (TURNS, 4).
     """
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(TURNS) + 0.5

@@ -47,7 +47,7 @@ class Layout:
     dropped: frozenset[str] = frozenset()
 
     def extended(self, table: Arrangement, asked: tuple[str, ...] = ()) -> Layout:
-        """Return this layout extended by the objects that were placed in an arrangement."""
+        """Return a copy of this layout that includes the objects placed in an arrangement."""
         poses = MappingProxyType({**self.poses, **table.moved})
         return Layout((*self.asked, *asked), poses, self.dropped | table.dropped)
 
@@ -116,7 +116,7 @@ def _put_all(
     """Place objects on their chosen supports.
 
     Returns:
-        The number of objects not placed, and the reason if an object does not fit on any support.
+        The number of objects that were not placed, and a reason if an object does not fit on any support.
     """
     left, twin = len(names), table.twin
     for place in places:
@@ -135,7 +135,11 @@ def _put_all(
 
 
 def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: Rng) -> bool:
-    """Place an object on a support, and return True if it fits there."""
+    """Place an object on a support.
+
+    Returns:
+        True if the object fits there.
+    """
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
@@ -147,7 +151,11 @@ def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str],
 def _place(
     table: Arrangement, asks: PlacementConstraints, axis: SceneAxis, name: str, words: tuple[str, ...], rng: Rng
 ) -> Reason | None:
-    """Place an object, and return the reason if it cannot be placed."""
+    """Place an object.
+
+    Returns:
+        The reason why the object could not be placed, or None if it was placed.
+    """
     if set(words) & set(DROPPED):
         return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids
@@ -167,7 +175,7 @@ def _place(
 
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
-    """Return a region that contains every placement of an object whose gap to the anchor is within the maximum."""
+    """Return a region that contains all placements of an object within the maximum gap to the anchor."""
     lowest, highest = table.twin.box(anchor, table.poses[anchor])
     reach = axis.gap[1] + thing.outline.radius
     low = np.maximum(support.bounds[0], lowest[:2] - reach)
@@ -177,7 +185,7 @@ def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support,
 
 
 def _judged(table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float) -> Allowed:
-    """Return a function that returns a mask of the candidates that satisfy the predicates."""
+    """Return a function that marks the candidates that satisfy the predicates."""
     twin, X_WA = table.twin, table.poses[anchor]
     condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
     upright = thing.upright.rotation
@@ -205,7 +213,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Return the reason why an object could not be placed, including the support's free area and candidate counts."""
+    """Return the reason why an object could not be placed. It states the free area and the candidate counts."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {"width_m": wide, "shadow_m2": thing.outline.area, "support_m2": support.area, "free_m2": free}
@@ -225,9 +233,9 @@ def no_room(
 
 
 def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ...]) -> tuple[float, float] | None:
-    """Return the depth and length [m] of the strip of a support beside an anchor, measured outward from the anchor.
+    """Return the depth and length [m] of the strip of a support beside an anchor.
 
-    The result is None if the predicates ``words`` do not request a side.
+    The depth is measured outward from the anchor. The result is None if the predicates ``words`` do not request a side.
     """
     axis = next((axis for word in words if (axis := side_axis(twin.scene.viewer, word)) is not None), None)
     if axis is None:

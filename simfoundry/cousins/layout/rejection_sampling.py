@@ -82,7 +82,11 @@ class Occupancy:
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Ignore the entries of ``owner``, and no others, because objects that stand on ``owner`` touch it."""
+        """Ignore the entries of ``owner`` from now on.
+
+        Objects that stand on ``owner`` touch it, so these entries would always overlap. The entries of a previously
+        ignored owner take effect again.
+        """
         self._rows[3:5] = self._rows[6:]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
@@ -90,10 +94,12 @@ class Occupancy:
     def overlaps(
         self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> dict[int, list[int]]:
-        """Map the index of each rectangle to the entries that overlap it or are less than ``gap`` [m] away from it.
+        """Find the entries that overlap rectangles or are less than ``gap`` [m] away from them.
 
-        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m]. Rectangles without
-        any such entry are omitted.
+        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m].
+
+        Returns:
+            A mapping from the index of each rectangle to its entries. Rectangles without entries are omitted.
         """
         found = dict[int, list[int]]()
         rows = self._rows[:, entries.start : entries.stop]
@@ -109,24 +115,24 @@ class Occupancy:
         return found
 
     def area_on(self, height: float) -> float:
-        """Return the total shadow area [m^2] of the objects that stand on a level with the given height [m]."""
+        """Return the total shadow area [m^2] of the objects that stand on a level surface at the given height [m]."""
         low, area = self._rows[3, : self.count], self._rows[5, : self.count]
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Return True if any of the given entries is a box that fills its rectangle."""
+        """Return True if at least one of the given entries is a box that fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
 def rectangles_meet(
     off: Complex, turn_a: Complex, half_a: Complex | complex, turn_b: Complex, half_b: Complex | complex, gap: float
 ) -> Mask:
-    """Test whether pairs of rectangles overlap or are closer than ``gap`` [m], by the separating axis theorem.
+    """Test whether pairs of rectangles overlap or are closer than ``gap`` [m], using the separating axis theorem.
 
     Args:
         off: Vectors from the center of rectangle a to the center of rectangle b [m], as complex numbers.
         turn_a: Rotations of rectangle a as unit complex numbers.
-        half_a: Half extents of rectangle a [m]; the real part is along its first side.
+        half_a: Half extents of rectangle a [m]. The real part is along its first side.
         turn_b: Rotations of rectangle b.
         half_b: Half extents of rectangle b [m].
         gap: Required distance [m].
@@ -161,12 +167,19 @@ class Region:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """The lower bounds of x, y [m] and the rotation [rad], and the sizes of these three ranges, shape (3,) each."""
+        """The region as a lower corner and a size, each of shape (3,).
+
+        The components are x [m], y [m] and the rotation [rad].
+        """
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 
     def draw(self, rng: Rng, count: int) -> tuple[Array, Array]:
-        """Draw centers [m], shape (count, 2), and rotations [rad], shape (count,), uniformly over the region."""
+        """Draw placements uniformly over the region.
+
+        Returns:
+            Centers [m], as an array of shape (count, 2), and rotations [rad], as an array of shape (count,).
+        """
         low, span = self.span
         drawn = rng.random((count, 3)) * span + low
         return drawn[:, :2], drawn[:, 2]
@@ -199,7 +212,7 @@ def find(
     clear: Clear | None = None,
     last: Last | None = None,
 ) -> Found:
-    """Find a placement for an object in a region, uniformly over all placements that pass the tests.
+    """Find a placement for an object in a region. All placements that pass the tests are equally likely.
 
     Args:
         outline: Top view of the object.
@@ -302,7 +315,10 @@ class Batch:
             self._doubts.setdefault(c, []).extend(met)
 
     def first_clear(self, t: int, clear: Clear) -> int | None:
-        """Return the index of the first candidate of object ``t`` that is clear of all placed objects, or None."""
+        """Return the index of the first candidate of object ``t`` that is clear of all placed objects.
+
+        The result is None if there is no such candidate.
+        """
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
             if not self._dead[c] and (not doubts or clear(*self.spots[c], doubts)):
@@ -310,7 +326,10 @@ class Batch:
         return None
 
     def entered(self, entries: range, chosen: int | None) -> None:
-        """Record the entries of an object that was placed at candidate ``chosen`` or, if it is None, elsewhere."""
+        """Record the entries of an object that was placed at candidate ``chosen``.
+
+        If ``chosen`` is None, the object was placed elsewhere.
+        """
         if chosen is None:
             self._meet_entries(entries)
             return
@@ -319,7 +338,10 @@ class Batch:
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
-    """Return the shadows' corners [m], shape (n, 2, m). Shorter lists are padded by repeating the last corner."""
+    """Return the corners of the shadows [m] as an array of shape (n, 2, m).
+
+    Shorter lists of corners are padded by repeating the last corner.
+    """
     out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
     for row, outline in zip(out, outlines, strict=True):
         count = outline.spread.shape[1]
@@ -329,5 +351,5 @@ def _spreads(outlines: Sequence[Outline]) -> Array:
 
 
 def _each(values: Sequence[complex]) -> Complex:
-    """Repeat each object's value for all of its candidates."""
+    """Repeat the value of each object for all of its candidates."""
     return np.repeat(np.array(values, dtype=np.complex128), EACH)

@@ -54,7 +54,11 @@ class Outline:
 
     @classmethod
     def of(cls, shape: Hulls) -> Outline:
-        """Compute the outline of convex parts; raise ValueError if there are none."""
+        """Compute the outline of convex parts.
+
+        Raises:
+            ValueError: There are no parts.
+        """
         if not len(shape.corners):
             raise ValueError("there are no convex parts")
         corners = _shadow(shape)
@@ -64,32 +68,38 @@ class Outline:
 
     @cached_property
     def spread(self) -> Array:
-        """Corners of the shadow relative to the rectangle's center [m], shape (2, m)."""
+        """The corners of the shadow relative to the center of the rectangle [m], as an array of shape (2, m)."""
         return np.ascontiguousarray((self.corners - [self.middle.real, self.middle.imag]).T)
 
     @cached_property
     def radius(self) -> float:
-        """Radius [m] of the smallest circle that contains the shadow and is centered on the rectangle's center."""
+        """The radius of the smallest circle that contains the shadow and is centered on the rectangle's center [m]."""
         return float(np.hypot(*self.spread).max())
 
     @cached_property
     def size(self) -> float:
-        """Radius [m] of the rectangle's circumscribed circle."""
+        """The radius of the circle circumscribed about the rectangle [m]."""
         return abs(self.half)
 
     @cached_property
     def area(self) -> float:
-        """Area of the shadow [m^2]."""
+        """The area of the shadow [m^2]."""
         return float(_areas(self.corners))
 
     @cached_property
     def width(self) -> float:
-        """Minimum width of the shadow [m]: the smallest distance between two parallel lines that enclose it."""
+        """The minimum width of the shadow [m].
+
+        This is the smallest distance between two parallel lines that enclose the shadow.
+        """
         return float(np.ptp(_along_edges(self.corners)[2], axis=1).min())
 
 
 def _shadow(shape: Hulls) -> Array:
-    """Return the convex outline of all parts in the top view; spheres are replaced with circumscribed polygons."""
+    """Return the convex outline of all parts as seen from above.
+
+    Spheres are replaced with circumscribed polygons.
+    """
     points, radius = shape.corners[:, :2], shape.radius[shape.part]
     angle = (np.arange(ROUND) + 0.5) * (2 * np.pi / ROUND)
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / ROUND)
@@ -99,9 +109,11 @@ def _shadow(shape: Hulls) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points [m], counterclockwise, shape (m, 2).
+    """Compute the convex hull of points [m] in the plane.
 
-    A degenerate hull is replaced with a thin rectangle.
+    Returns:
+        Corners of the hull in counterclockwise order [m], as an array of shape (m, 2). A degenerate hull is replaced
+        with a thin rectangle.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -113,15 +125,17 @@ def hull(points: Array) -> Array:
 
 
 def _areas(corners: Array) -> Array:
-    """Return the signed areas [m^2] of polygons with corners of shape (..., m, 2)."""
+    """Return the signed areas [m^2] of polygons, given an array of their corners of shape (..., m, 2)."""
     x, y = corners[..., 0], corners[..., 1]
     return np.asarray((x * np.roll(y, -1, axis=-1) - y * np.roll(x, -1, axis=-1)).sum(axis=-1) / 2)
 
 
 def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
-    """Return the unit directions of a polygon's edges, and the coordinates of its corners relative to each edge.
+    """Return the directions of a polygon's edges and the coordinates of its corners relative to each edge.
 
-    The directions have shape (m, 2). The coordinates along the edges and those across them have shape (m, m) each.
+    Returns:
+        Unit directions, as an array of shape (m, 2), followed by the coordinates along the edges and across them, as
+        two arrays of shape (m, m).
     """
     edges = np.roll(corners, -1, axis=0) - corners
     edges /= np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), 1e-12)
@@ -129,9 +143,12 @@ def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
 
 
 def _rectangle(corners: Array) -> tuple[complex, complex, complex]:
-    """Return the smallest-area rectangle around a convex polygon: center [m], half extents [m] and rotation.
+    """Return the rectangle of minimum area around a convex polygon.
 
-    One side of this rectangle is parallel to an edge of the polygon. All results are complex numbers.
+    One side of this rectangle is parallel to an edge of the polygon.
+
+    Returns:
+        Center [m], half extents [m] and rotation, all as complex numbers.
     """
     edges, along, across = _along_edges(corners)
     spans = [(v.min(axis=1), v.max(axis=1)) for v in (along, across)]
@@ -186,15 +203,15 @@ VIEWS = (
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """A level surface of an object, on which other objects can stand.
+    """A level surface of an object on which other objects can stand.
 
     Attributes:
         name: Name of the object.
         height: Height of the surface [m].
         corners: Corners of the surface's convex hull [m], counterclockwise, shape (m, 2).
         area: Area of the surface [m^2].
-        plane: Exact surface if it is not convex, else None.
-        plain: True if the object is a single convex part, so nothing protrudes above the surface.
+        plane: Exact shape of the surface if it is not convex, otherwise None.
+        plain: True if the object is a single convex part, so that nothing protrudes above the surface.
     """
 
     name: str
@@ -206,12 +223,12 @@ class Support:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Minimum and maximum corners of the bounding rectangle [m], shape (2,) each."""
+        """The minimum and maximum corners of the bounding rectangle [m], as two arrays of shape (2,)."""
         return self.corners.min(axis=0), self.corners.max(axis=0)
 
     @cached_property
     def middle(self) -> tuple[float, float]:
-        """A point on the level [m], away from its edges if possible, as x and y."""
+        """The x and y coordinates of a point on the surface [m], away from its edges if possible."""
         if self.plane is None:
             x, y = self.corners.mean(axis=0).tolist()
             return x, y
@@ -220,26 +237,27 @@ class Support:
 
     @cached_property
     def normals(self) -> Array:
-        """Outward unit normals of the hull's sides, shape (m, 2)."""
+        """The outward unit normals of the sides of the hull, as an array of shape (m, 2)."""
         edges = np.roll(self.corners, -1, axis=0) - self.corners
         outward = np.column_stack([edges[:, 1], -edges[:, 0]])
         return np.asarray(outward / np.linalg.norm(outward, axis=1, keepdims=True))
 
     @cached_property
     def offsets(self) -> Array:
-        """Distances of the hull's sides from the origin along their normals [m], shape (m,)."""
+        """The distances of the hull's sides from the origin along their normals [m], as an array of shape (m,)."""
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
     def holds(self, center: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
-        """Test whether entire shadows are over the level.
+        """Test whether entire shadows are over the surface.
 
         Args:
             center: Centers of the shadows' rectangles [m], shape (n, 2).
             turn: Rotations about z as unit complex numbers, shape (n,).
-            spread: :attr:`Outline.spread` [m], with shape (2, m) if all shadows are equal, otherwise (n, 2, m).
+            spread: Values of :attr:`Outline.spread` [m]. The shape is (2, m) if all shadows are equal and (n, 2, m)
+                otherwise.
 
         Returns:
-            A mask of the shadows over the level, shape (n,).
+            A mask of the shadows that are entirely over the surface, shape (n,).
         """
         # Rotate the sides into the object's frame to find the shadow's farthest corner along each normal.
         sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
@@ -260,19 +278,19 @@ class Support:
 
 
 def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
-    """Return all level surfaces of an object that other objects can stand on, lowest first.
+    """Return all level surfaces of an object on which other objects can stand, from lowest to highest.
 
-    Strips narrower than :data:`NARROW` and levels that the object itself encloses are excluded. If ``links`` is given,
-    only the surfaces of these links are returned.
+    Strips narrower than :data:`NARROW` and surfaces that the object itself encloses are excluded. If ``links`` is
+    given, only the surfaces of these links are returned.
     """
     found = (_support(name, triangles, shape, NARROW) for _, triangles in _levels(shape, links))
     return tuple(support for support in found if support is not None and not _is_enclosed(support, shape))
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
-    """Return an object's level surface closest to the height ``near`` [m], or the largest one if ``near`` is None.
+    """Return the level surface of an object that is closest to the height ``near`` [m].
 
-    The result is None if the object has no level faces.
+    If ``near`` is None, the largest level surface is returned. The result is None if the object has no level faces.
     """
     levels = _levels(shape)
     if not levels:
@@ -285,14 +303,20 @@ def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | 
 
 
 def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
-    """Return the heights [m] and areas of strips narrower than :data:`NARROW`, such as shelf sides and box rims."""
+    """Return the heights [m] and regions of all level strips narrower than :data:`NARROW`.
+
+    Examples are the sides of shelves and the rims of boxes.
+    """
     planes = [(height, _plane(triangles)) for height, triangles in _levels(shape, links)]
     strips = [(height, plane.difference(_without_strips(plane, NARROW))) for height, plane in planes]
     return [(height, strip) for height, strip in strips if strip.area > 0]
 
 
 def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
-    """Return the height [m] and triangles [m], shape (m, 3, 3), of each level surface, lowest first."""
+    """Return the height and the triangles of each level surface, from lowest to highest.
+
+    The heights are in meters, and the corners of the triangles [m] have shape (m, 3, 3).
+    """
     level = shape.normals[:, 2] > UPWARD
     if links is not None:
         level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
@@ -304,9 +328,9 @@ def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[fl
 
 
 def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
-    """Return the level surface formed by triangles, without strips narrower than ``narrow`` [m].
+    """Return the level surface that consists of the given triangles, without strips narrower than ``narrow`` [m].
 
-    The result is None if no surface remains.
+    The result is None if nothing remains of the surface.
     """
     import shapely
 
@@ -330,13 +354,13 @@ def _plane(triangles: Array) -> BaseGeometry:
 
 
 def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
-    """Remove strips narrower than ``narrow`` [m] from an area, keeping the corners of the remaining area."""
+    """Remove strips narrower than ``narrow`` [m] from an area. The corners of the remaining area are preserved."""
     half = narrow / 2
     return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Return True if an object encloses one of its levels so that a hand cannot reach the level's center."""
+    """Return True if an object encloses one of its level surfaces so that no hand can reach the surface's center."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False

@@ -44,7 +44,7 @@ UNDERFOOT = 0.3
 
 
 class TwinError(SimfoundryError):
-    """Raised for a scene from which cousins cannot be derived."""
+    """An error raised for a scene from which cousins cannot be derived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Twin:
         Args:
             scene: The scene.
             goal: Goal of the task, or None if there is no task.
-            robots: Names of the robots that act in the task; by default, all robots.
+            robots: Names of the robots that act in the task. By default, all robots act.
 
         Raises:
             TwinError: The scene does not come to rest.
@@ -188,14 +188,18 @@ class Twin:
         return own.standing if X_WO is own.X_WO else replace(own.item, X_WO=X_WO)
 
     def shape(self, name: str, X_WO: Pose = IDENTITY) -> Hulls:
-        """Return the convex parts of an object with its frame at ``X_WO``, by default at the origin."""
+        """Return the convex parts of an object whose frame is at ``X_WO``. By default, the frame is at the origin."""
         own = self[name]
         if X_WO is IDENTITY:
             return own.shape
         return own.placed if X_WO is own.X_WO else own.shape.posed(X_WO)
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
-        """Return the minimum and maximum corners of an object's bounding box in the world [m], shape (3,) each."""
+        """Return the minimum and maximum corners of an object's bounding box in the world [m].
+
+        Returns:
+            Two arrays of shape (3,).
+        """
         return self[name].shape.posed(X_WO).bounds()
 
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
@@ -214,7 +218,7 @@ class Twin:
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """Fraction of each free object that the best camera sees in the twin itself; absent objects are omitted."""
+        """The fraction of each free object that the best camera sees in the twin itself. Absent objects are omitted."""
         if self.base is not None:
             return self.base.shares_seen
         if not self.scene.cameras:
@@ -224,14 +228,15 @@ class Twin:
         return MappingProxyType({n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names})
 
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
-        """Return :attr:`state` with the objects in ``poses`` moved."""
+        """Return a copy of :attr:`state` in which the objects in ``poses`` have been moved."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
 
     def upright(self, name: str, on: str) -> Pose:
-        """Return the orientation that an object has before it is rotated about z and placed, as a pose at the origin.
+        """Return an object's orientation before it is rotated about z and placed, as a pose at the origin.
 
-        If only ``on`` supports the object in the twin, its orientation in the twin is used. Otherwise, the object may
-        be leaning, or lying in a container, so its frame is made upright and only its yaw is preserved.
+        If ``on`` is the only support of the object in the twin, the object's orientation in the twin is used.
+        Otherwise, the object may be leaning, or lying in a container, so its frame is made upright and only its yaw is
+        preserved.
         """
         if name not in self.absent and self.carried.get(name) == (on,):
             return Pose.of(q=self.state.poses[name].q)
@@ -240,7 +245,7 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """Return the objects that move along with ``name`` because they are supported only by it or by other riders."""
+        """Return the objects that move along with ``name``, which are those supported only by it or by other riders."""
         if self.base is not None:
             return self.base.riders(name)
         return self._riders.get(name, ())
@@ -258,10 +263,10 @@ class Twin:
 
     @cached_property
     def places(self) -> tuple[Support, ...]:
-        """Level surfaces on which new objects can be placed.
+        """The level surfaces on which new objects can be placed.
 
-        These are the levels of all fixed objects, except for the floor under furniture. If there are none, the object
-        that supports the most other objects provides its largest level.
+        These are the level surfaces of all fixed objects, except the floor under furniture. If there are none, the
+        largest level surface of the object that supports the most other objects is used.
         """
         found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
@@ -272,7 +277,10 @@ class Twin:
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """Return the combined shadow of an object and the riders in ``along``, with its frame at pose ``upright``."""
+        """Return the combined shadow of an object and the riders in ``along``.
+
+        The object's frame is at the pose ``upright``.
+        """
         if not along:
             return self[name].outline(upright)
         key = (name, tuple(upright.q.tolist()), tuple(along))
@@ -284,7 +292,11 @@ class Twin:
 
     @cached_property
     def ground(self) -> str:
-        """Name of the object that supports the most other objects; :class:`TwinError` is raised if there is none."""
+        """The name of the object that supports the most other objects.
+
+        Raises:
+            TwinError: There is no such object.
+        """
         below = [name for found in self.carried.values() for name in found]
         names = [o.name for o in self.scene.objects if o.name in below]
         if not names:
@@ -293,14 +305,14 @@ class Twin:
 
     @cached_property
     def task_objects(self) -> tuple[str, ...]:
-        """Names of the objects in the goal, in order of appearance."""
+        """The names of the objects in the goal, in order of appearance."""
         goals = texts(self.goal) if self.goal is not None else ()
         found = [a.partition(".")[0] for text, _ in goals for a in parse_call(text).args]
         return tuple(dict.fromkeys(name for name in found if name in self.scene.by_name))
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """The relations listed in the scene that hold in :attr:`state`; results for unchanged objects are reused."""
+        """The relations listed in the scene that hold in :attr:`state`. Results for unchanged objects are reused."""
         return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
 
     def _holds(self, text: str) -> bool:
@@ -311,7 +323,10 @@ class Twin:
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
-    """Return True if a level is the floor, that is, far below the ground object's level and under most of it."""
+    """Return True if a level surface is the floor.
+
+    The floor is far below the level surface of the ground object and extends under most of it.
+    """
     import shapely
 
     if ground.height - level.height < UNDERFOOT:
@@ -321,7 +336,7 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
 
 
 def bare(scene: Scene) -> Scene:
-    """Return a copy of the scene for settling, without robots and without visuals on links that have colliders."""
+    """Return a copy of the scene for settling. It has no robots, and links with colliders have no visuals."""
     objects = tuple(map(_bare, scene.objects))
     return replace(scene, objects=objects, robots=(), mounted=(), background=None, relations=())
 

@@ -32,14 +32,14 @@ BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
 
 
 class TwinRobots:
-    """The robots in a twin in their initial configurations, used as obstacles and for reachability tests."""
+    """The robots in a twin in their initial configurations. They serve as obstacles and for reachability tests."""
 
     def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
         self._scene, self.names = scene, names
 
     @cached_property
     def reach(self) -> ArmReach:
-        """Reachability test for the acting arms."""
+        """The reachability test for the acting arms."""
         from simfoundry.robots.reach import ArmReach
 
         return ArmReach(self._scene, self.names)
@@ -59,12 +59,12 @@ class TwinRobots:
 
     @cached_property
     def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
-        """Shadows of each obstacle's links in the world frame, keyed by obstacle name."""
+        """The shadows of each obstacle's links in the world frame, keyed by obstacle name."""
         return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot's collision geometry, used because the visual meshes have too many triangles."""
+        """The surface of each robot's collision geometry, which has fewer triangles than the visual meshes."""
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
@@ -88,45 +88,46 @@ class TwinObject:
 
     @cached_property
     def shape(self) -> Hulls:
-        """Convex parts of the object, with its frame at the origin."""
+        """The convex parts of the object with its frame at the origin."""
         return _shape(self.item.links, self.item.joints)
 
     @cached_property
     def placed(self) -> Hulls:
-        """Convex parts of the object at its rest pose."""
+        """The convex parts of the object at its rest pose."""
         return hulls(self.standing)
 
     @cached_property
     def shadows(self) -> tuple[Outline, ...]:
-        """Shadows of the object's links at its rest pose."""
+        """The shadows of the object's links at its rest pose."""
         return link_shadows(self.placed)
 
     @cached_property
     def surface(self) -> VisibleSurface:
-        """Visible surface of the object, with its frame at the origin."""
+        """The visible surface of the object with its frame at the origin."""
         return _surface(self.item.links, self.item.joints)
 
     @cached_property
     def levels(self) -> tuple[Support, ...]:
-        """Level surfaces on which objects can stand, excluding those on movable links."""
+        """The level surfaces on which objects can stand, excluding those on movable links."""
         return supports_of(self.item.name, self.placed, self.still_links)
 
     @cached_property
     def edges(self) -> list[tuple[float, BaseGeometry]]:
-        """Heights [m] and areas of level surfaces that are too narrow to stand on."""
+        """The heights [m] and regions of level surfaces that are too narrow to stand on."""
         return edges_of(self.placed, self.still_links)
 
     def outline(self, upright: Pose) -> Outline:
-        """Return the object's shadow with its frame at the pose ``upright``."""
+        """Return the shadow of the object with its frame at the pose ``upright``."""
         key = tuple(upright.q.tolist())
         if key not in self.outlines:
             self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))
         return self.outlines[key]
 
     def support(self, near: float | None) -> Support | None:
-        """Return the level surface closest to the height ``near`` [m], or the largest one if ``near`` is None.
+        """Return the level surface that is closest to the height ``near`` [m].
 
-        The result is None if the object has no level surfaces.
+        If ``near`` is None, the largest level surface is returned. The result is None if the object has no level
+        surfaces.
         """
         if near not in self.supports:
             self.supports[near] = support_of(self.item.name, self.placed, near)
@@ -134,7 +135,7 @@ class TwinObject:
 
     @cached_property
     def still_links(self) -> list[int]:
-        """Indices of the links that joints cannot move relative to the root."""
+        """The indices of the links that joints cannot move relative to the root."""
         welded = weld_groups(self.item)
         return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
 
@@ -172,7 +173,7 @@ Index = NDArray[np.int64]
 
 
 class Solids:
-    """Collision geometry of objects as MuJoCo geoms for distance queries. Nothing is simulated."""
+    """The collision geometry of objects as MuJoCo geoms, used for distance queries. Nothing is simulated."""
 
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
         import mujoco
@@ -192,9 +193,10 @@ class Solids:
             self.put(item.name, item.X_WO)
 
     def _in_frame(self, item: SceneObject, joints: Mapping[str, float | Pose]) -> tuple[Index, Array, Array]:
-        """Return the indices, positions [m] and rotations of an object's geoms in the object's frame.
+        """Return the geoms of an object in the object's frame.
 
-        The arrays have shapes (k,), (k, 3) and (k, 3, 3).
+        Returns:
+            Indices of shape (k,), positions [m] of shape (k, 3), and rotations of shape (k, 3, 3).
         """
         ids, p, turned = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
         poses = link_poses(item, joints)
@@ -214,7 +216,11 @@ class Solids:
         self._waiting[name] = X_WO
 
     def _posed(self, name: str) -> tuple[Array, Array]:
-        """Return the bounding spheres of an object's parts: centers in the world [m], (k, 3), and radii [m], (k,)."""
+        """Return the bounding spheres of an object's parts.
+
+        Returns:
+            Centers in the world [m], as an array of shape (k, 3), and radii [m], as an array of shape (k,).
+        """
         X_WO = self._waiting.pop(name, None)
         if X_WO is None:
             return self._at[name]
@@ -232,7 +238,10 @@ class Solids:
         return any(self._distance(self._model, self._data, i, j, gap + 1e-3, None) < gap for i, j in near)
 
     def distance(self, a: str, b: str, far: float) -> float:
-        """Return the signed distance between two objects [m], which is at most ``far`` and negative if they overlap."""
+        """Return the signed distance between two objects [m], limited to ``far``.
+
+        The distance is negative if the objects overlap.
+        """
         best = far
         for i, j, bound in self._near(a, b, far):
             if bound >= best:
@@ -243,8 +252,8 @@ class Solids:
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of parts that may be closer than ``far`` [m].
 
-        Each pair consists of two geom indices and is followed by a lower bound on their distance [m]. Pairs are sorted
-        by increasing lower bound.
+        Each item contains the indices of two geoms and a lower bound on their distance [m]. Items are sorted by
+        increasing lower bound.
         """
         if not len(self._own[a][0]) or not len(self._own[b][0]):
             return

@@ -1,4 +1,4 @@
-"""Visibility of objects: the fraction of an object that is inside a camera's image and not occluded."""
+"""Visibility of objects, measured as the fraction of an object that is inside a camera's image and not occluded."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class VisibleSurface:
         """Collect the surface of an object at its current joint positions.
 
         The surface consists of the visuals, or of the colliders for links without visuals. Transparent visuals are
-        ignored, because they do not occlude anything.
+        ignored because they do not occlude anything.
         """
         X_OL = link_poses(item)
         found = [np.zeros((0, 3, 3))]
@@ -69,7 +69,7 @@ class VisibleSurface:
         return VisibleSurface(self.corners, self.center, self.radius, X_WS)
 
     def seen_from(self, X_CW: Pose) -> Array:
-        """Return the corners in the frame of a camera C [m], shape (3, 3, m)."""
+        """Return the corners in the frame of a camera C [m], as an array of shape (3, 3, m)."""
         X_CS = X_CW @ self.X_WS
         return np.asarray(X_CS.rotation @ self.corners + X_CS.p[:, None])
 
@@ -81,7 +81,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """Return the fraction of an object's silhouette that is inside the camera image and not hidden by ``others``."""
+    """Return the fraction of an object's silhouette that is inside the camera's image and not hidden by ``others``."""
     X_CW = camera.X_WC.inverse()
     local = thing.seen_from(X_CW).transpose(2, 0, 1)
     corners = local.reshape(-1, 3)
@@ -109,7 +109,7 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
 
 
 def _before(other: VisibleSurface, X_CW: Pose, low: Array, high: Array, depth: float) -> Array:
-    """Return the triangles of a surface that may occlude an object, in the camera frame [m], shape (m, 3, 3).
+    """Return the triangles of a surface that may occlude an object.
 
     Args:
         other: Surface that may be in front of the object.
@@ -117,6 +117,9 @@ def _before(other: VisibleSurface, X_CW: Pose, low: Array, high: Array, depth: f
         low: Lower bounds of the object's rectangle in the plane z = 1, shape (2,).
         high: Upper bounds of the rectangle, shape (2,).
         depth: Greatest depth of the object [m].
+
+    Returns:
+        Corners of the triangles in the camera frame [m], as an array of shape (m, 3, 3).
     """
     x, y, z = X_CW.apply(other.X_WS.apply(other.center))
     near = max(z - other.radius, CLOSEST)
@@ -141,7 +144,14 @@ def _before(other: VisibleSurface, X_CW: Pose, low: Array, high: Array, depth: f
 
 
 def _range(values: Array) -> tuple[Array, Array]:
-    """Return the minimum and maximum of the values, shape (3, m), at the corners of each triangle, shape (m,) each."""
+    """Return the minimum and maximum of the values at the corners of each triangle.
+
+    Args:
+        values: Values at the corners, shape (3, m).
+
+    Returns:
+        Two arrays of shape (m,).
+    """
     a, b, c = values
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -152,10 +162,10 @@ def best_view(
     """Find the camera that sees the largest fraction of an object.
 
     Args:
-        cameras: The cameras; there must be at least one.
+        cameras: The cameras. There must be at least one.
         name: Name of the object.
-        surfaces: Surfaces of all objects by name; other objects may occlude this one.
-        enough: Fraction that is sufficient; the search stops at the first camera that sees at least this much.
+        surfaces: Surfaces of all objects by name. Other objects may occlude this one.
+        enough: Sufficient fraction. The search stops at the first camera that sees at least this much.
 
     Returns:
         The name of the camera and the fraction that it sees.

@@ -1,4 +1,4 @@
-"""Change the appearance of objects, and look up the colors, materials, sizes and masses of object categories."""
+"""Change the appearance of objects, and look up typical colors, materials, sizes and masses of object categories."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class VariantMaterial:
     """A material for variants.
 
     ``density`` is a range [kg/m^3], and ``friction`` and ``restitution`` are coefficients. If ``colors`` is empty, the
-    material can have any color in the object's category.
+    material can have any color that is listed for the object's category.
     """
 
     density: tuple[float, float]
@@ -42,9 +42,10 @@ class VariantMaterial:
 
 @dataclass(frozen=True)
 class CategoryPrior:
-    """Priors for a category: ranges of the longest side [m] and the mass [kg], colors, and materials of the body.
+    """The prior for an object category.
 
-    The sizes and masses are estimates for everyday objects, not measurements, so the ranges are wide.
+    It consists of ranges of the longest side [m] and the mass [kg], of colors, and of materials for the body. The sizes
+    and masses are estimates for everyday objects rather than measurements, so the ranges are wide.
     """
 
     size: tuple[float, float]
@@ -82,7 +83,7 @@ def priors() -> Priors:
     colors = {name: tuple(rgb) for name, rgb in data["colors"].items()}
 
     def color_list(entries: list[Any] | str) -> tuple[Color, ...]:
-        """Resolve a palette name or a list of color names, palettes and RGB values to colors."""
+        """Convert a palette name, or a list of color names, palettes and RGB values, to a list of colors."""
         found: list[Any] = []
         for entry in [entries] if isinstance(entries, str) else entries:
             if isinstance(entry, str) and entry in data["palettes"]:
@@ -111,7 +112,10 @@ def category_prior(category: str) -> CategoryPrior | None:
 
 
 def same_kind(a: str, b: str) -> bool:
-    """Return True if two names denote the same category; for example, `blue_cup` and `tumbler_2` are both cups."""
+    """Return True if two names denote the same category.
+
+    For example, `blue_cup` and `tumbler_2` are both cups.
+    """
     one, other = category_prior(a), category_prior(b)
     if one is not None or other is not None:
         return one is other
@@ -124,7 +128,7 @@ JITTER = 0.035
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of a component and of all same-colored parts of its link."""
+    """Change the color of a component and of all parts of its link that have the same color."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
@@ -145,8 +149,8 @@ def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
     """Return the asset with a component recolored.
 
-    All parts of the link with the same color as the component's first part are also recolored, unless components of
-    this kind usually have a different color from the body.
+    All parts of the link with the same color as the component's first part are also recolored. This does not apply to
+    components of a kind that usually differs in color from the body.
     """
     old = color_of(spec, component.parts[0])
     parts = parts_of(spec)
@@ -163,14 +167,17 @@ def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
 
 
 def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
-    """Scale a color's lightness by the ratio of a part's original lightness to the first part's lightness."""
+    """Return a color with its lightness scaled.
+
+    The scale factor is the ratio of a part's original lightness to the lightness of the first part, within limits.
+    """
     share = 1.0 if own is None or first is None else float(np.clip(sum(own) / max(sum(first), 0.1), 0.6, 1.4))
     r, g, b = (round(min(v * share, 0.98), 3) for v in color)
     return r, g, b
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """Assign a color to a link instead of its parts if all its parts have that color."""
+    """Assign a color to a link instead of its parts if all parts of the link have that color."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec
@@ -180,7 +187,10 @@ def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
 
 
 def color_of(spec: AssetSpec, key: Key) -> Color | None:
-    """Return the color of a part or, failing that, of its link or its material; None if no color is specified."""
+    """Return the color of a part, or None if no color is specified.
+
+    If the part itself has no color, the color of its link is used, and otherwise the color of its material.
+    """
     body = spec.links[key[0]]
     part = body.parts[key[1]]
     material = part.material or body.material

@@ -87,7 +87,9 @@ MARGIN = 0.003
 
 @dataclass(frozen=True, eq=False)
 class ObjectBaseline:
-    """The twin's object and the requirements that it meets, which are the only ones that variants must meet.
+    """The twin's object and the requirements that it meets.
+
+    Variants need to meet only these requirements.
 
     Attributes:
         item: The lowered object.
@@ -202,7 +204,10 @@ TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
 
 
 def instability(item: SceneObject) -> str | None:
-    """Return the reason why an object on a table moves or topples when tilted slightly, or None if it is stable."""
+    """Return the reason why an object on a table moves, or topples when tilted slightly.
+
+    The result is None if the object is stable.
+    """
     try:
         placed = _on_table(item)
     except PlaceError as error:
@@ -214,8 +219,8 @@ def instability(item: SceneObject) -> str | None:
 def rest_failure(call: Call, objects: Mapping[str, SceneObject]) -> str | None:
     """Return the reason why ``OnTop(a, b)`` or ``Inside(a, b)`` does not hold after ``a`` is released on or in ``b``.
 
-    The joints of ``b`` are opened first, and then a few orientations of ``a`` are tried. The result is None if the
-    predicate holds for at least one orientation. ``objects`` contains both objects, keyed by name.
+    The joints of ``b`` are opened first. Then a few orientations of ``a`` are tried. The result is None if the
+    predicate holds for at least one of them. ``objects`` contains both objects, keyed by name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     try:
@@ -245,7 +250,10 @@ def _places(call: Call, base: SceneObject) -> Iterator[Place]:
 
 
 def _release_failure(call: Call, a: SceneObject, b: SceneObject) -> str | None:
-    """Return the reason why a predicate does not hold after ``a`` is released and comes to rest, or None if it does."""
+    """Return the reason why a predicate does not hold after ``a`` is released and comes to rest.
+
+    The result is None if the predicate holds.
+    """
     scene = _scene(b, a)
     with MujocoWorld(scene) as world:
         run_to_rest(world, WINDOW_S, 0.0, LONGEST_S, lambda _: ())
@@ -277,9 +285,9 @@ def _joint_faults(item: SceneObject, twin: SceneObject) -> Iterator[Reason]:
 
 
 def _jam(item: SceneObject) -> tuple[float, str]:
-    """Return the deepest penetration between links of an object [m] and a description of the joint positions.
+    """Return the depth of the deepest penetration between links of an object and a description of the joint positions.
 
-    Each joint is moved over its entire range while the other joints stay closed.
+    The depth is in meters. Each joint is moved over its entire range while the other joints stay closed.
     """
     import mujoco
 
@@ -309,7 +317,11 @@ def _opened(item: SceneObject) -> SceneObject:
 
 
 def _on_table(item: SceneObject) -> SceneObject:
-    """Return an object placed on the table; raise :class:`PlaceError` if it cannot be placed."""
+    """Return an object placed on the table.
+
+    Raises:
+        PlaceError: The object cannot be placed.
+    """
     free = replace(item, fixed=False, variants=())
     return replace(free, X_WO=solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None))
 

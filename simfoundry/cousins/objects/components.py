@@ -46,7 +46,7 @@ def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetS
 def with_added(spec: AssetSpec, link: str, added: Mapping[str, PartSpec], but: Iterable[Key] = ()) -> AssetSpec:
     """Return the spec with the parts in ``but`` removed and new parts added to a link.
 
-    If the name of an added part is already used, the part gets a numbered name.
+    If the name of a new part is already in use, a number is appended to the name.
     """
     parts = {key: part for key, part in parts_of(spec).items() if key not in but}
     names = [name for owner, name in parts if owner == link]
@@ -120,15 +120,19 @@ class Component:
         return [spec.links[link].parts[name] for link, name in self.parts]
 
     def lathe(self, spec: AssetSpec) -> tuple[Key, Profile] | None:
-        """Return the key and profile of the component's tallest solid of revolution, or None if there is none."""
+        """Return the key and profile of the tallest solid of revolution in the component.
+
+        The result is None if there is no solid of revolution.
+        """
         parts = zip(self.parts, self.parts_in(spec), strict=True)
         lathes = [(key, Profile.of(part.shape)) for key, part in parts if isinstance(part.shape, LatheShape)]
         return max(lathes, key=lambda pair: (pair[1].height, pair[0]), default=None)
 
     def outward(self, spec: AssetSpec) -> Array | None:
-        """Return the signed coordinate axis along which the component protrudes from the rest of its link, shape (3,).
+        """Return the coordinate axis along which the component protrudes from the rest of its link.
 
-        The result is None if the component does not protrude.
+        Returns:
+            A signed unit vector of shape (3,), or None if the component does not protrude.
         """
         body = [part for name, part in spec.links[self.link].parts.items() if (self.link, name) not in self.parts]
         if not body:
@@ -141,9 +145,10 @@ class Component:
 
 
 def components(spec: AssetSpec) -> tuple[Component, ...]:
-    """Find the components of an asset: the body of each link, followed by the components attached to it.
+    """Find the components of an asset.
 
-    The names are unique, for example ``body``, ``drawer``, ``drawer_handle`` and ``handle_2``.
+    For each link, these are the body and the components attached to it. The names are unique, for example ``body``,
+    ``drawer``, ``drawer_handle`` and ``handle_2``.
     """
     found: list[Component] = []
     taken = Counter[str]()
@@ -209,7 +214,10 @@ def _main_kind(parts: Parts) -> Kind:
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """Group parts into components. Touching handle parts form one component; any other part is one by itself."""
+    """Group parts into components.
+
+    Handle parts that touch each other form one component. Each of the remaining parts is a separate component.
+    """
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

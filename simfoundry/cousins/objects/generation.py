@@ -62,7 +62,7 @@ class VariationProposal(NamedTuple):
 
 @dataclass
 class Generation:
-    """A source of candidates that queries models with images of the object and its scene.
+    """A source of candidates that sends images of the object and its scene to models.
 
     All proposals for an object are requested when its first candidate is generated. Identical model responses produce
     identical candidates. If a model fails, the candidate is rejected. After :data:`FAILURES` consecutive failures, a
@@ -74,7 +74,7 @@ class Generation:
         meshes: Mesh model.
         scene: Image of the scene.
         picture: Image of the object, or None to render one.
-        counts: Numbers of proposals for each component in geometry, topology and appearance.
+        counts: Numbers of proposals per component for geometry, topology and appearance.
     """
 
     vlm: Vlm
@@ -88,7 +88,7 @@ class Generation:
     _failures: int = 0
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, which is generated from the next proposal."""
+        """Return candidate ``k``. It is generated from the next proposal."""
         try:
             made = self._made(item, axis, seed, k)
         except MeshError as error:
@@ -116,7 +116,7 @@ class Generation:
         return built(item, self.meshes.make(picture, seed + k), proposals[place])
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
-        """Run prompts A, B and C, and yield the proposals, alternating between components."""
+        """Run prompts A, B and C, and yield the proposals, cycling through the components."""
         names = self.vlm.ask(prompt("a_components"), [picture], ComponentNames).components
         wanted = [name for name in names if not axis.components or name in axis.components]
         queues = []
@@ -137,7 +137,11 @@ class Generation:
         yield from filter(None, chain.from_iterable(zip_longest(*queues)))
 
     def _edited(self, picture: bytes, proposal: VariationProposal) -> bytes | Reason:
-        """Run prompts D and E, and return an image that the VLM judged reasonable, or the reason for the failure."""
+        """Run prompts D and E to create an image.
+
+        Returns:
+            An image that the VLM considered reasonable, or the reason for the failure.
+        """
         component, dimension, words = proposal
         asked = prompt("d_edit", component=component, dimension=dimension, variation_description=words)
         why = ""
@@ -154,7 +158,8 @@ class Generation:
 def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
     """Convert a generated mesh to a draft.
 
-    The mesh is scaled to the size of the twin's object and aligned with its base. It gets the material of that object.
+    The mesh is scaled to the size of the twin's object and aligned with its base. Its material is that of the twin's
+    object.
 
     Args:
         item: The twin's object.
@@ -183,9 +188,10 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
 
 
 def fitted(vertices: Array, low: Array, high: Array) -> Array:
-    """Scale points uniformly to the size of given bounds, measured by the geometric mean of the side lengths.
+    """Scale points uniformly so that their bounding box has the same size as the given bounds.
 
-    The result is centered horizontally on the bounds, and its lowest point is at the bottom of the bounds.
+    The size is the geometric mean of the side lengths. The result is centered horizontally on the bounds, and its
+    lowest point is at the bottom of the bounds.
 
     Args:
         vertices: Points in any unit, shape (n, 3).
@@ -224,19 +230,19 @@ def picture_of(item: ObjectAsset, side: int = SIDE) -> bytes:
 
 
 class ComponentNames(BaseModel):
-    """Response to prompt A."""
+    """The response to prompt A."""
 
     components: list[str] = Field(min_length=1, max_length=16, description="Names of the functional components.")
 
 
 class TopologyAnswer(BaseModel):
-    """Response to prompt B."""
+    """The response to prompt B."""
 
     yes: bool = Field(description="True if a variation in topology is reasonable.")
 
 
 class Variations(BaseModel):
-    """Response to prompt C."""
+    """The response to prompt C."""
 
     geometry: list[str] = Field(default=[], max_length=16, description="Variations in geometry.")
     topology: list[str] = Field(default=[], max_length=16, description="Variations in topology.")
@@ -244,7 +250,7 @@ class Variations(BaseModel):
 
 
 class PictureVerdict(BaseModel):
-    """Response to prompt E."""
+    """The response to prompt E."""
 
     real_world_reasonable: bool = Field(description="True if the object is reasonable in the real world.")
     real_world_reason: str = Field(max_length=300, description="Short explanation.")
@@ -253,7 +259,10 @@ class PictureVerdict(BaseModel):
 
 
 def prompt(name: str, **variables: Any) -> str:
-    """Render one of the paper's prompts, and raise an error if a required variable is missing."""
+    """Render one of the paper's prompts.
+
+    An error is raised if a required variable is missing.
+    """
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
@@ -265,10 +274,10 @@ def prompt(name: str, **variables: Any) -> str:
 
 @dataclass(frozen=True)
 class SourceSetup:
-    """Settings of a run for the sources of variants.
+    """The settings of a run for the sources of variants.
 
     Attributes:
-        scene: Document of the twin's scene; an image of the scene is shown to the models.
+        scene: Document of the twin's scene. An image of the scene is shown to the models.
         library: Folder of the library, or None.
         vlm: Name of the vision-language model for recipes that do not specify a model.
     """
@@ -279,7 +288,7 @@ class SourceSetup:
 
 
 def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> Mapping[str, Origins]:
-    """Open the sources that an axis uses, except for rules.
+    """Open all sources that an axis uses, except rules.
 
     Raises:
         ImpossibleError: A source is not configured. The error lists what is missing.
@@ -296,7 +305,7 @@ def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> 
 
 
 def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
-    """Create the paper's models as configured in the recipe and the environment."""
+    """Create the models of the paper's pipeline as configured in the recipe and the environment."""
     models = axis.models
     named = models.vlm or given.vlm
     lacks = [] if named else ["no vision-language model: specify --vlm, or `vlm` in the recipe's `models`"]

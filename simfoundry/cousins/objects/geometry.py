@@ -1,7 +1,8 @@
 """Geometric edits, such as stretching an object along its axes.
 
-Parts, link frames and joint travel are kept consistent. Non-uniform stretching requires that all links have the same
-orientation at rest, as in furniture (no joint rotates its child's frame); other objects are scaled uniformly.
+The edits keep parts, link frames and joint travel consistent. Stretching by different factors requires that all links
+have the same orientation at rest, so that no joint rotates its child's frame, as is common for furniture. Other objects
+are scaled uniformly.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ SQUARE = 1e-6
 
 
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
-    """Return the asset scaled along x, y and z by ``factor``, shape (3,), or by the nearest factor its shapes allow.
+    """Return the asset scaled along x, y and z by ``factor``, an array of shape (3,).
 
-    Parts that are round about z remain round, and spheres remain spheres. The wall thickness is also scaled.
+    If the shapes do not allow this factor, the nearest allowed factor is used. Parts that are round about z remain
+    round, and spheres remain spheres. The wall thickness is also scaled.
     """
     f = allowed(spec, factor)
     out = each(spec, lambda _, part: stretched_part(part, f))
@@ -34,7 +36,10 @@ def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
 
 
 def allowed(spec: AssetSpec, factor: Array) -> Array:
-    """Return the factor nearest to ``factor`` that the shapes in an asset allow, shape (3,)."""
+    """Return the scale factor nearest to ``factor`` that the shapes in an asset allow.
+
+    Both factors are arrays of shape (3,).
+    """
     f = np.array(factor, dtype=np.float64)
     turns = [pose(joint.pose).rotation for joint in spec.joints.values()]
     turned = any(not _is_square(turn) or turn.trace() < 3 - SQUARE for turn in turns)
@@ -46,7 +51,7 @@ def allowed(spec: AssetSpec, factor: Array) -> Array:
 
 
 def stretched_part(part: PartSpec, f: Array) -> PartSpec:
-    """Return a part scaled along the axes of its link by ``f``, shape (3,)."""
+    """Return a part scaled along the axes of its link by ``f``, an array of shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
         return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
@@ -96,7 +101,7 @@ def _round_about_z(part: PartSpec) -> bool:
 
 
 def _is_square(rotation: Array) -> bool:
-    """Return True if a rotation maps coordinate axes onto coordinate axes."""
+    """Return True if a rotation maps each coordinate axis onto a coordinate axis."""
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
@@ -128,7 +133,10 @@ SMALLEST_FOOT = 0.35
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Replace a vessel's silhouette, and change its height, width, wall, floor and foot."""
+    """Replace the silhouette of a vessel.
+
+    The height, the width, the wall, the floor and the foot also change.
+    """
     lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1:  # another link, such as a lid, must fit the existing rim
         return None
@@ -151,7 +159,7 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the slope of a wall. The rim stays unchanged if another link, such as a lid, must fit."""
+    """Change the slope of a wall. The rim stays unchanged if another link, such as a lid, must fit onto it."""
     foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
@@ -182,7 +190,7 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the dimensions of a handle, knob, cap or stem. Its attachment point stays in place."""
+    """Change the dimensions of a handle, knob, cap or stem without moving its attachment point."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
     out = component.outward(spec)
     if out is None:
@@ -203,9 +211,9 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile], Profile], words: str) -> Edit | None:
-    """Return the asset with a component's profile changed and the attached parts moved accordingly.
+    """Return the asset with the profile of a component changed.
 
-    The result is None if the component is not a solid of revolution.
+    Attached parts are moved accordingly. The result is None if the component is not a solid of revolution.
     """
     lathe = component.lathe(spec)
     return (with_profile(spec, *lathe, change(lathe[1])), words) if lathe is not None else None

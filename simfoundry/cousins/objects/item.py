@@ -45,7 +45,11 @@ class ObjectAsset:
 
 
 def item_of(scene: Loaded, name: str) -> ObjectAsset:
-    """Return the object called ``name`` in a validated scene document; raise KeyError if it does not exist."""
+    """Return the object called ``name`` in a validated scene document.
+
+    Raises:
+        KeyError: The object does not exist.
+    """
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
         raise KeyError(f"no object {name!r}; available objects: {', '.join(scene.spec.objects) or 'none'}")
@@ -61,7 +65,7 @@ def item_of(scene: Loaded, name: str) -> ObjectAsset:
 
 
 def item_of_asset(asset: Loaded) -> ObjectAsset:
-    """Return the object described by a validated asset document."""
+    """Return the object defined by a validated asset document."""
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
@@ -86,7 +90,7 @@ def item_of_mesh(path: Path, name: str, category: str, material: Material, scale
 
 
 def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
-    """Return a primitive or mesh in a scene as an asset with one link."""
+    """Convert a primitive or mesh in a scene to an asset with one link."""
     assert isinstance(scene.spec, SceneSpec)
     body = {key: getattr(written, key) for key in BodySpec.model_fields if key in written.model_fields_set}
     mesh = Path(written.asset or "")

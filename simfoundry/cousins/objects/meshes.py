@@ -39,7 +39,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
         The new spec, the new files by name, and a description of the change.
 
     Raises:
-        MeshError: A mesh has several textures, but an OBJ file can have only one.
+        MeshError: A mesh has several textures, which an OBJ file cannot represent.
     """
     factor = np.exp(rng.uniform(np.log(0.88), np.log(1.15), 3))
     taper, belly = rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)
@@ -67,7 +67,10 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
 
 def mesh_files(mesh: Mesh) -> tuple[str, dict[str, bytes]]:
-    """Return the name of a mesh's OBJ file and the contents of all its files by name; all are in :data:`FOLDER`."""
+    """Return the name of a mesh's OBJ file, and the contents of all files that belong to the mesh, keyed by name.
+
+    All files are in :data:`FOLDER`.
+    """
     files = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
     return next(iter(files)), files
 
@@ -87,7 +90,11 @@ def strips(rings: NDArray[np.integer]) -> NDArray[np.int32]:
 
 
 def joined(parts: tuple[MeshPart, ...], name: str) -> MeshPart:
-    """Merge the pieces of the mesh called ``name``; raise :class:`MeshError` if they have several textures."""
+    """Merge the pieces of the mesh called ``name``.
+
+    Raises:
+        MeshError: The pieces have several textures.
+    """
     if len(parts) == 1:
         return parts[0]
     if any(p.texture is not None for p in parts):
@@ -124,7 +131,7 @@ class Loop:
         reach: Distance of the bar's axis from the feet [m].
         radius: Radius of the bar [m].
         wall: Profile of the solid of revolution to which the handle is attached, and the height of its frame in the
-            link [m]; None if the handle is attached to another kind of body.
+            link [m]. The value is None if the handle is attached to a different kind of body.
     """
 
     feet: Array
@@ -155,11 +162,14 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """Maximum depth to which the ends of the handle extend into the body [m]."""
+        """The maximum depth to which the ends of the handle extend into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Move points [m], shape (n, 3), that are deeper inside the wall than :attr:`sunk` outward to that depth."""
+        """Move points outward that are too deep inside the wall.
+
+        The points [m] have shape (n, 3). Points that are deeper than :attr:`sunk` are moved to that depth.
+        """
         if self.wall is None:
             return points
         profile, base = self.wall
@@ -176,11 +186,11 @@ def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
 
 
 def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """Replace the loop handles of an asset with smooth tubes of the same random form.
+    """Replace all loop handles of an asset with smooth tubes that have the same random form.
 
     Args:
         spec: The asset.
-        only: Names of the components that may change; empty to allow all components.
+        only: Names of the components that may change. If it is empty, all components may change.
         rng: Random generator.
 
     Returns:
@@ -205,7 +215,11 @@ def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, di
 
 
 def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Return evenly spaced points along a tube's axis from one foot to the other [m], shape (RINGS, 3)."""
+    """Return evenly spaced points along the axis of a tube, from one foot to the other.
+
+    Returns:
+        Array of shape (RINGS, 3) [m].
+    """
     t = np.linspace(0.0, 1.0, 201)
     along, off = form(t)
     start, end = loop.feet - SUNK * loop.out

@@ -36,12 +36,12 @@ def shaped(part: PartSpec, shape: Shape) -> PartSpec:
 
 
 def at(part: PartSpec) -> Array:
-    """Return the position of the part's frame in the link [m], shape (3,)."""
+    """Return the position of the part's frame in the link [m], as an array of shape (3,)."""
     return np.array(part.pose.xyz)
 
 
 def aimed(xyz: Array, direction: Array) -> PoseSpec:
-    """Return a pose at ``xyz`` [m] whose z axis points along ``direction``."""
+    """Return a pose at ``xyz`` [m] with its z axis along ``direction``."""
     x, y, z = (float(v) for v in direction)
     pitch, yaw = math.degrees(math.atan2(math.hypot(x, y), z)), math.degrees(math.atan2(y, x))
     if abs(pitch) < 1e-9:
@@ -50,12 +50,15 @@ def aimed(xyz: Array, direction: Array) -> PoseSpec:
 
 
 def axis_of(part: PartSpec) -> Array:
-    """Return the part's z axis as a unit vector in the link frame, shape (3,)."""
+    """Return the z axis of the part in the link frame, as a unit vector of shape (3,)."""
     return pose(part.pose).rotation[:, 2]
 
 
 def rod(part: PartSpec) -> tuple[float, float] | None:
-    """Return the radius and the length without caps [m] of a cylinder or capsule, or None for any other part."""
+    """Return the radius [m] and the length [m] of a cylinder or capsule.
+
+    The length excludes the caps of a capsule. For any other part, the result is None.
+    """
     match part.shape:
         case CylinderShape(cylinder=size) | CapsuleShape(capsule=size):
             return size.radius, size.height
@@ -68,7 +71,10 @@ def cylinder(radius: float, height: float) -> CylinderShape:
 
 
 def capsule(radius: float, height: float) -> CapsuleShape:
-    """Return a capsule with the given radius and height [m]; the height excludes the caps."""
+    """Return a capsule with the given radius and height [m].
+
+    The height excludes the caps.
+    """
     return CapsuleShape(capsule=Round(radius=float(radius), height=float(height)))
 
 
@@ -78,10 +84,10 @@ def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
 
 
 def corners(part: PartSpec) -> Array:
-    """Return points on the part's surface in the link frame [m], shape (k, 3).
+    """Return points on the surface of the part in the link frame [m], as an array of shape (k, 3).
 
-    The bounds of the points equal or approximate the part's bounds. A mesh is represented by its origin, because its
-    file is not read.
+    The bounds of the points equal or approximate the bounds of the part. A mesh is represented by its origin because
+    its file is not read.
     """
     return pose(part.pose).apply(_own_corners(part.shape))
 
@@ -116,7 +122,11 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
 
 
 def bounds(parts: Iterable[PartSpec]) -> tuple[Array, Array]:
-    """Return the minimum and maximum corners [m] of the box around parts of a single link, shape (3,) each."""
+    """Return the minimum and maximum corners [m] of the box around parts of a single link.
+
+    Returns:
+        Two arrays of shape (3,).
+    """
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)
 
@@ -127,7 +137,7 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
 
 
 def scaled(shape: Shape, f: Array) -> Shape:
-    """Return a shape scaled along its own axes by ``f``, shape (3,)."""
+    """Return a shape scaled along its own axes by ``f``, an array of shape (3,)."""
     x, y, z = (float(v) for v in f)
     across = float(np.sqrt(x * y))
     match shape:

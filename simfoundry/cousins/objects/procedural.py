@@ -50,7 +50,7 @@ TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A candidate variant whose masses and final name have not been set yet.
+    """A candidate variant without final masses and without a final name.
 
     Attributes:
         spec: The asset document.
@@ -66,12 +66,12 @@ class Draft:
 
 
 def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:
-    """Generate a candidate; the same generator state produces the same draft.
+    """Generate a candidate. The same state of the random generator always produces the same draft.
 
     Args:
         item: The twin's object.
         changes: Dimensions in which the candidate may differ.
-        only: Names of the components that may change; empty to allow all components.
+        only: Names of the components that may change. If it is empty, all components may change.
         rng: Random generator.
     """
     spec, said = item.spec, list[str]()
@@ -106,7 +106,7 @@ def _is_mixed(spec: AssetSpec) -> bool:
 def _finished(
     spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
-    """Apply tubular handles and patterns as the last edits. Rules cannot be applied afterward.
+    """Apply tubular handles and patterns as the last edits. Rules cannot be applied after that.
 
     Returns:
         The asset, the new files by name, and descriptions of the changes.
@@ -125,10 +125,10 @@ def _finished(
 def _edit(
     spec: AssetSpec, rules: Sequence[tuple[Rule, tuple[Kind, ...]]], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, str, Rule] | None:
-    """Apply a random rule to a random component and to the components that resemble it.
+    """Apply a random rule to a random component and to all components that resemble it.
 
     Returns:
-        The asset, a description of the change, and the rule; None if none of the rules tried was applicable.
+        The asset, a description of the change, and the rule, or None if none of the attempted rules was applicable.
     """
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]

@@ -37,8 +37,8 @@ FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
 class Profile:
     """The profile of a solid of revolution as two chains of points (radius, height) [m].
 
-    ``outer`` runs from the axis at the foot up to the rim, shape (k, 2). ``inner`` runs from the rim down to the axis,
-    shape (m, 2). For a solid body, ``inner`` is the flat or domed top.
+    ``outer`` is an array of shape (k, 2) that runs from the axis at the foot up to the rim. ``inner`` is an array of
+    shape (m, 2) that runs from the rim down to the axis. For a solid body, ``inner`` is the flat or domed top.
     """
 
     outer: Array
@@ -55,29 +55,32 @@ class Profile:
 
     @property
     def shape(self) -> LatheShape:
-        """The profile as a shape for an asset document."""
+        """The shape for an asset document that has this profile."""
         rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
         kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
         return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
 
     @property
     def foot(self) -> float:
-        """Height of the lowest point [m]."""
+        """The height of the lowest point [m]."""
         return float(self.outer[:, 1].min())
 
     @property
     def rim(self) -> float:
-        """Height of the rim [m]."""
+        """The height of the rim [m]."""
         return float(self.outer[-1, 1])
 
     @property
     def height(self) -> float:
-        """Height from foot to rim [m]."""
+        """The height from the foot to the rim [m]."""
         return self.rim - self.foot
 
     @property
     def depth(self) -> float:
-        """Depth from the rim down to the floor on the axis [m]; about 0 for a solid body."""
+        """The depth of the cavity on the axis, measured from the rim down to the floor [m].
+
+        The depth of a solid body is about 0.
+        """
         return self.rim - float(self.inner[-1, 1]) if len(self.inner) else 0.0
 
     @property
@@ -87,14 +90,17 @@ class Profile:
 
     @property
     def wall(self) -> float:
-        """Wall thickness at the rim [m]; 0 for a solid body."""
+        """The wall thickness at the rim [m].
+
+        The thickness of a solid body is 0.
+        """
         return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
 
     @property
     def thinnest(self) -> float:
-        """Minimum distance from a corner of the inner chain to the outer chain [m].
+        """The minimum distance from a corner of the inner chain to the outer chain [m].
 
-        This can be less than the thickness at the rim, for example for a plate.
+        This distance can be less than the thickness at the rim, for example for a plate.
         """
         a, b = self.outer[:-1], self.outer[1:]
         way = b - a
@@ -119,14 +125,15 @@ def _finer(chain: Array, gap: float) -> Array:
 
 
 def swelled(profile: Profile, grow: Array) -> Profile:
-    """Scale the outer radius of a body by a curve, and move the inside along with the outside.
+    """Scale the outer radius of a body by a curve, and move the inner surface along with the outer surface.
 
     Curving an almost horizontal wall, such as that of a plate, makes it thinner. If necessary, the curve is flattened
     until at least the fraction :data:`KEPT_WALL` of the thickness remains.
 
     Args:
         profile: The profile.
-        grow: Factors at equal steps from the foot to the rim, interpolated linearly, shape (k,).
+        grow: Factors at equal steps from the foot to the rim, shape (k,). The values in between are interpolated
+            linearly.
     """
     straight = np.linspace(grow[0], grow[-1], len(grow))
     made = profile
@@ -170,9 +177,9 @@ def flared(profile: Profile, out: float, band: float) -> Profile:
 
 
 def thickened(profile: Profile, more: float) -> Profile:
-    """Make the wall and the floor thicker on the inside by ``more`` [m], or thinner if ``more`` is negative.
+    """Make the wall and the floor thicker by ``more`` [m], which may be negative.
 
-    The wall never becomes thinner than :data:`THINNEST`.
+    Material is added or removed on the inside. The wall never becomes thinner than :data:`THINNEST`.
     """
     more = max(more, THINNEST - profile.wall)
     inner = profile.inner.copy()
@@ -192,7 +199,10 @@ def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
 
 
 def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
-    """Shift radii by ``delta`` [m], which is a function of the height [m]; points on the axis are unchanged."""
+    """Shift the radii of a chain by ``delta`` [m], a function of the height [m].
+
+    Points on the axis do not move.
+    """
     chains = profile.outer.copy(), profile.inner.copy()
     for chain in chains:
         by, off = delta(chain[:, 1]), chain[:, 0] > 0
@@ -201,7 +211,7 @@ def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
 
 
 def _ring_at(chain: Array, height: float) -> Array:
-    """Return the chain with points inserted where it crosses a height [m]."""
+    """Return the chain with a point inserted wherever it crosses the given height [m]."""
     out = [chain[0]]
     for a, b in pairwise(chain):
         if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
@@ -233,7 +243,7 @@ def forms_of(slender: float) -> Forms:
 
 
 def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Array:
-    """Return points (radius, height) on an outer wall from foot to rim [m], shape (POINTS, 2), evenly spaced.
+    """Return evenly spaced points (radius, height) on an outer wall from foot to rim [m].
 
     Args:
         form: Normalized profile.
@@ -241,18 +251,24 @@ def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Arr
         rim: Rim radius [m].
         height: Height of the rim above the foot [m].
         rng: Random generator for the form.
+
+    Returns:
+        Array of shape (POINTS, 2).
     """
     t = np.linspace(0.0, 1.0, 101)
     return resampled(np.column_stack([foot + (rim - foot) * form(t, rng), t * height]), POINTS)
 
 
 def arc_lengths(chain: Array) -> Array:
-    """Return the distance [m] of each point on a chain from its first point, measured along the chain."""
+    """Return the distance of each point on a chain from the first point, measured along the chain [m]."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
 
 
 def resampled(chain: Array, count: int, margin: float = 0.0) -> Array:
-    """Return evenly spaced points on a chain, shape (count, d), leaving out a ``margin`` [m] at each end."""
+    """Return evenly spaced points on a chain, as an array of shape (count, d).
+
+    A ``margin`` [m] is left free at both ends.
+    """
     along = arc_lengths(chain)
     even = np.linspace(margin, along[-1] - margin, count)
     return np.column_stack([np.interp(even, along, values) for values in chain.T])
@@ -263,7 +279,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
 
     Args:
         outside: Outer wall from foot to rim [m], shape (k, 2).
-        wall: Wall thickness [m]; at least :data:`THINNEST` is used.
+        wall: Wall thickness [m]. Values below :data:`THINNEST` are increased to that thickness.
         floor: Height of the inner floor [m].
 
     Returns:
@@ -296,20 +312,20 @@ def _straight(t: Array, _: Rng) -> Array:
 
 
 def _rounded(t: Array, rng: Rng) -> Array:
-    """Return a quarter ellipse at the bottom with a straight wall above."""
+    """Return an outline that is a quarter ellipse at the bottom and straight above."""
     bend = rng.uniform(0.3, 0.6)
     return np.asarray(np.sqrt(1 - np.clip(1 - t / bend, 0.0, 1.0) ** 2))
 
 
 def _shouldered(t: Array, rng: Rng) -> Array:
-    """Return two straight walls with a smooth step between them."""
+    """Return an outline of two straight walls with a smooth step between them."""
     at, soft = rng.uniform(0.3, 0.6), rng.uniform(0.05, 0.1)
     step = 1 / (1 + np.exp(-(t - at) / soft))
     return np.asarray((step - step[0]) / (step[-1] - step[0]))
 
 
 def _rimmed(t: Array, rng: Rng) -> Array:
-    """Return a well with a wide, slightly rising rim."""
+    """Return the outline of a well with a wide, slightly rising rim."""
     at = rng.uniform(0.5, 0.7)
     well, rim = np.clip(t / at, 0.0, 1.0), np.clip((t - at) / (1 - at), 0.0, 1.0)
     share = rng.uniform(0.35, 0.5)

@@ -66,7 +66,7 @@ class Likeness:
     mass: float
 
     def apart(self, other: Likeness) -> LikenessDistance:
-        """Compute the distance to another descriptor."""
+        """Compute the distance between this descriptor and another one."""
         size = float(np.abs(np.log(self.size / other.size)).max())
         shape = float(np.abs(self.shape - other.shape).sum() / 2)
         return LikenessDistance(size, shape, color_distance(self, other))
@@ -88,12 +88,18 @@ class LikenessDistance:
 
     @property
     def form(self) -> float:
-        """The size or shape distance, whichever is larger, in units of the thresholds for distinct objects."""
+        """The difference in form, which is the larger of the size and shape distances.
+
+        Both are in units of the thresholds for distinct objects.
+        """
         return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
 
     @property
     def distance(self) -> float:
-        """The largest of the three distances in units of the thresholds; at least 1 for distinct objects."""
+        """The largest of the three distances in units of the thresholds.
+
+        The value is at least 1 for distinct objects.
+        """
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
@@ -103,7 +109,7 @@ class LikenessDistance:
 def likeness(item: SceneObject, seed: int = 0) -> Likeness:
     """Compute the descriptor of an object at its current joint positions.
 
-    ``seed`` determines the surface points that are sampled.
+    The surface points are sampled with ``seed``.
     """
     triangles, rgb = _surface(item)
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
@@ -121,7 +127,7 @@ def likeness(item: SceneObject, seed: int = 0) -> Likeness:
 def color_distance(a: Likeness, b: Likeness) -> float:
     """Return the mean color distance in L*a*b* between two surfaces.
 
-    Fractions of equal area are matched greedily, starting with the most similar colors.
+    Regions of equal area are matched greedily, starting with the most similar colors.
     """
     cost = np.linalg.norm(a.colors[:, None] - b.colors[None], axis=2)
     left, right = a.areas.copy(), b.areas.copy()
@@ -136,7 +142,7 @@ def color_distance(a: Likeness, b: Likeness) -> float:
 
 
 def lab(rgb: Array) -> Array:
-    """Convert sRGB colors in [0, 1], shape (n, 3), to CIE 1976 L*a*b* (D65)."""
+    """Convert sRGB colors in [0, 1], an array of shape (n, 3), to CIE 1976 L*a*b* (D65)."""
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     xyz = linear @ np.array([[0.4124, 0.2126, 0.0193], [0.3576, 0.7152, 0.1192], [0.1805, 0.0722, 0.9505]])
     t = xyz / np.array([0.9505, 1.0, 1.089])
@@ -145,7 +151,7 @@ def lab(rgb: Array) -> Array:
 
 
 def _points(triangles: Array, areas: Array, rng: np.random.Generator) -> Array:
-    """Sample points uniformly on a surface, shape (PAIRS, 3)."""
+    """Sample points uniformly on a surface and return them as an array of shape (PAIRS, 3)."""
     which = np.searchsorted(np.cumsum(areas) / areas.sum(), rng.random(PAIRS))
     corner = triangles[np.minimum(which, len(areas) - 1)]
     u, v = np.sqrt(rng.random(PAIRS))[:, None], rng.random(PAIRS)[:, None]
@@ -153,7 +159,12 @@ def _points(triangles: Array, areas: Array, rng: np.random.Generator) -> Array:
 
 
 def _surface(item: SceneObject) -> tuple[Array, Array]:
-    """Return the visible triangles in the object's frame [m], shape (n, 3, 3), and their sRGB colors, shape (n, 3)."""
+    """Return the visible triangles of an object and their colors.
+
+    Returns:
+        The corners in the object's frame [m], as an array of shape (n, 3, 3), and the sRGB colors, as an array of shape
+        (n, 3).
+    """
     X_OL = link_poses(item)
     triangles, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
     for X_OG, visual in ((X_OL[link.name] @ v.X_LG, v) for link in item.links for v in link.visuals):
@@ -164,7 +175,10 @@ def _surface(item: SceneObject) -> tuple[Array, Array]:
 
 
 def _tints(mesh: Mesh) -> Array:
-    """Return the quantized texture color at the center of each triangle, shape (n, 3); white without a texture."""
+    """Return the quantized texture color at the center of each triangle, as an array of shape (n, 3).
+
+    Without a texture, the colors are white.
+    """
     if mesh.texture is None or mesh.uv is None:
         return np.ones((len(mesh.faces), 3))
     import io
@@ -197,7 +211,7 @@ class VariantEntry:
 
 
 class VariantLibrary:
-    """A source of candidates that returns the objects in a folder, starting with the object most similar to the twin.
+    """A source of candidates that returns the objects in a folder, in order of decreasing similarity to the twin.
 
     The folder may contain asset documents and mesh files. The category of a mesh is the name of its top-level folder.
     ``left_out`` maps the path of each unusable file to the reason why it cannot be used.
@@ -223,7 +237,7 @@ class VariantLibrary:
                     self.entries.append(VariantEntry(item, likeness(found)))
 
     def ranked(self, item: ObjectAsset, like: Likeness) -> list[tuple[float, float, VariantEntry]]:
-        """Return the entries from most to least similar, excluding the twin's own asset.
+        """Return the entries in order of decreasing similarity, excluding the twin's own asset.
 
         Args:
             item: The twin's object.
@@ -245,7 +259,7 @@ class VariantLibrary:
         return sorted(found, key=itemgetter(0))
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, which is generated from the next entry in order of similarity."""
+        """Return candidate ``k``. It is generated from the next entry in order of decreasing similarity."""
         if item.name not in self._ranked:
             self._ranked[item.name] = self.ranked(item, likeness(alone(item)))
         ranked = self._ranked[item.name]
@@ -265,7 +279,7 @@ class VariantLibrary:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 hash of each file in a library folder, keyed and sorted by relative path."""
+    """Return the SHA-256 hashes of the files in a library folder, keyed by relative path and sorted."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 

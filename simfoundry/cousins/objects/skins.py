@@ -40,7 +40,7 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
 
     Args:
         spec: The asset.
-        only: Names of the components that may change; empty to allow all components.
+        only: Names of the components that may change. If it is empty, all components may change.
         rng: Random generator.
 
     Returns:
@@ -96,7 +96,10 @@ def _patterns(text: str) -> list[str]:
 
 
 def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """Choose a pattern's second color: a darker shade of the first for natural patterns, else a contrasting color."""
+    """Choose the second color of a pattern.
+
+    For natural patterns, this is a darker shade of the first color. Otherwise, it is a contrasting color.
+    """
     if is_natural:
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
@@ -106,7 +109,9 @@ def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng)
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """Draw a texture with a pattern in the lower two thirds. Above it is a plain color for insides and edges.
+    """Draw a texture with a pattern in the lower two thirds and a plain color above.
+
+    Insides and edges use the plain color.
 
     Returns:
         The texture as PNG data.
@@ -166,8 +171,8 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     """Revolve a profile about z and apply an image to it.
 
     On plates and bowls, the image covers the inside from the center to the rim. On all objects except plates, it covers
-    the outside from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
-    unless its pattern wraps ``around`` the axis.
+    the outside from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above,
+    or wrapped around the axis if ``around`` is set.
     """
     outer, inner = profile.outer, profile.inner
     widest = float(outer[:, 0].max())
@@ -192,7 +197,10 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """Return the arc length at each point of a chain, scaled to run from 0 at point ``skip`` to 1, shape (k,)."""
+    """Return the relative arc length at each point of a chain, as an array of shape (k,).
+
+    The arc length is measured from point ``skip`` and scaled to 1 at the end. It is 0 before point ``skip``.
+    """
     if not len(chain):
         return np.zeros(0)
     length = arc_lengths(chain)
@@ -215,7 +223,10 @@ def _box(size: Array, image: bytes) -> Mesh:
 
 
 def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
-    """Return a convex prism with the image on its sides and plain ends, or None if the outline is not convex."""
+    """Return a convex prism with the image on its sides and plain ends.
+
+    The result is None if the outline is not convex.
+    """
     edges = np.roll(outline, -1, axis=0) - outline
     after = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
@@ -255,13 +266,13 @@ def _checks(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _rim(_: Field, v: Field, rng: Rng) -> Field:
-    """Paint a band below the rim, with a thin line under it."""
+    """Paint a band below the rim and a thin line below the band."""
     low = rng.uniform(0.7, 0.85)
     return np.asarray((v > low) | (np.abs(v - low + 0.06) < 0.014), dtype=np.float64)
 
 
 def _dipped(u: Field, v: Field, rng: Rng) -> Field:
-    """Paint the lower part in a different glaze with an uneven edge."""
+    """Paint the lower part with a different glaze that has an uneven edge."""
     edge = rng.uniform(0.3, 0.6) + 0.04 * _wave(u, rng)
     return _soft(edge - v, 0.0, 60.0)
 
@@ -315,7 +326,7 @@ def _print(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
-    """Return a smooth step from 0 below the threshold to 1 above it."""
+    """Return a smooth step that rises from 0 below the threshold to 1 above it."""
     return np.asarray(np.clip(0.5 + sharp * (value - threshold), 0.0, 1.0))
 
 

@@ -1,4 +1,7 @@
-"""Topology edits, which add, remove or replace parts. They produce only kinds of objects that really exist."""
+"""Topology edits, which add, remove or replace parts.
+
+They produce only kinds of objects that really exist.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ SHALLOW = 0.6
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """Remove a divider, band or stem. Handles are not removed, because a mug without a handle would be a cup."""
+    """Remove a divider, band or stem.
+
+    Handles are not removed. A mug without a handle, for example, would be a cup.
+    """
     return with_added(spec, component.link, {}, component.parts), f"without its {component.name}"
 
 
@@ -124,7 +130,7 @@ def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | Non
 
 
 def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a knob on top of a lid."""
+    """Add a knob to the top of a lid."""
     if any(name.startswith("top_knob") for _, name in parts_of(spec)):
         return None
     low, high = bounds(component.parts_in(spec))
@@ -152,7 +158,7 @@ def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 
 
 def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a low board across an open box."""
+    """Add a low divider across an open box."""
     if any(c.kind is Kind.DIVIDER or c.kind is Kind.DRAWER for c in components(spec)):
         return None
     boards = component.parts_in(spec)
@@ -196,7 +202,10 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Duplicate or remove a layer of a stack. The lowest and highest layers stay unchanged."""
+    """Duplicate or remove a layer of a stack.
+
+    The lowest and highest layers stay unchanged.
+    """
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: at(parts[k])[2] + bounds([parts[k]])[0][2])
     if len(order) < 4:
@@ -217,7 +226,10 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Remove a random berry that is not in the lowest layer of a bunch, or add a berry beside the highest berry."""
+    """Remove a random berry from a bunch, or add a berry next to the highest one.
+
+    Berries in the lowest layer are not removed.
+    """
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: (at(parts[k])[2], k))
     top = [k for k in order if at(parts[k])[2] > at(parts[order[0]])[2] + 1e-6]
@@ -280,10 +292,10 @@ TOPOLOGY = (
 
 
 def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | None:
-    """Return the profile of a vessel and its position in the link [m], shape (3,).
+    """Return the profile of a vessel and its position in the link [m].
 
-    The result is None if the component is not a vessel, already has a handle, or belongs to an object with several
-    links.
+    The position has shape (3,). The result is None if the component is not a vessel, already has a handle, or belongs
+    to an object with several links.
     """
     lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):

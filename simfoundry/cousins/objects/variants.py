@@ -53,7 +53,10 @@ class Origins(Protocol):
     """A source of candidates."""
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, or the reason why it could not be generated; the result is deterministic."""
+        """Return candidate ``k``, or the reason why it could not be generated.
+
+        The result is deterministic.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +72,8 @@ class Variant:
         changed: Human-readable list of changes.
         item: The lowered object.
         likeness: Descriptor of the object.
-        distance: Distance to the twin or to another variant, whichever is more similar, in units of the thresholds for
-            distinct objects.
+        distance: Distance to the most similar object, which is either the twin or another variant, in units of the
+            thresholds for distinct objects.
     """
 
     name: str
@@ -89,7 +92,7 @@ class Variant:
         return f"{self.name}.asset.yaml"
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for manifests."""
+        """Return the variant as plain data for manifests."""
         data = {"asset": self.file, "candidate": self.k, "source": self.source, "changed": list(self.changed)}
         return data | {"distance": round(self.distance, 3)}
 
@@ -104,7 +107,7 @@ class Refused:
     reason: Reason
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for manifests."""
+        """Return the rejected candidate as plain data for manifests."""
         data = {"candidate": self.k, "source": self.source, "changed": list(self.changed)}
         return data | {"reasons": [self.reason.to_json()]}
 
@@ -122,18 +125,18 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Number of rejections for each reason, starting with the most frequent reason."""
+        """The number of rejections for each reason, in order of decreasing frequency."""
         counts = Counter(one.reason.code for one in self.refused)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for manifests."""
+        """Return the variants as plain data for manifests."""
         accepted, refused = ([one.to_json() for one in some] for some in (self.accepted, self.refused))
         return {"accepted": accepted, "refused": refused, "reasons": self.reasons, "lacks": list(self.lacks)}
 
 
 def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-    """Generate a candidate with rules."""
+    """Generate a candidate by applying rules."""
     try:
         made = draft(item, axis.changes, axis.components, rng_of(seed, item.name, k))
     except MeshError as error:
@@ -160,10 +163,10 @@ def variants(
         item: The twin's object.
         axis: Number, sources and kinds of variants.
         needs: Requirements that the variants must meet.
-        seed: Seed of the random generator.
+        seed: Seed for the random number generator.
         sources: Sources by name, in addition to rules, which are always available.
         cache: Cache for lowering.
-        progress: Called each time a candidate has been examined.
+        progress: Callback that is called after each examined candidate.
 
     Raises:
         SpecError: The twin itself is invalid.
@@ -210,9 +213,12 @@ def variants(
 
 
 def write(variant: Variant, folder: Path) -> Path:
-    """Write a variant's document and its meshes to a folder, and return the path of the document.
+    """Write a variant's document and its meshes to a folder.
 
     File names depend on the content, so an existing file with the same name has the same content.
+
+    Returns:
+        The path of the document.
     """
     for name, data in variant.files.items():
         write_atomically(folder / name, data)
@@ -224,7 +230,7 @@ def write(variant: Variant, folder: Path) -> Path:
 def _variant(
     item: ObjectAsset, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
 ) -> Variant:
-    """Complete a draft with masses and a name, and lower it.
+    """Complete a draft by adding masses and a name, and lower it.
 
     Raises:
         SpecError: The resulting document is invalid.
@@ -246,9 +252,10 @@ def _variant(
 
 
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Reason:
-    """Return the variant with its distance to the most similar other object, or a reason if it is too similar.
+    """Return the variant along with its distance to the most similar other object.
 
-    If ``form`` is true, objects that differ only in color are considered too similar.
+    If the variant is too similar to another object, the reason is returned instead. If ``form`` is true, objects that
+    differ only in color are considered too similar.
     """
     away = attrgetter("form" if form else "distance")
     nearest = min((variant.likeness.apart(other) for other in others), key=away)
@@ -259,7 +266,7 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
 
 
 def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
-    """Return the document with a name that depends on its content, and with a note about its origin."""
+    """Return the document with a name derived from its content and with a note about its origin."""
     plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
     content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
     name = f"{item.name[:50]}_{hashlib.sha256(content.encode()).hexdigest()[:8]}"
@@ -270,14 +277,17 @@ def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str,
 
 
 def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
-    """Return the document with the item's category and without unused materials."""
+    """Return the document with the item's category added and unused materials removed."""
     used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
     materials = {name: material for name, material in spec.materials.items() if name in used}
     return spec.model_copy(update={"category": item.category, "materials": materials})
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    """Return the volume enclosed by each mesh file of an asset, keyed by name, in the cube of the file's unit."""
+    """Return the volume enclosed by each mesh file of an asset, keyed by file name.
+
+    Each volume is in the cube of the file's length unit.
+    """
     names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
@@ -322,7 +332,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
     """Return the mass of a link [kg].
 
-    ``side`` selects which densities to use for the link's materials: lowest (-1), nominal (0) or highest (1).
+    ``side`` selects the lowest (-1), nominal (0) or highest (1) density of the link's materials.
     """
     total = 0.0
     for part in link.parts.values():
@@ -341,5 +351,5 @@ def _density(name: str | None, materials: Mapping[str, Material], side: int) -> 
 
 
 def _short(value: float) -> float:
-    """Round to three significant digits."""
+    """Round a number to three significant digits."""
     return float(f"{max(value, 1e-6):.3g}")

@@ -1,1 +1,1 @@
-"""Recipes: recipe documents, object libraries, variant pools, and the documents written for candidates."""
+"""Recipes, along with object libraries, variant pools, and the documents that are written for candidates."""

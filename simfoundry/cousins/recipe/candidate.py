@@ -1,4 +1,4 @@
-"""Candidate results and rejection reasons."""
+"""Candidate results and reasons for rejection."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Reason:
     numbers: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for manifests."""
+        """Return the reason as plain data for manifests."""
         return {"code": self.code, "text": self.text, "numbers": {k: float(v) for k, v in self.numbers.items()}}
 
 
@@ -37,7 +37,10 @@ class Rejected:
 
 
 class ImpossibleError(SimfoundryError):
-    """An error raised before sampling for a request that cannot be satisfied, with all ``reasons``."""
+    """An error raised before sampling if a request cannot be satisfied.
+
+    ``reasons`` contains all reasons for this.
+    """
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -50,11 +53,11 @@ class Candidate:
 
     Attributes:
         index: 1-based index.
-        documents: Document texts by kind (``scene``, ``task``); empty if the candidate was rejected.
+        documents: Document texts by kind (``scene``, ``task``). There are none if the candidate was rejected.
         asked: Predicates that were requested for the layout.
         goal: Goal of the candidate's own task, or an empty string.
         unchecked: Checks that could not be performed.
-        reasons: Reasons for rejection; empty if the candidate was accepted.
+        reasons: Reasons for rejection. There are none if the candidate was accepted.
     """
 
     index: int
@@ -70,7 +73,7 @@ class Candidate:
         return not self.reasons
 
     def files(self) -> dict[str, str]:
-        """Return the file names of the documents, such as ``000017.scene.yaml``, keyed by kind."""
+        """Return the file names of the documents, keyed by kind. An example is ``000017.scene.yaml``."""
         return {kind: file_of(self.index, kind) for kind in self.documents}
 
     def line(self) -> str:
@@ -86,7 +89,11 @@ class Candidate:
 
     @classmethod
     def of(cls, line: str | bytes) -> Candidate:
-        """Parse a serialized candidate; raise ValueError if the line is invalid."""
+        """Parse a serialized candidate.
+
+        Raises:
+            ValueError: The line is invalid.
+        """
         data = json.loads(line)
         try:
             reasons = tuple(Reason(r["code"], r["text"], r["numbers"]) for r in data.get("reasons", ()))
@@ -100,7 +107,10 @@ class Candidate:
 
 
 def free_name(name: str, taken: Container[str]) -> str:
-    """Return the name, or the first numbered variant that is not taken: ``mug``, ``mug_2``, ``mug_3``, …."""
+    """Return the name itself if it is not taken, otherwise the first numbered name that is free.
+
+    The candidates for ``mug`` are ``mug``, ``mug_2``, ``mug_3``, ….
+    """
     return next(n for n in chain((name,), (f"{name}_{k}" for k in count(2))) if n not in taken)
 
 

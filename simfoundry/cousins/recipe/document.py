@@ -76,12 +76,16 @@ class Recipe:
 
     @property
     def distractors(self) -> tuple[LibraryItem, ...]:
-        """Objects that can be added as distractors; raises ImpossibleError if none passes the recipe's filters."""
+        """The objects that can be added as distractors.
+
+        Raises:
+            ImpossibleError: No object passes the recipe's filters.
+        """
         return self._choice[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes for the user about the choice of distractors."""
+        """Notes for the user about the selection of distractors."""
         return self._choice[1]
 
     @cached_property
@@ -98,7 +102,10 @@ class Recipe:
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """Sorted words that denote objects in the twin: names, labels, and categories or asset names."""
+        """The words that denote objects in the twin, in sorted order.
+
+        These are their names, their labels, and their categories or asset names.
+        """
         found = set()
         for name, item in self.scene_spec.objects.items():
             asset = self.scene.used(item.asset) if item.asset is not None else None
@@ -107,7 +114,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """Return the run's fingerprint. Runs with the same fingerprint produce identical bytes."""
+        """Return the fingerprint of the run. Runs with the same fingerprint produce identical bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -135,10 +142,10 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
 
     Args:
         path: Path of the recipe document.
-        seed: Overrides the recipe's seed unless None.
+        seed: Seed that overrides the recipe's seed, or None.
 
     Raises:
-        SpecError: If the recipe or its twin is invalid; the error contains all findings.
+        SpecError: If the recipe or its twin is invalid. The error contains all findings.
     """
     loaded = load_kind(path, "cousins/1")
     spec = loaded.spec
@@ -153,7 +160,9 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
 
 
 def claim_project(recipe: Recipe, out: Path) -> Path | None:
-    """Ensure that a recipe and its cousins in ``out`` belong to the same project; write a project marker if necessary.
+    """Ensure that a recipe and its cousins in ``out`` belong to the same project.
+
+    If necessary, a project marker is written.
 
     Returns:
         The path of the marker that was written, or None if the project already exists.
@@ -197,7 +206,7 @@ def scene_overlay(
 
     Args:
         recipe: The recipe.
-        out: Folder that the document will be written to.
+        out: Folder to which the document will be written.
         index: Index of the candidate.
         changes: Changed object fields other than poses and joints, by object name, including new objects.
         poses: Poses X_WO to write, by object name.
@@ -217,11 +226,12 @@ def scene_overlay(
 
 
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
-    """Return the text of a task document that extends the twin's task and uses the scene cousin with the same index.
+    """Return the text of a task document that extends the twin's task and uses the matching scene cousin.
 
-    The twin's start conditions for ``moved`` objects are removed. The twin's start regions are guaranteed to be free
-    only in the twin's layout, so they are also removed if an object with a region moved, or if the scene is
-    ``crowded``, that is, contains added objects. Rollouts then start from the scene's own layout.
+    The scene cousin has the same index. The twin's start conditions for ``moved`` objects are removed. The twin's start
+    regions are guaranteed to be free only in the twin's layout, so they are also removed if an object with a region
+    moved, or if the scene is ``crowded``, that is, contains added objects. Rollouts then start from the scene's own
+    layout.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
@@ -240,7 +250,7 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
 
     If ``own_scene`` is set, the task uses the scene cousin with the same index, and otherwise the twin's scene. The
     task inherits the twin's start conditions, except those for ``moved`` objects. A task with its own scene has no
-    start regions, because these are guaranteed to be free only in the twin's layout.
+    start regions because the twin's start regions are guaranteed to be free only in the twin's layout.
     """
     data = to_data(spec)
     if recipe.task_spec is not None:
@@ -256,12 +266,12 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
 
 
 def _overlay(kind: str, recipe: Recipe, twin: Loaded, out: Path, index: int) -> Data:
-    """Return the first entries of a document that extends one of the twin's documents."""
+    """Return the first entries of a document that extends a document of the twin."""
     return {"simfoundry": kind, "extends": relative(twin.path, out), "name": named(recipe, index)}
 
 
 def named(recipe: Recipe, index: int) -> str:
-    """Return the name of a cousin."""
+    """Return the name of the cousin with the given index."""
     return f"{recipe.spec.name[:MOST_NAME]}_{index:06d}"
 
 
@@ -272,17 +282,20 @@ def origin(recipe: Recipe, index: int) -> Data:
 
 
 def relative(file: Path, folder: Path) -> str:
-    """Return the path to ``file`` as written in documents in ``folder``."""
+    """Return the path to ``file`` as it is written in documents located in ``folder``."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def written(poses: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Round poses to the precision used in documents: 0.1 mm and 0.01 deg."""
+    """Round poses to the precision used in documents, which is 0.1 mm and 0.01 deg."""
     return {name: pose(pose_spec(X_WO)) for name, X_WO in poses.items()}
 
 
 def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
-    """Return the objects whose `place` refers directly or indirectly to an object in ``moved``."""
+    """Return the objects whose `place` refers to an object in ``moved``.
+
+    The reference may be direct or indirect.
+    """
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     found, todo = set[str](), set(moved)
     while todo:
@@ -292,13 +305,16 @@ def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
 
 
 def named_by(place: Place) -> set[str]:
-    """Return the names of the objects that a `place` refers to."""
+    """Return the names of the objects to which a `place` refers."""
     values = (getattr(place, key) for key in ("on", "inside", *SIDES, *DEPTHS))
     return {str(value).partition(".")[0] for value in values if value is not None}
 
 
 def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Return the positions [m or rad] of single-axis joints that differ from the scene, keyed by object and joint."""
+    """Return the joint positions that differ from those in the scene, keyed by object and joint.
+
+    Only joints with a single axis are included. The positions are in m or rad.
+    """
     found: dict[str, dict[str, float]] = {}
     for name in names:
         for joint in scene.object(name).joints:

@@ -1,7 +1,7 @@
 """Distractor libraries: folders of assets and meshes, with the measured mass, volume and density of each object.
 
-An object's mass is the mass of the lowered asset. Its volume is the total volume of its convex parts; for a cup, this
-is the volume of the wall. Both are measured once and cached.
+An object's mass is the mass of the lowered asset. Its volume is the total volume of its convex parts. For a cup, for
+example, this is the volume of the wall. Both are measured once and cached.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ class LibraryItem:
 
     Attributes:
         name: Unique name in the library.
-        category: Category from the asset document, or derived from the file name.
+        category: Category, taken from the asset document or derived from the file name.
         file: Asset document or mesh file.
         mass: Mass [kg].
         volume: Total volume of the convex parts [m^3].
         size: Extents of the bounding box [m].
         digest: Hash of the content.
-        stated: True if the category is specified by the asset document rather than derived.
+        stated: True if the asset document specifies the category, False if the category is derived.
     """
 
     name: str
@@ -64,11 +64,14 @@ class LibraryItem:
 
     @property
     def density(self) -> float:
-        """Mass divided by volume [kg/m^3], or 0 if the volume is 0."""
+        """The mass divided by the volume [kg/m^3], or 0 if the volume is 0."""
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """Return the object's entry for a scene document; ``reference`` is the path to its file in that document."""
+        """Return the object's entry for a scene document.
+
+        ``reference`` is the path to the object's file, as written in that document.
+        """
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -77,7 +80,10 @@ class LibraryItem:
 
 @dataclass(frozen=True)
 class Library:
-    """The objects in a folder, and the reason why each unusable file was skipped, keyed by relative path."""
+    """The objects in a folder.
+
+    ``faults`` contains the relative path of each unusable file and the reason why it was skipped.
+    """
 
     title: str
     items: tuple[LibraryItem, ...]
@@ -85,14 +91,14 @@ class Library:
 
 
 def default_folder() -> Path:
-    """Return the folder of the assets shipped with SimFoundry."""
+    """Return the folder of assets that are shipped with SimFoundry."""
     return shipped("specs/assets")
 
 
 def read_library(folder: Path, cache: Cache | None = None) -> Library:
     """Read all objects in a folder and its subfolders.
 
-    The objects are all asset documents, plus all meshes that no asset document refers to.
+    The objects are all asset documents, plus all meshes to which no asset document refers.
 
     Raises:
         SimfoundryError: If the folder does not exist.
@@ -157,7 +163,7 @@ def name_of(file: Path) -> str:
 
 
 def described(file: Path) -> Loaded:
-    """Return a scene document in the same folder as ``file`` that contains only the object defined in that file."""
+    """Return a scene document that contains only the object defined in ``file`` and that is in the same folder."""
     name = name_of(file)
     text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
     if not file.name.endswith(ASSET_SUFFIX):
@@ -168,9 +174,12 @@ def described(file: Path) -> Loaded:
 
 @lru_cache(maxsize=1024)
 def lowered(file: Path) -> SceneObject:
-    """Lower the object in a file, with its frame at the origin; raise :class:`SpecError` if it is invalid.
+    """Lower the object in a file, with its frame at the origin.
 
     Results are cached because many scenes share an object.
+
+    Raises:
+        SpecError: The object is invalid.
     """
     from simfoundry.scene.lower import lower
 
@@ -178,7 +187,11 @@ def lowered(file: Path) -> SceneObject:
 
 
 def measured(file: Path, cache: Cache) -> LibraryItem:
-    """Measure the object in a file, or read the result from the cache; raise :class:`SpecError` if it is invalid."""
+    """Measure the object in a file, or read the measurements from the cache.
+
+    Raises:
+        SpecError: The object is invalid.
+    """
     from simfoundry.targets.inputs import record
 
     loaded = described(file)
@@ -207,7 +220,10 @@ def _read(stored: bytes) -> dict[str, Any] | None:
 
 
 def measure(item: SceneObject) -> dict[str, Any]:
-    """Return an object's category, mass [kg], volume of the convex parts [m^3] and bounding box extents [m]."""
+    """Return an object's category, mass, volume and size.
+
+    The mass is in kg. The volume of the convex parts is in m^3. The extents of the bounding box are in m.
+    """
     from simfoundry.scene.object_shapes import bounds
 
     low, high = bounds(item)
@@ -253,7 +269,7 @@ LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 @dataclass(frozen=True)
 class FilterStep:
-    """A filter's condition and the objects that it removed, all of which had passed the previous filters."""
+    """The condition of a filter and the objects that it removed, all of which had passed the previous filters."""
 
     asks: str
     taken: tuple[LibraryItem, ...]
@@ -264,15 +280,15 @@ def filtered(
 ) -> tuple[tuple[LibraryItem, ...], list[FilterStep]]:
     """Return the library objects that pass all filters of an axis, and the objects removed by each filter.
 
-    If the axis does not list categories, objects that could be confused with an object in the twin are removed, because
-    with a second bowl in the scene, "the bowl" in an instruction would be ambiguous. A library object without a
-    category is judged by its name or, if the name is not a known word, by its size and shape.
+    If the axis does not list categories, objects that could be confused with an object in the twin are also removed.
+    With a second bowl in the scene, for example, "the bowl" in an instruction would be ambiguous. A library object
+    without a category is compared by its name or, if the name is not a known word, by its size and shape.
 
     Args:
         library: The library.
         axis: The axis that specifies the filters.
         own: Categories, names and labels of the objects in the twin.
-        twin: Function that returns the objects in the twin; called only if shapes must be compared.
+        twin: Function that returns the objects in the twin. It is called only if shapes must be compared.
 
     Raises:
         ImpossibleError: If distractors are requested, but no object passes the filters.
@@ -309,7 +325,11 @@ def _is_within(what: str, bounds: ValueRange, item: LibraryItem) -> bool:
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Return True if a word denotes the object's specified category or, failing that, its derived category or name."""
+    """Return True if a word denotes an object.
+
+    The word is compared with the object's specified category. If there is none, it is compared with the derived
+    category and the name.
+    """
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
@@ -320,14 +340,14 @@ def _is_nameless(item: LibraryItem) -> bool:
 
 
 def _resembles(item: LibraryItem, others: Sequence[SceneObject]) -> bool:
-    """Return True if an object is similar in size and shape to any other object that is not fixed."""
+    """Return True if the size and shape of an object are similar to those of another object that is not fixed."""
     own = likeness(lowered(item.file))
     distances = (own.apart(likeness(other)) for other in others if not other.fixed)
     return any(d.size < math.log(LIKE_SIZE) and d.shape < LIKE_SHAPE for d in distances)
 
 
 def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
-    """Return notes for the user about excluded objects that resemble the twin's, and about missing categories."""
+    """Return notes for the user about missing categories and about excluded objects that resemble the twin's."""
     found = [
         f"excluded {_few(step.taken)} from {library.title}: distractors need {step.asks}"
         for step in steps
@@ -346,7 +366,7 @@ def _few(items: Sequence[LibraryItem], most: int = 5) -> str:
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
-    """Return a reason that states the number of library objects and the number removed by each filter."""
+    """Return a reason that states how many library objects there are and how many of them each filter removed."""
     total = len(library.items)
     text = f"none of the {total} objects in {library.title} can be used as a distractor"
     numbers = {"library": float(total)}
@@ -365,7 +385,10 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep
 
 
 def _spread(step: FilterStep) -> str:
-    """Return a phrase such as `` (actual values 0.012 to 4.1)`` for a filter by a quantity, or an empty string."""
+    """Return a phrase with the range of the actual values for a filter by a quantity, or an empty string.
+
+    An example is `` (actual values 0.012 to 4.1)``.
+    """
     what = step.asks.split()[0]
     if what not in ("mass", "volume", "density"):
         return ""

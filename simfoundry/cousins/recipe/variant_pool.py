@@ -53,7 +53,7 @@ ASSETS = "assets"
 
 @dataclass(frozen=True)
 class Choice:
-    """A replacement for an object: its document, and the path to it as written in cousins."""
+    """A replacement for an object, given by its document and the path to it as written in cousins."""
 
     file: Path
     reference: str
@@ -66,7 +66,7 @@ class VariantPool:
     Attributes:
         choices: Replacements for each object that varies.
         references: Path to each distractor as written in cousins, keyed by distractor name.
-        tasks: Tasks to choose from; empty if the task does not vary.
+        tasks: Tasks to choose from. There are none if the task does not vary.
         most: Number of distinct candidates, or None if it is unbounded.
     """
 
@@ -76,7 +76,10 @@ class VariantPool:
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
-        """Return combination ``k`` of the choices, counted from 0. No combination repeats until all have occurred."""
+        """Return combination ``k`` of the choices, counted from 0.
+
+        No combination repeats until all combinations have occurred.
+        """
         found = {}
         for name, of in self.choices.items():
             k, digit = divmod(k, len(of))
@@ -85,7 +88,11 @@ class VariantPool:
 
 
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """Collect the alternatives for each axis; raise :class:`ImpossibleError` if an axis has no alternatives."""
+    """Collect the alternatives for each axis.
+
+    Raises:
+        ImpossibleError: An axis has no alternatives.
+    """
     others, tasks = _choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
     same_layout = recipe.spec.scene is None and recipe.spec.distractors is None
     most = math.prod(map(len, others.values())) * max(1, len(tasks)) if same_layout else None
@@ -93,9 +100,10 @@ def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Varian
 
 
 def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...]]:
-    """Return the variants of each object that varies, generated once and stored in ``OUT/assets/objects``.
+    """Return the variants of each object that varies.
 
-    ``vlm`` is the name of the model to query if the recipe does not specify one.
+    The variants are generated once and stored in ``OUT/assets/objects``. ``vlm`` is the name of the model to query if
+    the recipe does not specify one.
     """
     axis, folder = recipe.spec.object, out / ASSETS / "objects"
     if axis is None:
@@ -107,7 +115,7 @@ def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...
 
 
 def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
-    """Return the paths to library objects as written in cousins located in ``out``.
+    """Return the paths to library objects, as written in cousins that are located in ``out``.
 
     Files outside the project folder ``root`` are copied to the output folder first.
     """
@@ -120,7 +128,7 @@ def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str,
 
 
 def copied(file: Path, folder: Path) -> Path:
-    """Copy a mesh or a flattened asset document, along with the files it refers to, to ``folder``."""
+    """Copy a mesh or a flattened asset document to ``folder``, along with the files to which it refers."""
     if not file.name.endswith(ASSET_SUFFIX):
         _copy_mesh(file, folder)
         return folder / file.name
@@ -139,7 +147,7 @@ def copied(file: Path, folder: Path) -> Path:
 
 
 def _copy_mesh(mesh: Path, folder: Path) -> None:
-    """Copy a mesh, along with any materials and textures in the same folder or its subfolders."""
+    """Copy a mesh along with all materials and textures in the same folder and its subfolders."""
     from simfoundry.scene.robot_files import companions
 
     beside = mesh.parent.resolve()
@@ -151,7 +159,7 @@ def _copy_mesh(mesh: Path, folder: Path) -> None:
 
 
 def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
-    """Return a recipe's tasks in order of rank; empty if the task does not vary.
+    """Return the tasks of a recipe in order of rank, or an empty tuple if the task does not vary.
 
     Args:
         recipe: The recipe.
@@ -185,7 +193,11 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
 
 
 def _task(text: str, path: Path) -> TaskSpec:
-    """Parse a stored task; raise :class:`OutputError` if edits have made it invalid."""
+    """Parse a stored task.
+
+    Raises:
+        OutputError: The task was edited and is no longer valid.
+    """
     try:
         spec, _ = validate(TaskSpec, parse(text))
     except YamlError:
@@ -209,23 +221,23 @@ def prepare(
     progress: Progress | None = None,
     library: Path | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Generate and write the variants of every object in an axis; reuse variants that already exist in the folder.
+    """Generate and write the variants of every object in an axis, reusing variants that already exist in the folder.
 
     Args:
         axis: The axis that lists the objects to vary.
         scene: Document of the twin's scene.
         tasks: Tasks that the variants must support.
         seed: Seed for the random number generator.
-        folder: Folder that the variants are written to.
-        sources: Function that opens the sources other than rules; called only if variants must be generated.
+        folder: Folder to which the variants are written.
+        sources: Function that opens the sources other than rules. It is called only if variants must be generated.
         cache: Cache for lowered objects.
         progress: Callback that receives the number of variants and the number of candidates examined.
         library: Folder of the library source, if one is used.
 
     Returns:
         A record for each object, which is also written to ``NAME.variants.json`` in ``folder``. The record lists the
-        ``accepted`` variants, the ``refused`` candidates with reasons, and under ``lacks`` the requirements that the
-        twin itself does not meet.
+        ``accepted`` variants and the ``refused`` candidates with reasons. Under ``lacks``, it lists the requirements
+        that the twin itself does not meet.
     """
     assert isinstance(scene.spec, SceneSpec)
     lowered, records = None, {}
@@ -252,7 +264,7 @@ def prepare(
 def made_for(
     axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: SourceSetup
 ) -> dict[str, tuple[Path, ...]]:
-    """Return the paths of each object's variant documents, generating the variants if they do not exist yet.
+    """Return the paths of each object's variant documents, and generate the variants if they do not exist yet.
 
     Raises:
         ImpossibleError: If all candidates for an object were rejected, or if a source is not configured.
@@ -272,7 +284,7 @@ def made_for(
 
 @dataclass(frozen=True)
 class VariantCount:
-    """Variant counts for an object.
+    """The variant counts for an object.
 
     Attributes:
         name: Name of the object.
@@ -296,7 +308,7 @@ class VariantCount:
         return self.made < self.asked
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for manifests."""
+        """Return the counts as plain data for manifests."""
         return {"asked": self.asked, "made": self.made, "candidates": self.candidates, "reasons": dict(self.reasons)}
 
     def __str__(self) -> str:
@@ -309,7 +321,7 @@ class VariantCount:
 
 
 def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
-    """Return the variant counts for each object in an axis, read from the records in the variants folder."""
+    """Return the variant counts for each object in an axis, based on the records in the variants folder."""
     found = []
     for name, wanted in axis.objects.items() if axis is not None else ():
         record = json.loads((folder / f"{name}.variants.json").read_bytes())
@@ -325,7 +337,7 @@ def _key(
 ) -> str:
     """Return the cache key for an object's variants.
 
-    For models, the key depends only on their names in the recipe, because responses differ from call to call.
+    For models, the key depends only on their names in the recipe because responses differ from call to call.
     """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])

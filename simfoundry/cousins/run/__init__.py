@@ -1,1 +1,1 @@
-"""Runs: numbered candidates, worker pools, the log, and reports on accepted cousins."""
+"""Runs of recipes: numbered candidates, worker pools, the log, and reports on the accepted cousins."""

@@ -47,7 +47,10 @@ KEPT_TWINS = 16
 
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
-    """A sampler for a recipe's candidates in one process; all candidates share the twin and the variant pool."""
+    """A sampler for a recipe's candidates in one process.
+
+    All candidates share the twin and the variant pool.
+    """
 
     recipe: Recipe
     out: Path
@@ -70,7 +73,11 @@ class CandidateSampler:
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
 
     def require_possible(self) -> None:
-        """Raise :class:`ImpossibleError` if no candidate can satisfy the recipe."""
+        """Check that the recipe can be satisfied by at least one candidate.
+
+        Raises:
+            ImpossibleError: If no candidate can satisfy the recipe.
+        """
         twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
         asks = placement_constraints(twin, axis) if axis is not None else None
         places = twin.places if distractors is not None else ()
@@ -128,7 +135,7 @@ class _Draw:
 
 
 def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
-    """Sample the axes one after another. Each axis has its own random stream, so axes do not affect each other."""
+    """Sample the axes one after another. Each axis has a separate random stream, so axes do not affect each other."""
     by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
     spec, pool = shared.recipe.spec, shared.pool
     if pool.most is not None:
@@ -146,7 +153,7 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
 
 
 def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
-    """Choose distractors from the library and give them names that are not used in the scene.
+    """Choose distractors from the library, and give them names that are not yet used in the scene.
 
     No distractor is repeated until all have been used.
     """
@@ -168,7 +175,7 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
-    """Return the candidate for a successfully settled draw, with either its documents or the reasons for rejection."""
+    """Return the candidate for a draw that has settled, with either its documents or the reasons for rejection."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents, moved, goal = dict[str, str](), set[str](), ""
     if found is not None:
@@ -202,7 +209,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Return the reasons why the twin's task is impossible with this combination of variants."""
+    """Return the reasons why this combination of variants makes the twin's task impossible."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.context import TaskContext
@@ -230,7 +237,8 @@ def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
     """Return the relations to write to the document.
 
-    These are the twin's relations that still hold, the requested ones, and the supports of added objects.
+    These are the relations of the twin that still hold, the requested relations, and the relations between added
+    objects and their supports.
     """
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]

@@ -1,8 +1,8 @@
 """Logs of examined candidates.
 
-A log is append-only, so a kill at any point loses at most one line. ``OUT/.cousins/log.jsonl`` is the log of full runs,
-and ``log-2-of-4.jsonl`` is the log of a shard. Each line is flushed to disk before the next one is written. A truncated
-last line is ignored and removed before anything is appended.
+A log is append-only, so a process that is killed at any point loses at most one line. ``OUT/.cousins/log.jsonl`` is the
+log of full runs, and ``log-2-of-4.jsonl`` is the log of a shard. Each line is flushed to disk before the next one is
+written. A truncated last line is ignored and is removed before anything is appended.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WHOLE = "log.jsonl"
 
 
 class LogEntry(NamedTuple):
-    """The location of a candidate's line in a log, and whether the candidate was accepted."""
+    """The location of a candidate's line in a log, with a flag that is True if the candidate was accepted."""
 
     file: Path
     start: int
@@ -76,18 +76,21 @@ class Reader(ExitStack):
         self._open: dict[Path, int] = {}
 
     def line(self, place: LogEntry) -> bytes:
-        """Return the line of a log entry."""
+        """Return the line to which a log entry refers."""
         if place.file not in self._open:
             self._open[place.file] = self.enter_context(place.file.open("rb")).fileno()
         return os.pread(self._open[place.file], place.length, place.start)
 
     def candidate(self, place: LogEntry) -> Candidate:
-        """Return the candidate of a log entry."""
+        """Return the candidate to which a log entry refers."""
         return Candidate.of(self.line(place))
 
 
 class Log(ExitStack):
-    """An append-only log that only one process can write to; closing the log releases its lock."""
+    """An append-only log to which only one process can write.
+
+    Closing the log releases its lock.
+    """
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -101,7 +104,7 @@ class Log(ExitStack):
         self._stream.seek(end)
 
     def add(self, candidate: Candidate) -> LogEntry:
-        """Append a candidate and flush it to disk, so that it survives a machine crash."""
+        """Append a candidate and flush it to disk so that it survives a machine crash."""
         line = candidate.line().encode() + b"\n"
         start = self._stream.tell()
         self._stream.write(line)
@@ -134,7 +137,10 @@ def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int,
 
 
 def _lock(handle: int, file: Path) -> None:
-    """Lock a file until it is closed; do nothing if the file system does not support locks."""
+    """Lock a file until it is closed.
+
+    If the file system does not support locks, nothing happens.
+    """
     with suppress(ImportError, OSError):
         import fcntl
 

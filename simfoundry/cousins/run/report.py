@@ -33,7 +33,10 @@ VERSION = "cousins-run/1"
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
-    """Return statistics on a run and its object variants; ``end`` is `complete`, `hopeless` or `exhausted`."""
+    """Return statistics on a run and its object variants.
+
+    ``end`` is `complete`, `hopeless` or `exhausted`.
+    """
     return {
         "simfoundry": VERSION,
         **plan.about,
@@ -72,9 +75,9 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
-    """Summarize a run's progress, for example ``412 of 1000, 69% accepted; no_room 120, out_of_reach 43``.
+    """Summarize the progress of a run, including up to ``top`` of the most frequent reasons for rejection.
 
-    Only the ``top`` most frequent rejection reasons are listed.
+    An example is ``412 of 1000, 69% accepted; no_room 120, out_of_reach 43``.
     """
     text = f"{len(ledger.accepted)} of {ledger.wanted}"
     if ledger.examined:
@@ -85,7 +88,7 @@ def told(ledger: Ledger, top: int = 3) -> str:
 
 
 def examples(ledger: Ledger) -> dict[str, str]:
-    """Return the first rejection message for each rejection code, starting with the most frequent code."""
+    """Return the first rejection message for each rejection code, in order of decreasing frequency of the code."""
     found: dict[str, str] = {}
     with Reader() as reader:
         for place in ledger.counted():
@@ -193,7 +196,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """Yield the index of each cousin that has its own scene, along with the object entries in its document."""
+    """Yield the index of each cousin that has a scene document, along with the object entries in that document."""
     with Reader() as reader:
         for candidate in (reader.candidate(place) for place in ledger.counted() if place.accepted):
             if "scene" in candidate.documents:
@@ -205,7 +208,10 @@ def _variant(asset: str) -> str:
 
 
 def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
-    """Lower the twin's scene, including all objects added by cousins and, as variants, all replacements."""
+    """Lower the scene of the twin with everything that cousins add to it.
+
+    The result includes all added objects and, as variants, all replacements.
+    """
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -225,7 +231,7 @@ def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, M
 
 
 def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:
-    """Format one variant of the variant set."""
+    """Format a single variant of the variant set."""
     lines = [f'        "{name}" {{', '            over "Objects"', "            {"]
     lines += [f'                over "{other}" (active = false) {{}}' for other in added if other not in objects]
     for own, data in objects.items():

@@ -33,7 +33,7 @@ LEAST_RATE = 0.005
 
 
 class RunEnd(StrEnum):
-    """The reason why a run ended, or OPEN while it continues."""
+    """The reason why a run ended. The value is OPEN while the run continues."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -43,12 +43,12 @@ class RunEnd(StrEnum):
 
 @dataclass
 class Ledger:
-    """A count of the candidates ``first``, ``first + step``, … in order, up to the first unexamined candidate.
+    """A count of the candidates ``first``, ``first + step``, …, up to the first candidate that has not been examined.
 
     Attributes:
         wanted: Number of candidates to accept.
         first: Index of the first candidate.
-        step: Difference between consecutive indices; greater than 1 for a shard.
+        step: Difference between consecutive indices, which is greater than 1 for a shard.
         most: Highest existing index, or None if the number of candidates is unbounded.
         known: Log entries of all examined candidates by index.
         accepted: Indices of the counted candidates that were accepted.
@@ -74,21 +74,21 @@ class Ledger:
 
     @property
     def examined(self) -> int:
-        """Number of counted candidates."""
+        """The number of counted candidates."""
         return (self.next_index - self.first) // self.step
 
     @property
     def last(self) -> int:
-        """Index of the last counted candidate."""
+        """The index of the last counted candidate."""
         return self.next_index - self.step
 
     @property
     def rate(self) -> float:
-        """Fraction of the counted candidates that were accepted."""
+        """The fraction of the counted candidates that were accepted."""
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
-        """Count candidates until the next candidate has not been examined yet or the run ends.
+        """Count candidates until the run ends or the next candidate has not been examined yet.
 
         Args:
             reader: Reader of the logs.
@@ -115,7 +115,10 @@ class Ledger:
         return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
-        """Yield the indices of unexamined candidates in order, without end if the number of candidates is unbounded."""
+        """Yield the indices of unexamined candidates in order.
+
+        If the number of candidates is unbounded, the sequence never ends.
+        """
         index = self.next_index
         while not self._is_beyond(index):
             if index not in self.known:
@@ -150,7 +153,7 @@ class RunPlan:
         wanted: Number of cousins to generate.
         about: Fingerprint of the run. Runs with the same fingerprint produce identical bytes.
         shard: Pair (i, n) to examine only every n-th candidate, starting with candidate i (counted from 1), without
-            writing any cousins; None for a full run.
+            writing any cousins. The value is None for a full run.
         most: Number of candidates, or None if it is unbounded.
         variants: Variant counts of each object that varies.
     """
@@ -163,7 +166,10 @@ class RunPlan:
     variants: tuple[VariantCount, ...] = ()
 
     def ledger(self) -> Ledger:
-        """Return an empty ledger for this run; a shard accepts only its fraction of the requested cousins."""
+        """Return an empty ledger for this run.
+
+        A shard accepts only its fraction of the requested cousins.
+        """
         if self.shard is None:
             return Ledger(self.wanted, most=self.most)
         first, step = self.shard
@@ -171,7 +177,9 @@ class RunPlan:
 
 
 def begin(plan: RunPlan) -> None:
-    """Create the output folder of a run. If it already exists, check that it belongs to a run with this fingerprint.
+    """Create the output folder of a run.
+
+    If the folder already exists, it must belong to a run with this fingerprint.
 
     Raises:
         OutputError: The folder belongs to a different run, contains unrelated files, or is damaged.
@@ -198,11 +206,11 @@ def begin(plan: RunPlan) -> None:
 def run(
     plan: RunPlan, pool: Callable[[], CandidatePool], heard: Callable[[Ledger], None] = lambda ledger: None
 ) -> Ledger:
-    """Examine candidates until the run ends; candidates that are already in the logs are not examined again.
+    """Examine candidates until the run ends. Candidates that are already in the logs are not examined again.
 
     Args:
         plan: Parameters of the run.
-        pool: Function that opens the worker pool; called only if there are candidates to examine.
+        pool: Function that opens the worker pool. It is called only if there are candidates to examine.
         heard: Callback that receives the ledger after each candidate.
 
     Returns:
@@ -235,7 +243,11 @@ def run(
 
 
 def _require_none_beyond(plan: RunPlan, ledger: Ledger) -> None:
-    """Raise :class:`OutputError` if the output folder contains more cousins than requested."""
+    """Check that the output folder contains no more cousins than requested.
+
+    Raises:
+        OutputError: If it contains more cousins.
+    """
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         text = f"{plan.out} contains {len(beyond)} documents of cousins beyond the {plan.wanted} requested; choose "
@@ -243,7 +255,7 @@ def _require_none_beyond(plan: RunPlan, ledger: Ledger) -> None:
 
 
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
-    """Yield newly examined candidates as they finish, and keep the pool busy until the run ends."""
+    """Yield newly examined candidates as they finish. The pool is kept busy until the run ends."""
     todo, running, ahead = ledger.unknown(), 0, AHEAD * ledger.step * pool.size
     index = next(todo, None)
     while ledger.end is RunEnd.OPEN:
@@ -256,7 +268,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:
-    """Write a cousin's documents unless identical files already exist."""
+    """Write a cousin's documents, except if identical files already exist."""
     for kind, name in candidate.files().items():
         path, data = out / name, candidate.documents[kind].encode()
         if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):

@@ -42,7 +42,7 @@ _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
 
 
 def line_of(work: Work, index: int) -> str:
-    """Examine a candidate and return it as a single line of text, the format used between processes."""
+    """Examine a candidate and return it as a single line of text. This format is used between processes."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()
@@ -64,7 +64,7 @@ class CandidatePool(Protocol):
 
 
 class LocalPool:
-    """A pool of local processes.
+    """A pool of processes on this machine.
 
     If a process crashes or hangs, its candidate is retried once and then rejected.
     """
@@ -177,7 +177,7 @@ def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> Cand
 
     Args:
         work: Job of each worker.
-        where: `ray` to use a Ray cluster, anything else to use local processes.
-        jobs: Number of workers; by default one per core.
+        where: `ray` to use a Ray cluster. Any other value selects local processes.
+        jobs: Number of workers. The default is one per core.
     """
     return RayPool(work, jobs) if where == "ray" else LocalPool(work, jobs or os.cpu_count() or 1)

@@ -1,1 +1,4 @@
-"""Task cousins: other feasible tasks in a scene, derived from its affordances or proposed by a model, then verified."""
+"""Task cousins, which are other feasible tasks in a scene.
+
+They are derived from the affordances of the scene or proposed by a model, and then verified.
+"""

@@ -45,7 +45,8 @@ def accept(
 ) -> AcceptedTask | tuple[Reason, ...]:
     """Accept or reject a task or a bare goal.
 
-    A task is also rejected if a ``known`` task has the same goal or ends in a state in which the task's goal holds too.
+    A task is also rejected if a ``known`` task has the same goal or ends in a state in which the task's goal also
+    holds.
 
     Returns:
         The accepted task with a state in which its goal holds, or the reasons for rejection.
@@ -69,16 +70,19 @@ def accept(
 
 
 def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
-    """Return the names of known tasks that a new, stricter task always completes too, along with the reasons.
+    """Return the names of known tasks that are always completed along with a new, stricter task, and the reasons.
 
-    If a known task always completes the new one instead, :func:`accept` has already rejected the new task.
+    If, conversely, the new task is always completed along with a known task, :func:`accept` has already rejected it.
     """
     reason = Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is")
     return [(other.name, reason) for other in known if new.covers(other.goal, setting)]
 
 
 def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return reasons for rejecting a goal: names missing from the scene, and predicates not allowed in goals."""
+    """Return the reasons why the names or predicates in a goal are invalid.
+
+    A name is invalid if it does not exist in the scene. A predicate is invalid if it is not allowed in goals.
+    """
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
         text = f"a goal must have 1 to {MOST_PREDICATES} predicates, but this one has {len(every)}"
@@ -119,7 +123,7 @@ def _unknown(call: Call, setting: TaskContext) -> Iterator[Reason]:
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return a reason if a goal requires no change because it already holds or because it only negates predicates."""
+    """Return a reason if a goal requires no change because it already holds or consists only of negated predicates."""
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)
@@ -133,7 +137,7 @@ def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 
 def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return a reason if no hand can reach an object in the goal at its current pose."""
+    """Return a reason if there is an object in the goal that no hand can reach at its current pose."""
     there = {o.name for o in setting.twin.scene.objects} - {setting.twin.ground}
     for name in dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args):
         if name.partition(".")[0] in there:
@@ -146,6 +150,9 @@ def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 
 def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return the reasons why a goal is infeasible, or an empty tuple if a state was found in which it is true."""
+    """Return the reasons why a goal is infeasible.
+
+    The result is an empty tuple if a state was found in which the goal is true.
+    """
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

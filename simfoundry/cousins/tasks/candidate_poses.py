@@ -41,7 +41,11 @@ AROUND = ("Behind", "InFrontOf", "LeftOf", "RightOf")
 
 
 def turns(setting: TaskContext, name: str) -> list[Array]:
-    """Return the orientations of an object to try as quaternions (wxyz), starting with its standing orientation."""
+    """Return the orientations of an object to try, starting with the orientation in which it stands.
+
+    Returns:
+        Quaternions (w, x, y, z).
+    """
     item = setting.twin.scene.object(name)
     standing = Pose.of(q=setting.twin.state.poses[name].q)
     is_round = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
@@ -51,7 +55,7 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
 
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
-    """Return the positions of an object's center to try for a predicate, most promising first.
+    """Return the positions of an object's center to try for a predicate, starting with the most promising one.
 
     The positions are x and y in the world [m].
     """
@@ -75,9 +79,10 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """Return the level surfaces of an object, highest first, if it has at least two.
+    """Return the level surfaces of an object, from highest to lowest.
 
-    The result is empty for other objects, for links, and for objects that have moved from their pose in the twin.
+    The result is empty for objects with only one level surface, for links, and for objects that have moved from their
+    pose in the twin.
     """
     X_WO = setting.twin.state.poses.get(target)  # None for links
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
@@ -94,7 +99,10 @@ def spots(level: Support) -> Iterator[tuple[float, float]]:
 
 
 def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
-    """Return the world position [m] of the center of a target's cavity, shape (3,), or None if it has none."""
+    """Return the center of a target's cavity in the world [m], as an array of shape (3,).
+
+    The result is None if the target has no cavity.
+    """
     owner = target.partition(".")[0]
     for link, found in cavities(setting, target):
         item = setting.twin.scene.object(owner)
@@ -104,7 +112,7 @@ def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None
 
 
 def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
-    """Return the cavities of the links that a target refers to, along with the name of each link."""
+    """Return the cavities of the links to which a target refers, along with the name of each link."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
     body = bodies[thing.owner]
@@ -113,21 +121,24 @@ def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
 
 
 def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
-    """Return True if a point in a link's frame [m], shape (3,), is outside all parts of the link."""
+    """Return True if a point in a link's frame [m] is outside all parts of the link. The point has shape (3,)."""
     body = Bodies(setting.twin.scene)[owner]
     parts = [form.parts for form in [body.forms[body.index(link)]] if form is not None]
     return all(float(outside_part(p, k, point[None])[0]) > 0 for p in parts for k in range(len(p.radius)))
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """Return a phrase that describes the size of an object's cavity, or an empty string if it has no cavity."""
+    """Return a phrase that describes the size of an object's cavity.
+
+    The phrase is empty if the object has no cavity.
+    """
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""
 
 
 def across(hole: Cavity) -> float:
-    """Return the largest width of a cavity [m], estimated from its bounding sphere."""
+    """Return the largest width of a cavity [m], as estimated from its bounding sphere."""
     return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
 
 
@@ -156,7 +167,9 @@ Meaning = tuple[Any, ...]
 
 
 def meaning(goal: Any) -> Meaning:
-    """Return a goal's normal form, in which order, repetition, synonyms and a redundant `Released` do not matter.
+    """Return the normal form of a goal.
+
+    Goals that differ only in order, repetition, synonyms or a redundant `Released` have the same normal form.
 
     Raises:
         ExpressionError: The goal contains an invalid expression.
@@ -191,7 +204,7 @@ def _call(call: Call) -> tuple[str, ...]:
 
 
 def conjuncts(condition: Any) -> list[Call]:
-    """Return the predicates that must all be true, excluding predicates inside ``any`` and ``not``."""
+    """Return the predicates that must all be true. Predicates inside ``any`` and ``not`` are excluded."""
     tag, below = parts(condition)
     if tag == "text":
         return [parse_call(condition)]
@@ -206,7 +219,10 @@ def objects_of(condition: Any) -> tuple[str, ...]:
 
 
 def goal_words(condition: Any) -> str:
-    """Format a goal as a single line, for example ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
+    """Format a goal as a single line.
+
+    An example is ``OnTop(cup, shelf) and not Inside(cup, shelf)``.
+    """
     tag, below = parts(condition)
     if tag == "text":
         return str(condition)
@@ -217,7 +233,10 @@ def goal_words(condition: Any) -> str:
 
 
 def branches(condition: Any) -> list[list[Call]]:
-    """Return alternative lists of predicates, each of which makes a goal true; negated conditions are ignored."""
+    """Return alternative lists of predicates such that all predicates in any one list together make a goal true.
+
+    Negated conditions are ignored.
+    """
     tag, below = parts(condition)
     if tag == "text":
         return [[parse_call(condition)]]

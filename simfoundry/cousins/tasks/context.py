@@ -56,7 +56,7 @@ TURNS, TILTS = 12, (0.0, math.radians(30.0))
 class Approach:
     """The directions in which a hand approaches an object and leaves with it.
 
-    The hand comes from ``side`` and leaves along ``way``; both are unit vectors of shape (3,) that point away from the
+    The hand comes from ``side`` and leaves along ``way``. Both are unit vectors of shape (3,) that point away from the
     object.
     """
 
@@ -65,7 +65,7 @@ class Approach:
 
     @property
     def upright(self) -> Pose:
-        """Rotation that turns this approach into an approach from above."""
+        """The rotation that turns this approach into an approach from above."""
         x, y, _ = self.side.tolist()
         lean = math.atan2(math.hypot(x, y), float(self.side[2]))
         turn = math.atan2(y, x)
@@ -76,9 +76,10 @@ ABOVE = Approach(UP, UP)
 
 
 def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
-    """Return the possible approaches to an object in a given state: from above or, if that is blocked, from open sides.
+    """Return the possible approaches to an object in a given state.
 
-    The result is empty if the object is enclosed.
+    An object is approached from above or, if the space above it is blocked, from open sides. The result is empty if the
+    object is enclosed.
     """
     low, high = setting.bounds(name, state)
     near = _obstacles(setting, {name, *setting.twin.riders(name)}, low, high, state)
@@ -101,9 +102,9 @@ _CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
 
 
 def _outline(low: Array, high: Array, way: Array) -> list[Array]:
-    """Return points [m] on a slightly lifted box, to be swept along a horizontal direction.
+    """Return points [m] on a slightly raised box. These points are swept along a horizontal direction.
 
-    They form a grid across the box that contains its center and its horizontal and vertical extremes.
+    They form a grid across the box, which contains the center of the box and its horizontal and vertical extremes.
     """
     middle, half = (low + high) / 2 + LIFT * UP, (high - low) / 2
     across = np.array([-way[1], way[0], 0.0])
@@ -182,9 +183,12 @@ class TaskContext:
     # -- object poses and joints ------------------------------------------------------------------------------------
 
     def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
-        """Return the minimum and maximum world coordinates [m] of an object's or link's bounding box, shape (3,) each.
+        """Return the minimum and maximum corners of the bounding box of an object or link in the world [m].
 
         A link is named ``object.link`` or ``object.joint``. The default ``state`` is the state of the twin.
+
+        Returns:
+            Two arrays of shape (3,).
         """
         owner, _, part = name.partition(".")
         state = state or self.twin.state
@@ -197,7 +201,10 @@ class TaskContext:
         return parts.bounds()
 
     def joints(self, argument: str) -> tuple[Joint, ...]:
-        """Return the joints with limits that ``object``, ``object.joint`` or ``object.link`` refers to."""
+        """Return the joints to which a name refers, provided that they have limits.
+
+        The name has the form ``object``, ``object.joint`` or ``object.link``.
+        """
         owner, _, part = argument.partition(".")
         limited = (j for j in self.twin.scene.object(owner).joints if j.has_axis and j.limits is not None)
         return tuple(j for j in limited if not part or part in (j.name, j.child))
@@ -205,7 +212,10 @@ class TaskContext:
     # -- feasible actions ---------------------------------------------------------------------------------------------
 
     def cannot_take(self, name: str) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can pick up an object at its current pose; empty if a hand can."""
+        """Return the reasons why no hand can pick up an object at its current pose.
+
+        The result is empty if a hand can pick it up.
+        """
         if name not in self.kept:
             self.kept[name] = tuple(self._taken(name))
         return self.kept[name]
@@ -224,9 +234,10 @@ class TaskContext:
         return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
 
     def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can hold an object in a state; empty if a hand can.
+        """Return the reasons why no hand can hold an object in a given state.
 
-        ``ways`` are the approaches to consider, by default all free approaches.
+        The result is empty if a hand can hold it. ``ways`` contains the approaches to consider. By default, these are
+        all free approaches.
         """
         if not self.hands:
             return ()
@@ -257,7 +268,7 @@ class TaskContext:
         return (Reason("too_wide", text, {"width_m": min(width, 1e3), "opening_m": widest}),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can reach an object; empty if a hand can.
+        """Return the reasons why no hand can reach an object. The result is empty if a hand can reach it.
 
         Inverse kinematics is used if available.
 

@@ -50,7 +50,7 @@ def task(
         instruction: Instruction for a policy.
         goal: The goal.
         steps: Subtasks by name.
-        note: Origin of the task; truncated to 200 characters.
+        note: Origin of the task, which is truncated to 200 characters.
     """
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
@@ -61,7 +61,7 @@ def task(
 
 
 def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the subtasks of an idea: touch, pick up and place each object, and open and close joints."""
+    """Return the subtasks of an idea: touching, picking up and placing each object, and opening and closing joints."""
     found: dict[str, Subtask] = {}
     for step in idea.steps:
         if step.thing:
@@ -71,7 +71,10 @@ def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the subtasks for grasping an object (touch it, then pick it up); empty if the scene has no hand."""
+    """Return the subtasks for grasping an object, which are to touch it and then to pick it up.
+
+    The result is empty if the scene has no hand.
+    """
     hands = [hand.name for hand in setting.hands]
     if not hands:
         return {}
@@ -108,7 +111,10 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
 
 
 def instruction_of(idea: Idea) -> str:
-    """Return the instruction for a policy, which lists the steps in plain words."""
+    """Return the instruction for a policy.
+
+    The instruction lists the steps in plain words.
+    """
     words = [step.words for step in idea.steps]
     if len(idea.steps) == 1 and idea.steps[0].thing:
         thing = idea.things[0].replace("_", " ")
@@ -141,7 +147,7 @@ class Proposal:
         name: Name of the task.
         goal: The goal as text.
         task: The task document, or None if the proposal is so flawed that no document can be written.
-        reasons: Reasons for rejection; empty if the task was accepted.
+        reasons: Reasons for rejection, empty if the task was accepted.
     """
 
     name: str
@@ -186,15 +192,18 @@ def enumerate_tasks(
     objects: tuple[str, ...] = (),
     progress: Progress = lambda accepted, seen: None,
 ) -> list[Proposal]:
-    """Propose tasks until enough have been accepted or no ideas remain. Rejected proposals include the reasons.
+    """Propose tasks until enough have been accepted or no ideas remain.
 
     Args:
         setting: Context of the tasks.
         count: Number of tasks to accept, or None to examine all ideas.
-        seed: Seed of the random generator; the same context and seed produce the same proposals.
+        seed: Seed for the random number generator. The same context and seed produce the same proposals.
         scene: Path by which the documents refer to the scene.
-        objects: Names of the objects that tasks may involve; empty to allow all objects.
-        progress: Called after each proposal.
+        objects: Names of the objects that tasks may involve, or an empty collection to allow all objects.
+        progress: Callback that is called after each proposal.
+
+    Returns:
+        All proposals. Rejected proposals include the reasons.
     """
     note = f"task cousin of `{setting.twin.scene.name}`, from the affordances of its objects"
     proposed = Proposals(setting)
@@ -212,7 +221,10 @@ def enumerate_tasks(
 
 
 def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
-    """Yield simple ideas first; among equally simple ideas, yield those with the least used objects first."""
+    """Yield ideas in order of increasing complexity.
+
+    Among equally simple ideas, those with the least used objects come first.
+    """
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)
     groups = dict.fromkeys(idea.about for idea in every)
@@ -229,17 +241,24 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
 
 
 def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
-    """Return how often an idea's combination of objects was used, and how often its objects were moved or used."""
+    """Return the number of times that an idea's objects have been used before.
+
+    The first number counts ideas with the same combination of objects. The second number counts the uses of the
+    individual objects.
+    """
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """Return the path to a scene, as written in a document in ``out``."""
+    """Return the path to a scene as it is written in a document in ``out``."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """Run ``simfoundry check`` on the accepted proposals, as documents in ``out``, and reject any with findings."""
+    """Run ``simfoundry check`` on the accepted proposals, and reject those with findings.
+
+    For this purpose, the proposals are treated as documents in ``out``.
+    """
     found = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:
@@ -267,7 +286,7 @@ def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
 
 
 def to_json(proposal: Proposal, out: Path) -> dict[str, Any]:
-    """Return a plain mapping for JSON output."""
+    """Return a proposal as plain data for JSON output."""
     task = proposal.task
     return {
         "name": proposal.name,

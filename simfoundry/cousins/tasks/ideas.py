@@ -33,7 +33,8 @@ BROAD = 0.1
 class IdeaStep:
     """A step of a task.
 
-    ``words`` is the instruction for the step. ``thing`` is the object to move, or empty if the step moves a joint.
+    ``words`` is the instruction for the step. ``thing`` is the object to move, or an empty string if the step moves a
+    joint.
     """
 
     name: str
@@ -60,12 +61,12 @@ class Idea:
 
     @property
     def things(self) -> tuple[str, ...]:
-        """Names of the objects that the steps move."""
+        """The names of the objects that the steps move."""
         return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
 
     @property
     def about(self) -> tuple[str, ...]:
-        """Names of the objects and robots in the goal."""
+        """The names of the objects and robots in the goal."""
         return objects_of({"all": self.goal})
 
 
@@ -109,7 +110,10 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Return True if an object has a usable cavity: deep enough, wide enough, and free at its center."""
+    """Return True if an object has a usable cavity.
+
+    A usable cavity is deep enough, wide enough, and free at its center.
+    """
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -126,7 +130,10 @@ def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
 
 
 def _boards(setting: TaskContext, name: str) -> list[str]:
-    """Return the static links of an object that have a wide level surface; empty unless there are at least two."""
+    """Return the static links of an object that have a wide level surface.
+
+    The result is empty if there are fewer than two such links.
+    """
     own = setting.twin[name]
     levels = {k: supports_of(name, own.placed, [k]) for k in own.still_links} if len(own.still_links) > 1 else {}
     broad = [k for k in levels if any(np.subtract(*level.bounds[::-1]).min() >= BROAD for level in levels[k])]
@@ -134,7 +141,10 @@ def _boards(setting: TaskContext, name: str) -> list[str]:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return True if an object's highest level surface is in its upper half, so that it is a top and not a floor."""
+    """Return True if the highest level surface of an object is a top rather than a floor.
+
+    A top is in the upper half of the object.
+    """
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
@@ -155,7 +165,10 @@ def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Affordances) -> Idea:
-    """Return the idea of putting an object into or onto a target; a drawer is opened first and closed afterward."""
+    """Return the idea of putting an object into or onto a target.
+
+    If the target is a drawer, it is opened first and closed afterward.
+    """
     step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
     if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
@@ -165,7 +178,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Return True if a joint moves the target part or any part of the target object."""
+    """Return True if a joint moves the target part or, if the target is an object, any of its parts."""
     owner, _, part = target.partition(".")
     if not part:
         return joint.partition(".")[0] == owner
@@ -173,7 +186,7 @@ def _lid(setting: TaskContext, joint: str, target: str) -> bool:
 
 
 def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield ideas for stacks, such as a cup in a bowl on a plate.
+    """Yield ideas for stacking objects, such as a cup in a bowl on a plate.
 
     A stack consists of a support, a container on it, and the largest object that fits into the container.
     """
@@ -190,7 +203,10 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield ideas for gathering, in a container or on a support, all objects whose names end with the same word."""
+    """Yield ideas for gathering similar objects in a container or on a support.
+
+    All objects whose names end with the same word are gathered.
+    """
     for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
@@ -211,7 +227,10 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Return True if objects are small enough for a target, based on bounding boxes only."""
+    """Return True if objects are small enough for a target.
+
+    Only bounding boxes are compared.
+    """
     room, *sizes = (np.subtract(*setting.bounds(name)[::-1]) for name in (target, *things))
     if len(sizes) == 1:
         return bool((np.sort(sizes[0])[:2] <= np.sort(room[:2])).all())
@@ -225,7 +244,7 @@ def _step(thing: str, word: str, target: str) -> IdeaStep:
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
-    """Return the step of putting an object on top of a target, and not into the cavity below its top."""
+    """Return the step of putting an object on top of a target rather than into the cavity below its top."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
     return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
@@ -263,7 +282,10 @@ def _short(name: str) -> str:
 
 
 def _said(name: str) -> str:
-    """Convert a name to plain words: ``cabinet.drawer`` becomes `drawer of the cabinet`."""
+    """Convert a name to plain words.
+
+    For example, ``cabinet.drawer`` becomes `drawer of the cabinet`.
+    """
     owner, _, part = name.partition(".")
     words = owner.replace("_", " ")
     return f"{part.replace('_', ' ')} of the {words}" if part else words

@@ -1,4 +1,7 @@
-"""Task cousins proposed by a vision-language model with the paper's prompt; they are verified like any other task."""
+"""Task cousins that a vision-language model proposes in response to the paper's prompt.
+
+They are verified in the same way as all other tasks.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,7 @@ def propose_tasks(
         count: Number of tasks to request.
         form: Format of the response.
         scene: Path to the scene, as written in task documents.
-        include: Objects of which each task should involve at least one; empty for no such requirement.
+        include: Objects of which each task should involve at least one. If it is empty, there is no such requirement.
         exclude: Objects that tasks must not involve.
 
     Raises:
@@ -79,7 +82,10 @@ def propose_tasks(
 def prompt(
     setting: TaskContext, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
 ) -> str:
-    """Render the paper's prompt for a scene; the typed form omits the description of the text format."""
+    """Render the paper's prompt for a scene.
+
+    The typed form omits the description of the text format.
+    """
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
@@ -137,7 +143,7 @@ def judged(
         exclude: Objects that tasks must not involve.
 
     Returns:
-        One proposal per task; accepted proposals contain a document, and rejected ones contain reasons.
+        One proposal per task. Accepted proposals contain a document, and rejected proposals contain reasons.
     """
     proposed = Proposals(setting)
     for one in told:
@@ -152,7 +158,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
     """Add a task from a model's response to the proposals.
 
     Returns:
-        A rejected proposal if the task is so flawed that no document can be written; otherwise None.
+        None, or a rejected proposal if the task is so flawed that no document can be written.
     """
     setting = proposed.setting
     name = free_name(told.task_name, {accepted.name for accepted in proposed.accepted})
@@ -177,7 +183,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
 
 
 def _released(goal: Any) -> Any:
-    """Return the goal with `Released` added for each placed object."""
+    """Return the goal with a `Released` predicate added for each placed object."""
     placed = dict.fromkeys(c.args[0] for c in conjuncts(goal) if c.predicate in ON and c.predicate != "Touching")
     there = {str(call) for call in conjuncts(goal)}
     more = tuple(text for name in placed if "." not in name and (text := f"Released({name})") not in there)
@@ -227,14 +233,17 @@ class ProposalsAnswer(BaseModel):
 
 
 class Unread(BaseModel):
-    """A part of a response that could not be parsed, and the reason why."""
+    """A part of a response that could not be parsed, with the reason."""
 
     name: str
     why: str
 
 
 def read(text: str) -> list[Told | Unread]:
-    """Parse the tasks in a response in the paper's format: YAML blocks separated by lines such as `--- Task n`."""
+    """Parse the tasks in a response in the paper's format.
+
+    In this format, YAML blocks are separated by lines such as `--- Task n`.
+    """
     found: list[Told | Unread] = []
     blocks = [block for block in _MARK.split(text[:MOST_TEXT]) if block.strip()]
     for block in blocks[:MOST_TASKS]:
@@ -262,7 +271,7 @@ def goal_of(told: Told) -> tuple[Any, str]:
     """Convert a proposed goal to a condition.
 
     Returns:
-        The condition and an error message; the message is empty if the goal is valid.
+        The condition and an error message, which is empty if the goal is valid.
     """
     groups, either = told.semantic_group_mapping, told.goal_predicates_any or []
     names = {group: members[0] for group, members in groups.items() if len(members) == 1}
@@ -297,11 +306,11 @@ class TaskCousin:
     engines: tuple[str, ...] = ("mujoco",)
 
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
-        """Return the reasons why the task cannot be used in a settled scene; empty if it can be used.
+        """Return the reasons why the task cannot be used in a settled scene. The result is empty if it can be used.
 
-        A task cannot be used if its goal already holds or an object is out of reach. The goal was found to be feasible
-        in the twin, and feasibility does not depend on the layout, so feasibility is verified again only if an object
-        in the goal was replaced.
+        A task cannot be used if its goal already holds or an object is out of reach. The goal is known to be feasible
+        in the twin, and feasibility does not depend on the layout. It is verified again only if an object in the goal
+        was replaced.
 
         Args:
             twin: The twin.
@@ -328,7 +337,7 @@ def task_cousins(
         twin: The twin.
         scene: Document of the twin's scene.
         axis: The task axis.
-        seed: Seed of the random generator.
+        seed: Seed for the random number generator.
         reference: Path to the scene, as written in task documents.
         vlm: Model to query if the axis requests proposals from a model.
         picture: Image of the scene for the model.

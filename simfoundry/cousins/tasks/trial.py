@@ -34,7 +34,10 @@ ASTRAY = (0.0023, 0.0017)
 
 
 class Rest(NamedTuple):
-    """A state at rest. ``why`` explains why the state is unacceptable; it is empty if the state is acceptable."""
+    """A state at rest.
+
+    ``why`` explains why the state is unacceptable. It is empty if the state is acceptable.
+    """
 
     state: SceneState
     why: str = ""
@@ -43,12 +46,12 @@ class Rest(NamedTuple):
 def dropped(
     setting: TaskContext, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
 ) -> Pose:
-    """Return the pose at which an object lowered from above first touches its target.
+    """Return the pose in which an object that is lowered from above first touches its target.
 
     Args:
         setting: Context of the task.
         name: Name of the object.
-        target: Object or part to place it on or in.
+        target: Object or part on or in which the object is placed.
         inside: True to place it inside the target.
         xy: Position of the object's center [m].
         q: Orientation of the object (wxyz).
@@ -70,7 +73,7 @@ def dropped(
 
 
 def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
-    """Return the pose at which an object stands on a level surface of another object.
+    """Return the pose in which an object stands on a level surface of another object.
 
     Args:
         setting: Context of the task.
@@ -129,7 +132,7 @@ def turned(
 
 
 def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
-    """Simulate until everything is at rest. Only objects in ``moving`` may move as they settle."""
+    """Simulate until everything is at rest. Only the objects in ``moving`` may move as they settle."""
     settled = settle_layout(setting.twin.world, state, setting.twin.absent)
     if settled.restless:
         return Rest(settled.state, f"`{settled.restless[0]}` does not come to rest")
@@ -143,10 +146,10 @@ def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
-    """Explain why a condition that holds in MuJoCo does not last in another engine; return an empty string if it lasts.
+    """Explain why a condition that holds in MuJoCo does not last in another engine.
 
-    Each test uses a new world, because PyBullet keeps contacts across a reset, so earlier trials could affect the
-    result.
+    The result is an empty string if the condition lasts. Each test uses a new world because PyBullet keeps contacts
+    across a reset, so earlier trials could affect the result.
 
     Raises:
         MissingEngineError: If an engine is not installed.
@@ -162,9 +165,10 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
 
 
 def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
-    """Return the joint limit [rad or m] at which a joint is ``Open`` or ``Closed``, or None if there is no such limit.
+    """Return the limit at which a joint is ``Open`` or ``Closed`` [rad or m].
 
-    ``wanted`` is ``Open`` or ``Closed``, and ``owner`` is the name of the object with the joint.
+    The result is None if there is no such limit. ``wanted`` is ``Open`` or ``Closed``, and ``owner`` is the name of the
+    object that the joint belongs to.
     """
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):

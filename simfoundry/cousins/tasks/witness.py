@@ -1,8 +1,8 @@
-"""Search for a witness of a goal, that is, a state at rest in which the goal is true.
+"""Search for a witness of a goal, which is a state at rest in which the goal is true.
 
 Feasibility is demonstrated by simulation. Objects are dropped onto the collision geometry in a few dozen positions and
-orientations and simulated until they come to rest, and then the goal is evaluated. Robot motion is not planned; whether
-each object can be grasped and its target can be reached is tested separately.
+orientations and simulated until they come to rest. Then the goal is evaluated. Robot motion is not planned. Separate
+tests determine if each object can be grasped and if its target can be reached.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class _Attempt:
         state: Current state.
         held: Link that supports each placed object, as ``owner.link``, keyed by object name.
         opened: Names of opened joints.
-        barred: Negated conditions in the goal, each with the object that it concerns.
+        barred: Negated conditions in the goal, along with the object that each condition concerns.
     """
 
     state: SceneState
@@ -74,12 +74,18 @@ class _Attempt:
     barred: list[tuple[str, Any]] = field(default_factory=list)
 
     def asked(self, name: str, calls: list[Call]) -> Any:
-        """Return the condition that a placed object must satisfy: all ``calls`` and all negated conditions on it."""
+        """Return the condition that a placed object must satisfy.
+
+        It combines all ``calls`` with all negated conditions on it.
+        """
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
 def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
-    """Find a witness of a goal whose names and predicates are valid, or return the reasons why the search failed."""
+    """Find a witness of a goal.
+
+    The names and predicates in the goal must be valid. If the search fails, the reasons are returned.
+    """
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
         try:
@@ -130,7 +136,7 @@ def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
-    """Yield the objects to place, containers and supports first, each with its predicates."""
+    """Yield the objects to place along with their predicates. Containers and supports come first."""
     waiting: dict[str, list[Call]] = {}
     for call in calls:
         waiting.setdefault(call.args[0].partition(".")[0], []).append(call)
@@ -148,7 +154,11 @@ def _owner(call: Call) -> str:
 
 
 def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
-    """Open or close the joints that a predicate refers to; return the reasons if this fails."""
+    """Open or close the joints to which a predicate refers.
+
+    Returns:
+        The reasons if this fails, or an empty tuple.
+    """
     owner = call.args[0].partition(".")[0]
     joints = setting.joints(call.args[0])
     for joint in joints:
@@ -173,7 +183,7 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
 
 
 def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Place an object so that all ``calls`` hold, and open closed joints if necessary.
+    """Place an object so that all ``calls`` hold, opening closed joints if necessary.
 
     Returns:
         The reasons if the object cannot be placed, or an empty tuple.
@@ -204,10 +214,10 @@ def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[str]:
 
 
 def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Try poses for an object until its predicates hold at rest.
+    """Try candidate poses for an object until its predicates hold at rest.
 
     Poses in which the predicates hold at first contact are simulated first. If none of them succeeds, poses in which
-    the predicates nearly hold are simulated too.
+    the predicates nearly hold are also simulated.
 
     Returns:
         The reasons if no pose succeeds, or an empty tuple.
@@ -231,7 +241,7 @@ def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]
 
 
 def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[SceneState]:
-    """Yield the states in which predicates nearly hold, by increasing violation.
+    """Yield the states in which predicates nearly hold, in order of increasing violation.
 
     States with equal position and violation differ only in the object's rotation, so all but the first are skipped.
     """
@@ -251,7 +261,7 @@ class _Tried:
         puts: Number of poses tried.
         settles: Number of simulations.
         best: Best margin of the predicates.
-        why: Explanation of the best failure or the most recent one.
+        why: Explanation of the best failure or of the most recent failure.
         far: Reasons why no hand can reach a pose at which the predicates hold.
         unreached: Positions that no hand can reach, rounded to 1 cm [m].
     """
@@ -267,7 +277,7 @@ class _Tried:
 def _touchdowns(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
-    """Yield states in which an object first touches its support, each with the verdict on its predicates."""
+    """Yield states in which an object first touches its support, along with the verdict on its predicates."""
     asked = attempt.asked(name, calls)
     for pose in _landings(setting, attempt, name, calls):
         if tried.settles >= SETTLES:
@@ -287,7 +297,10 @@ def _touchdowns(
 def _settled(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
 ) -> bool:
-    """Settle an object; if its predicates hold, store the resulting state in the attempt and return True."""
+    """Settle an object and check its predicates.
+
+    If the predicates hold, the resulting state is stored in the attempt and True is returned.
+    """
     spot = tuple(np.round(state.poses[name].p, 2).tolist())
     if spot in tried.unreached:
         return False
@@ -314,7 +327,11 @@ def _settled(
 
 
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
-    """Yield functions that compute candidate poses: first contact from above, then standing on each level."""
+    """Yield functions that compute candidate poses.
+
+    In the first poses, the object touches the target from above. In the remaining poses, it stands on one of the
+    target's level surfaces.
+    """
     target, within = _carrier(setting, name, calls)
     every = turns(setting, name)
     for k, xy in enumerate(places(setting, calls[0], attempt.state)):
@@ -326,7 +343,10 @@ def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Ca
 
 
 def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:
-    """Return the support on which to place an object, and whether the object must be inside it."""
+    """Return the support on which to place an object.
+
+    A flag is also returned. It is True if the object must be inside the support.
+    """
     first = calls[0]
     if first.predicate in ON:
         return first.args[1], first.predicate == "Inside"

@@ -1,6 +1,6 @@
-"""Candidate grasps of an object by parallel jaws, and candidate poses for releasing it on or in another object.
+"""Candidate grasps of an object by parallel jaws, and candidate poses for releasing it on or in a target.
 
-Both are computed from collision geometry.
+Grasps and poses are computed from collision geometry.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class Grasp:
     Attributes:
         X_WH: The pose of the hand when it closes.
         width: The width of the object between the fingers [m].
-        open: The fraction by which the gripper is closed during the approach.
-        cost: The cost of the grasp, which is lower for better grasps.
+        open: The fraction by which the gripper is closed during the approach, from 0 (open) to 1 (closed).
+        cost: The cost of the grasp. Better grasps have a lower cost.
     """
 
     X_WH: Pose
@@ -70,16 +70,17 @@ class Grasp:
 
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
-    """Return approach directions, shape (3,), that point straight down or are tilted by the given angles [rad].
+    """Return approach directions that point straight down or are tilted by the given angles [rad].
 
-    For each nonzero tilt angle, there are eight directions, tilted toward eight evenly spaced sides.
+    For each nonzero tilt angle, there are eight directions, tilted toward eight evenly spaced sides. Each direction is
+    an array of shape (3,).
     """
     angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
     return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 
 
 def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
-    """Yield hand rotations whose z axis is ``approach`` and whose closing directions y are spread over half a turn.
+    """Yield hand rotations whose z axis is ``approach`` and whose closing directions (y) are spread over half a turn.
 
     The closing directions are measured from the shape's longest extent, as seen along the approach direction. One
     closing direction is therefore exactly perpendicular to that extent, so long objects can be grasped across their
@@ -95,7 +96,9 @@ def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
 
 
 def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
-    """Return the best grasps of a shape, in order of increasing cost, including those with the hand flipped.
+    """Return the best grasps of a shape, in order of increasing cost.
+
+    Grasps with the hand flipped are included.
 
     Args:
         shape: The shape to grasp.
@@ -111,7 +114,7 @@ def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]
 
 
 def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
-    """Yield the grasps for the hand rotation R_WH."""
+    """Yield the grasps for which the hand has the rotation R_WH."""
     low, high = bounds(shape, R_WH)
     across = _grid(low[0], high[0], ACROSS, SPACING)
     along = _grid(low[2], high[2], ALONG, FINE)
@@ -138,7 +141,10 @@ def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterato
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
-    """Return evenly spaced coordinates slightly inside ``low`` and ``high``, at least ``spacing`` apart."""
+    """Return evenly spaced coordinates between ``low`` and ``high``.
+
+    The outermost coordinates are slightly inside this range. The spacing is at least ``spacing``.
+    """
     count = int(np.clip((high - low) / spacing, 1, most))
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
@@ -151,7 +157,10 @@ def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
 
 
 def _area(spans: dict[tuple[int, int], list[Span]], i: int, j: int, span: Span) -> float:
-    """Return the fraction of neighboring rays that hit the same surfaces, a measure of the pads' contact area."""
+    """Return the fraction of neighboring rays that hit the same surfaces.
+
+    This is a measure of the contact area of the finger pads.
+    """
     around = [(i + di, j + dj) for di, dj in product((-1, 0, 1), repeat=2) if di or dj]
     near = ([max(abs(o.start - span.start), abs(o.end - span.end)) for o in spans.get(ray, ())] for ray in around)
     return sum(min(off, default=math.inf) < ALIKE for off in near) / len(around)
@@ -183,14 +192,20 @@ LEANS = (0.0, 0.3, 0.6)
 
 @dataclass(frozen=True, eq=False)
 class PlaceAt:
-    """A pose in which an object touches its support; the better the placement, the lower the ``cost``."""
+    """A pose in which an object touches its support.
+
+    Better placements have a lower ``cost``.
+    """
 
     X_WO: Pose
     cost: float
 
 
 class _Target:
-    """A support, which is an object or one of its links, and the other movable objects around it."""
+    """A support for an object, and the other movable objects around it.
+
+    The support is an object or one of its links.
+    """
 
     def __init__(self, scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> None:
         owner, _, link = target.partition(".")
@@ -205,7 +220,10 @@ class _Target:
         self._others = [hulls(object_at(o, state)) for o in others]
 
     def spots(self) -> list[tuple[Array, float]]:
-        """Return horizontal positions [m] above the support and their distances [m] from its center, closest first."""
+        """Return horizontal positions above the support and their distances from its center, closest first.
+
+        All values are in meters.
+        """
         middle = self._part.middle(self._R_WC)
         middle = hollow(self._part, middle, self._R_WC) if self._inside else middle
         axes = self._R_WC[:, :2]
@@ -240,16 +258,17 @@ class _Target:
 
 
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
-    """Return poses of an object on or inside a target, best first.
+    """Return poses of an object on or inside a target, in order of increasing cost.
 
-    The current orientation at the center of the free area is preferred; long objects may also be placed on end.
+    The current orientation at the center of the free area is preferred. Inside a target, long objects may also be
+    placed on end.
 
     Args:
         scene: The scene.
         state: The current state.
         name: The object to place.
         target: The name of an object or a link.
-        inside: Whether to place the object in a cavity of the target.
+        inside: If true, the object is placed in a cavity of the target.
     """
     item, support = scene.object(name), _Target(scene, state, name, target, inside)
     spots = support.spots()
@@ -264,7 +283,10 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 def _tried(
     item: SceneObject, turns: Iterable[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
-    """Return all combinations of rotation and position with the rotated shape and the cost, cheapest first."""
+    """Return all combinations of rotation and position, along with the rotated shape and the cost.
+
+    The combinations are in order of increasing cost.
+    """
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
@@ -284,18 +306,21 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
 
 
 def _odd(count: float) -> int:
-    """Round to an odd number of positions of at most :data:`GRID`, so that the center is one of them."""
+    """Round to an odd number of positions, so that one of them is at the center.
+
+    The result is at most :data:`GRID`.
+    """
     return 2 * (int(np.clip(count, 3, GRID)) // 2) + 1
 
 
 def _turned(pose: Pose) -> list[Pose]:
-    """Return the rotation of a pose after turning it about the vertical axis."""
+    """Return the rotations of a pose after turning it about the vertical axis by evenly spaced angles."""
     now = Pose.of(q=pose.q)
     return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, along with their costs."""
+    """Yield rotations that place a long object on end with a tilt of up to :data:`LEANS`, along with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return
@@ -310,7 +335,10 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
 
 
 def _long_axis(item: SceneObject) -> int | None:
-    """Return the index of the axis along which the object is long, or None if it is not long."""
+    """Return the index of the axis along which the object is long.
+
+    The result is None if the object is not long.
+    """
     size = hulls(replace(item, X_WO=Pose.of())).size()
     axis = int(size.argmax())
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None

@@ -1,4 +1,4 @@
-"""The skill of opening and closing joints by their handles with a single hand."""
+"""The skill of opening and closing joints by their handles with one hand."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script
 
 
 def _joint_of(item: SceneObject, name: str) -> Joint:
-    """Return the joint with the given name, or the joint that moves the given link.
+    """Return the joint with the given name, or the joint that moves the link with that name.
 
-    If the name is empty, return the first movable joint of the object.
+    If the name is empty, the first movable joint of the object is returned.
     """
     for joint in item.joints:
         if joint.has_axis and name in ("", joint.name, joint.child):
@@ -74,7 +74,7 @@ def _joint_of(item: SceneObject, name: str) -> Joint:
 
 @dataclass(frozen=True, eq=False)
 class _Handle:
-    """The handle that moves a joint of an object, in a given state."""
+    """The handle that moves a joint of an object in a given state."""
 
     item: SceneObject
     state: SceneState
@@ -82,7 +82,10 @@ class _Handle:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The joint's closed and fully open positions [rad or m]; the closed position is closer to zero."""
+        """The closed position and the fully open position of the joint [rad or m].
+
+        The closed position is closer to zero.
+        """
         if self.joint.limits is None:
             raise FailedError(f"joint {self.joint.name} has no limits, so it cannot be opened or closed")
         low, high = self.joint.limits
@@ -90,7 +93,7 @@ class _Handle:
 
     @property
     def now(self) -> float:
-        """The position of the joint [rad or m]."""
+        """The current position of the joint [rad or m]."""
         return self.state.joints[f"{self.item.name}.{self.joint.name}"]
 
     def motion(self, then: float) -> Pose:
@@ -113,7 +116,7 @@ class _Handle:
         return _unit((corners.mean(axis=0) - (self.state.poses[self.item.name] @ X_OC).p) * LEVEL)
 
     def grasps(self, jaws: Jaws) -> list[Grasp]:
-        """Return grasps of the geometry that protrudes from the joint's child link, best first.
+        """Return grasps of the geometry that protrudes from the joint's child link, starting with the best one.
 
         The hand approaches from the front, at a downward slant, or from above.
         """
@@ -148,7 +151,7 @@ def _plans(planner: ArmPlanner, q: Array, handle: _Handle, goal: float) -> Itera
 
 
 def _along(planner: ArmPlanner, q: Array, grasp: Grasp, handle: _Handle, goal: float) -> Path | None:
-    """Return configurations in which the hand follows the joint, or None if the arm cannot follow it.
+    """Return configurations in which the hand follows the joint, or None if the arm is unable to follow it.
 
     When the joint is closed, the hand moves slightly past its closed end.
     """

@@ -47,7 +47,7 @@ NODES, STRIDE = 1500, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object held by a hand, with its pose ``X_HO`` in the hand frame."""
+    """An object that is held by a hand. ``X_HO`` is its pose in the hand frame."""
 
     name: str
     X_HO: Pose
@@ -63,7 +63,7 @@ class ArmPlanner:
     def clear(
         self, q: Array, share: float, held: Held | None = None, gap: float = GAP, ignore: Iterable[str] = ()
     ) -> bool:
-        """Return True if a configuration is free of collisions.
+        """Return True if a configuration of the arm is free of collisions.
 
         Args:
             q: The configuration of the arm.
@@ -106,7 +106,7 @@ class ArmPlanner:
     def way(self, q: Array, goal: Array, share: float, held: Held | None = None) -> Path | None:
         """Return a path from ``q`` to ``goal`` around obstacles, or None if no path was found.
 
-        The preferred clearance is used if possible.
+        If possible, the path keeps the preferred clearance.
         """
         for gap in (WIDE, GAP):
             free = partial(self.clear, share=share, held=held, gap=gap)
@@ -121,7 +121,10 @@ class ArmPlanner:
 
 
 def blend(a: Pose, b: Pose, share: float) -> Pose:
-    """Interpolate between two poses; ``share`` is 0 at ``a`` and 1 at ``b``."""
+    """Interpolate between two poses.
+
+    The result is ``a`` if ``share`` is 0, and ``b`` if ``share`` is 1.
+    """
     qb = b.q if float(a.q @ b.q) >= 0 else -b.q
     angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
     turned = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle) if angle >= 1e-6 else b.q
@@ -133,7 +136,10 @@ Free = Callable[[Array], bool]
 
 
 def _straight(a: Array, b: Array, free: Free) -> bool:
-    """Return True if all configurations on the straight line from ``a`` to ``b`` are free, without checking ``a``."""
+    """Return True if all configurations on the straight line from ``a`` to ``b`` are free of collisions.
+
+    Configuration ``a`` itself is not checked.
+    """
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))
 
@@ -145,7 +151,11 @@ class _Tree:
         self.postures, self._parents = [root], [-1]
 
     def extend(self, toward: Array, free: Free) -> int | None:
-        """Grow the tree by one step and return the index of the new configuration, or None if it did not grow."""
+        """Grow the tree by one step.
+
+        Returns:
+            The index of the new configuration, or None if the tree did not grow.
+        """
         distance = np.abs(np.array(self.postures) - toward).max(axis=1)
         nearest = int(distance.argmin())
         if distance[nearest] < 1e-9:
@@ -168,7 +178,10 @@ class _Tree:
 
 
 def _search(start: Array, goal: Array, free: Free, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
-    """Search for a path with rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
+    """Search for a path with rapidly exploring random trees from both ends.
+
+    The algorithm is RRT-Connect (Kuffner and LaValle, 2000).
+    """
     trees = (_Tree(start), _Tree(goal))
     for k in range(NODES):
         side = k % 2
@@ -203,7 +216,10 @@ FAR = 0.03
 
 
 class PlanningScene:
-    """The scene in MuJoCo, for collision queries. Queries change its state; :meth:`sync` restores a given state."""
+    """The scene in MuJoCo, used for collision queries.
+
+    A query changes the state of the scene, and :meth:`sync` restores a given state.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -227,7 +243,7 @@ class PlanningScene:
         self._own = {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
 
     def sync(self, state: SceneState, postures: Mapping[str, Array], grippers: Mapping[str, float]) -> None:
-        """Set the scene to a state, with the arm configuration and gripper position of each robot."""
+        """Set the scene to a state, including the arm configuration and gripper position of each robot."""
         self._world.reset(SceneState.of(state.poses, state.joints, state.motions))
         for name, q in postures.items():
             self.pose(name, q, grippers[name])
@@ -256,7 +272,7 @@ class PlanningScene:
     def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
         """Return True if a hand, or the object that it holds, is closer than ``gap`` [m] to anything else.
 
-        The rest of the arm is ignored, so this test is much cheaper than planning a motion. The fingers keep their
+        The rest of the arm is ignored, so this test is much cheaper than planning a motion. The fingers stay in their
         current position.
 
         Args:

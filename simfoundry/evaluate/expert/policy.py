@@ -1,4 +1,4 @@
-"""The scripted expert policy, which maps the predicates of a task to manipulation skills."""
+"""The scripted expert policy, which performs the manipulation skills that make the predicates of a task true."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ExpertStep:
 
 
 def steps(goal: Condition, subtasks: Mapping[str, SubtaskGoal]) -> tuple[ExpertStep, ...]:
-    """Return the expert's steps for each sub-task in order, followed by the steps for the rest of the goal."""
+    """Return the expert's steps for each sub-task in order, followed by the steps for the remainder of the goal."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
@@ -98,7 +98,7 @@ PAUSE = 1.0
 class ExpertPolicy(Policy):
     """A scripted policy that plans with MuJoCo and mink.
 
-    It uses the true state and no cameras.
+    The policy has access to the true state and does not use cameras.
     """
 
     name = "expert"
@@ -119,7 +119,7 @@ class ExpertPolicy(Policy):
         self.log = []
 
     def infer(self, observation: Observation) -> Array:
-        """Return the next actions, shape (3, action size)."""
+        """Return the next actions, as an array of shape (3, action size)."""
         self._worker.look(observation)
         if self._script is None:
             self._script = self._work()
@@ -130,7 +130,7 @@ class ExpertPolicy(Policy):
         return np.array(rows)
 
     def _work(self) -> Script:
-        """Execute every step of the task, then the steps for unmet parts of the goal, then hold still."""
+        """Execute every step of the task, then the steps for unmet parts of the goal. After that, hold still."""
         for step in steps(self._task.goal, self._task.subtasks):
             yield from self._achieve(step)
         for _ in range(ATTEMPTS):

@@ -1,4 +1,4 @@
-"""Manipulation skills of a single hand: picking up and placing objects."""
+"""Manipulation skills with one hand: picking up and placing objects."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class GraspPlan(NamedTuple):
         grasp: The grasp.
         to: The path to a waypoint before the grasp.
         down: The path from that waypoint to the grasp.
-        along: The path that lifts the grasped object, or moves the grasped handle along its joint's motion.
+        along: The path that lifts the grasped object, or that moves the grasped handle along with its joint.
         back: The path after the object has been released.
     """
 
@@ -80,7 +80,10 @@ class PutPlan(NamedTuple):
 
 
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
-    """Pick up an object. If ``places`` are given, use a grasp that allows the object to be placed at one of them."""
+    """Pick up an object.
+
+    If ``places`` are given, the grasp must allow the object to be placed at one of them.
+    """
     worker.sync()
     plan = _plan_pick(worker, robot, name, places)
     if plan is None:
@@ -92,7 +95,7 @@ def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | No
 
 
 def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
-    """Place the held object at the first reachable pose in ``places``."""
+    """Place the held object at the first pose in ``places`` that the arm can reach."""
     held = worker.held[robot]
     worker.sync()
     plan = _plan_put(worker, robot, places)
@@ -107,7 +110,10 @@ def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
 
 
 def seize(worker: ExpertWorker, robot: str, plan: GraspPlan) -> Script:
-    """Move to a grasp and close the gripper gently, because its full force would squash light objects."""
+    """Move to a grasp and close the gripper gently.
+
+    The full force of the gripper would squash light objects.
+    """
     worker.share[robot] = plan.grasp.open
     yield from worker.go(robot, plan.to)
     yield from worker.creep(robot, plan.down)
@@ -115,7 +121,10 @@ def seize(worker: ExpertWorker, robot: str, plan: GraspPlan) -> Script:
 
 
 def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> GraspPlan | None:
-    """Plan a grasp with which the arm can reach, lift and place the object; return None if there is none."""
+    """Plan a grasp with which the arm can reach, lift and place the object.
+
+    The result is None if there is no such grasp.
+    """
     planner, q = worker.planners[robot], worker.q[robot]
     item, X_WO = worker.scene.object(name), worker.now.state.poses[name]
     shape, center = solid(item, worker.now.state), center_of_mass(item, X_WO)
@@ -144,13 +153,16 @@ def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt
 
 
 def hand_fits(planner: ArmPlanner, grasp: Grasp, share: float, ignore: str = "") -> bool:
-    """Return True if the hand, with its gripper closed by the fraction ``share``, has enough space at a grasp."""
+    """Return True if the hand has enough space at a grasp.
+
+    The gripper is closed by the fraction ``share``.
+    """
     planner.cell.pose(planner.name, planner.arm.home, share)
     return not planner.cell.hand_clash(planner.name, grasp.X_WH, gap=NARROW, ignore=ignore)
 
 
 def _fitting(planner: ArmPlanner, closed: float, held: Held, places: list[PlaceAt], spare: float) -> Iterator[PlaceAt]:
-    """Yield up to :data:`CHECKED` placements at which the hand has enough space while it holds the object."""
+    """Yield up to :data:`CHECKED` placements at which the hand has enough space while holding the object."""
     planner.cell.pose(planner.name, planner.arm.home, closed)
     fits = (p for p in places if not _clashes(planner, _over(p.X_WO, DROP), held, spare))
     yield from islice(fits, CHECKED)
@@ -163,7 +175,10 @@ def _clashes(planner: ArmPlanner, X_WO: Pose, held: Held, gap: float = 0.0) -> b
 
 
 def path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
-    """Plan the path to a grasp from a preceding waypoint that the arm can reach from near ``q``."""
+    """Plan the path to a grasp from a waypoint before it.
+
+    The arm must be able to reach the waypoint from near ``q``.
+    """
     start = planner.arm.solve_any(before(grasp.X_WH), q, planner.rng)
     if start is None or not planner.clear(start, grasp.open):
         return None
@@ -171,7 +186,7 @@ def path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
 
 
 def _paths_up(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> tuple[Path, Path] | None:
-    """Plan the path to a grasp from a preceding waypoint, and the path back up with the object."""
+    """Plan the path to a grasp from a waypoint before it, and the path back up with the object."""
     way = path_to(planner, q, grasp)
     closed = planner.jaws.at_width(grasp.width)[0]
     if way is None or not planner.clear(way[-1], closed, gap=NARROW, ignore=[name]):
@@ -181,14 +196,17 @@ def _paths_up(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> tuple[P
 
 
 def _can_put(planner: ArmPlanner, q: Array, held: Held, share: float, place: PlaceAt) -> bool:
-    """Return True if the hand can reach the release pose and the pose above it."""
+    """Return True if the hand can reach the release pose as well as the pose above it."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
     posture = _posture(planner, X_WH, q, held, share)
     return posture is not None and planner.arm.solve(_over(X_WH, ABOVE), posture) is not None
 
 
 def _posture(planner: ArmPlanner, X_WH: Pose, q: Array, held: Held, share: float) -> Array | None:
-    """Return a collision-free configuration that holds an object with the hand at a given pose, or None."""
+    """Return a collision-free configuration in which the hand is at the given pose and holds an object.
+
+    The result is None if there is no such configuration.
+    """
     posture = planner.arm.solve_any(X_WH, q, planner.rng)
     return posture if posture is not None and planner.clear(posture, share, held, gap=NARROW) else None
 
@@ -199,15 +217,16 @@ def _over(pose: Pose, height: float) -> Pose:
 
 
 def before(X_WH: Pose) -> Pose:
-    """Return a hand pose moved back along its approach direction by :data:`STANDOFF`."""
+    """Return a hand pose that is moved back along its approach direction by :data:`STANDOFF`."""
     return Pose.of(X_WH.p - STANDOFF * X_WH.rotation[:, 2], X_WH.q)
 
 
 def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
-    """Replan the path down to a placement, because the object may have slipped in the hand.
+    """Replan the path down to a placement.
 
-    If there is no such path, the planned path is cut off where the object reaches its release height. Otherwise, an
-    object that slipped toward the fingertips would be pushed into its support.
+    This is necessary because the object may have slipped in the hand. If no such path is found, the planned path is cut
+    off where the object reaches its release height. Otherwise, an object that slipped toward the fingertips would be
+    pushed into its support.
     """
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
@@ -236,7 +255,10 @@ def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: 
 
 
 def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
-    """Return a plan for the first placement at which the arm can release the object and retreat, or None."""
+    """Return a plan for the first placement at which the arm can release the object and retreat.
+
+    The result is None if there is no such placement.
+    """
     planner, q, name = worker.planners[robot], worker.q[robot], worker.held[robot].name
     reading = worker.now.robots[robot]
     held, share = Held(name, reading.X_WH.inverse() @ worker.now.state.poses[name]), reading.gripper

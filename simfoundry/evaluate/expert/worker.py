@@ -1,4 +1,7 @@
-"""Execution of the expert's skills: time parameterization of paths, commands, and the state of each arm."""
+"""Execution of the expert's skills.
+
+This includes the timing of motions along paths, the commands, and the state of each arm.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,10 @@ def paced(
 
 
 def _dense(path: Path) -> Array:
-    """Interpolate a path densely enough to determine the hand speed. The result has shape (k, n)."""
+    """Interpolate a path densely enough to determine the speed of the hand.
+
+    The result has shape (k, n).
+    """
     found = [path[0]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / 0.05)))
@@ -84,11 +90,17 @@ CORRECTION, MOST = 0.6, 0.05
 
 
 class FailedError(Exception):
-    """An error raised if a skill fails; the message contains the reason."""
+    """An error raised if a skill fails.
+
+    The message contains the reason.
+    """
 
 
 class ExpertWorker:
-    """The arms of a task's robots, with their commands and the latest observation."""
+    """The arms of a task's robots.
+
+    For each arm, the worker stores the commands and the latest observation.
+    """
 
     def __init__(self, scene: Scene, robots: Sequence[str], hz: float) -> None:
         self.scene, self.hz = scene, hz
@@ -114,7 +126,7 @@ class ExpertWorker:
         self._before: dict[str, Array] = {}
 
     def look(self, observation: Observation) -> None:
-        """Store an observation; for each arm at rest, update the sag compensation."""
+        """Store an observation, and update the sag compensation of each arm at rest."""
         self.now = observation
         for name in self.arms:
             measured = observation.robots[name].joints
@@ -134,18 +146,24 @@ class ExpertWorker:
         self.cell.sync(self.now.state, self.q, grippers)
 
     def go(self, robot: str, path: Path) -> Script:
-        """Follow a path through free space, more slowly if it has corners, and settle."""
+        """Follow a path through free space, slowing down if it has corners, then settle."""
         share = 1.0 if len(path) <= 2 else AROUND
         yield from self.follow(robot, path, share * HAND, share * JOINT)
         yield from self.settle(robot)
 
     def creep(self, robot: str, path: Path) -> Script:
-        """Follow a path slowly near objects, and settle."""
+        """Follow a path slowly near objects, then settle."""
         yield from self.follow(robot, path, CAREFUL)
         yield from self.settle(robot)
 
     def follow(self, robot: str, path: Path, speed: float = HAND, joint: float = JOINT) -> Script:
-        """Follow a path at no more than ``speed`` [m/s] for the hand and ``joint`` [rad/s] for each joint."""
+        """Follow a path with limited speed.
+
+        Args:
+            path: The path.
+            speed: The maximum speed of the hand [m/s].
+            joint: The maximum speed of each joint [rad/s].
+        """
         for q in paced(path, self.arms[robot].hand, self.hz, speed, joint):
             self.q[robot] = q
             yield
@@ -165,7 +183,7 @@ class ExpertWorker:
             yield
 
     def grip(self, robot: str, share: float) -> Script:
-        """Close the gripper by the fraction ``share``, or until it stops moving."""
+        """Close the gripper until it is closed by the fraction ``share`` or stops moving."""
         self.share[robot] = share
         last = -1.0
         for k in range(round(1.5 * self.hz)):

@@ -1,1 +1,1 @@
-"""Policies, in this process or behind a server, that produce actions."""
+"""Policies that produce actions, either in this process or on a server."""

@@ -1,4 +1,4 @@
-"""The interface that all policies implement, and the observations they receive."""
+"""The interface that all policies implement, and the observations that policies receive."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Observation:
     Attributes:
         time: The time since the start of the rollout [s].
         instruction: The instruction of the task.
-        robots: The robots that act, in the order of the task.
+        robots: The readings of the robots that act, in the order of the task.
         images: The requested images, keyed by the name of the camera in the scene.
         state: The true state, for privileged policies such as the scripted expert.
     """
@@ -78,12 +78,12 @@ class Observation:
 
 
 class Policy(Protocol):
-    """A policy, which determines the robots' next actions.
+    """A policy, which determines the next actions of the robots.
 
     An action lists the values for each robot, in the order of the task: the arm's joint values, followed by the gripper
     position from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s],
     depending on ``action_space``. ``name`` is used in reports. ``cameras`` maps the cameras that the policy uses to the
-    size of their images; no other cameras are rendered.
+    size of their images. No other cameras are rendered.
     """
 
     name: str
@@ -91,11 +91,14 @@ class Policy(Protocol):
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout; all randomness in the policy must derive from ``seed``."""
+        """Start a rollout.
+
+        All randomness in the policy must derive from ``seed``.
+        """
 
     @abstractmethod
     def infer(self, observation: Observation) -> Array:
-        """Return the actions to apply before the next call, shape (horizon, action size)."""
+        """Return the actions to apply before the next call, as an array of shape (horizon, action size)."""
 
     def close(self) -> None:
         """Release all resources."""
@@ -103,18 +106,21 @@ class Policy(Protocol):
 
 
 class PolicyError(SimfoundryError):
-    """An error raised if a policy cannot be queried or does not respond, so that its performance remains unknown.
+    """An error raised if a policy cannot be queried or does not respond.
 
-    The message explains how to fix the problem.
+    The performance of the policy then remains unknown. The message explains how to fix the problem.
     """
 
 
 class InvalidAnswerError(PolicyError):
-    """An error raised if a policy does not return a valid array of actions; the rollout then fails."""
+    """An error raised if a policy does not return a valid array of actions.
+
+    The rollout then fails.
+    """
 
 
 def action_size(robots: Mapping[str, RobotReading | WorldRobot]) -> int:
-    """Return the length of an action, which contains the joints and the gripper of each robot."""
+    """Return the length of an action, which consists of the joint values and the gripper position of each robot."""
     return sum(len(robot.joints) + 1 for robot in robots.values())
 
 
@@ -127,10 +133,10 @@ def checked_actions(
         actions: The response, which may be any object.
         robots: The robots to be controlled.
         subject: A description of the response for error messages.
-        single: Whether to expect a single action instead of a sequence of actions.
+        single: If true, a single action is expected instead of a sequence of actions.
 
     Returns:
-        The actions, shape (horizon, action size), or (action size,) if ``single`` is set.
+        The actions, as an array of shape (horizon, action size), or (action size,) if ``single`` is set.
 
     Raises:
         InvalidAnswerError: If the response is not such an array.

@@ -1,11 +1,12 @@
-"""Array encoding in msgpack, as used by openpi, RoboArena and GR00T; received data is never executed.
+"""Array encoding in msgpack, as used by openpi, RoboArena and GR00T.
 
 openpi and RoboArena encode an array as a map ``{b"__ndarray__": True, b"data", b"dtype", b"shape"}`` and a NumPy scalar
 as ``{b"__npgeneric__": True, b"data", b"dtype"}`` (openpi-client 0.1.2, ``msgpack_numpy.py``). GR00T encodes an array
 as a NumPy file, ``{"__ndarray_class__": True, "as_npy": bytes}``, and describes the inputs and outputs of a policy with
-``{"__ModalityConfig_class__": True, "as_json": {...}}`` (``gr00t/policy/server_client.py``, N1.6 and N1.7). Only
-numbers and booleans are accepted. Objects (which other codecs pickle), structured types and complex numbers are
-rejected, and decoding never allocates more memory than the size of the message.
+``{"__ModalityConfig_class__": True, "as_json": {...}}`` (``gr00t/policy/server_client.py``, N1.6 and N1.7).
+
+Received data is never executed. Only numbers and booleans are accepted. Objects (which other codecs pickle), structured
+types and complex numbers are rejected. Decoding never allocates more memory than the size of the message.
 """
 
 from __future__ import annotations
@@ -26,18 +27,28 @@ MAX_DIMENSIONS = 8  # images and action chunks have at most four; this bounds ho
 
 
 class CodecError(ValueError):
-    """An error raised for a message that violates the protocol; its text describes the violation."""
+    """An error raised for a message that violates the protocol.
+
+    The text of the error describes the violation.
+    """
 
 
 @dataclass(frozen=True)
 class Codec:
-    """A msgpack codec for messages; ``to_map`` and ``from_map`` convert the values that msgpack cannot represent."""
+    """A msgpack codec for messages.
+
+    ``to_map`` and ``from_map`` convert the values that msgpack cannot represent.
+    """
 
     to_map: Callable[[Any], Any]
     from_map: Callable[[dict[Any, Any]], Any]
 
     def pack(self, message: Any) -> bytes:
-        """Serialize a message to bytes; raises :class:`CodecError` for unsupported values."""
+        """Serialize a message to bytes.
+
+        Raises:
+            CodecError: If a value is not supported.
+        """
         import msgpack
 
         try:
@@ -47,7 +58,11 @@ class Codec:
         return packed
 
     def unpack(self, data: bytes) -> Any:
-        """Parse a message from bytes; raises :class:`CodecError` if the message is invalid."""
+        """Parse a message from bytes.
+
+        Raises:
+            CodecError: If the message is invalid.
+        """
         import msgpack
 
         try:
@@ -59,7 +74,11 @@ class Codec:
 
 
 def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C") -> np.ndarray[Any, Any]:
-    """Interpret bytes as an array; raises :class:`CodecError` if the type, the shape or the size is invalid."""
+    """Interpret bytes as an array.
+
+    Raises:
+        CodecError: If the type, the shape or the size is invalid.
+    """
     if dtype.kind not in PLAIN:
         raise CodecError(f"it contains an array of `{dtype}`, but only plain numbers are allowed")
     if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):
@@ -145,10 +164,13 @@ def _npy_map_to_value(found: dict[Any, Any]) -> Any:
 
 
 def from_npy(data: Any) -> np.ndarray[Any, Any]:
-    """Parse an array from a NumPy file; raises :class:`CodecError` if the file is invalid.
+    """Parse an array from a NumPy file.
 
     Unlike ``numpy.load``, this function compares the size declared in the header with the amount of available data
     before it allocates any memory.
+
+    Raises:
+        CodecError: If the file is invalid.
     """
     if not isinstance(data, bytes) or not data.startswith(b"\x93NUMPY") or data[6:7] not in (b"\x01", b"\x02"):
         raise CodecError("it contains an array that is not a NumPy file")

@@ -34,14 +34,21 @@ DROID_HAND = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True)
 class Modality:
-    """The ``keys`` of one modality and its time ``steps``, where 0 is the current step and past steps are negative."""
+    """A modality, which consists of its ``keys`` and its time ``steps``.
+
+    Step 0 is the current step, and past steps are negative.
+    """
 
     keys: tuple[str, ...]
     steps: tuple[int, ...]
 
 
 def modality(found: Any, name: str) -> Modality:
-    """Parse a modality from the response to ``get_modality_config``; raises :class:`PolicyError` if it is invalid."""
+    """Parse a modality from the response to ``get_modality_config``.
+
+    Raises:
+        PolicyError: If the modality is invalid.
+    """
     described = found.get(name) if isinstance(found, dict) else None
     if not isinstance(described, dict):
         raise PolicyError(f"the server does not describe its `{name}`")
@@ -56,8 +63,8 @@ def modality(found: Any, name: str) -> Modality:
 def eef_9d(X_BH: Pose) -> Array:
     """Encode a hand pose in the base frame in the same way as GR00T's training data from DROID.
 
-    The result contains the position [m], followed by the first two rows of a rotation matrix, shape (9,). This matrix
-    is the rotation of the hand multiplied by :data:`DROID_HAND`.
+    The result is an array of shape (9,). It contains the position [m], followed by the first two rows of a rotation
+    matrix. This matrix is the rotation of the hand multiplied by :data:`DROID_HAND`.
     """
     rotation = X_BH.rotation @ DROID_HAND
     return np.concatenate([X_BH.p, rotation[0], rotation[1]])
@@ -70,7 +77,7 @@ PING_S = 5.0
 
 
 class Requests(ServerConnection):
-    """A REQ socket, which must be replaced if there is no response to a request.
+    """A REQ socket that is replaced if a request receives no response.
 
     ZeroMQ connects in the background and does not report unavailable servers, so each rollout starts with a short
     ``ping``. Each exchange consists of one request and one response.
@@ -100,15 +107,21 @@ class Requests(ServerConnection):
         raise self.fail(f"could not reach a server at {self.uri}{self.retried}")
 
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
-        """Return the response from an endpoint; raises :class:`PolicyError` on failure.
+        """Return the response from an endpoint.
 
-        A request is never repeated, because the server's rollout state would then differ from the actual rollout.
+        Requests are never repeated. Otherwise, the server's rollout state would differ from the actual rollout.
+
+        Raises:
+            PolicyError: If there is no valid response.
         """
         with self.timed():
             return self._sound(self._exchange(endpoint, data, self.patience))
 
     def close(self) -> None:
-        """Close the socket; unsent messages are dropped."""
+        """Close the socket.
+
+        Messages that have not been sent are dropped.
+        """
         socket, self._socket = self._socket, None
         if socket is not None:
             socket.disable_monitor()
@@ -190,7 +203,10 @@ class Requests(ServerConnection):
 
 
 def _event(monitor: Any) -> int:
-    """Return the ID of a monitor event, which is stored in the first two bytes of the message."""
+    """Return the ID of a monitor event.
+
+    The ID is stored in the first two bytes of the message.
+    """
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)
 
 
@@ -204,9 +220,9 @@ ACTION = ("joint_position", "gripper_position")
 class GrootPolicy(RemotePolicy):
     """A client of GR00T's ``PolicyServer`` for a single arm.
 
-    The server describes its inputs (``get_modality_config``). If the server needs images from earlier steps, as N1.7
-    does, the images of earlier requests are sent again, so the number of steps to look back must be divisible by
-    ``horizon``.
+    The server describes its inputs in response to ``get_modality_config``. If the server needs images from earlier
+    steps, as N1.7 does, the images of earlier requests are sent again. The number of steps to look back must therefore
+    be divisible by ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -216,7 +232,7 @@ class GrootPolicy(RemotePolicy):
         self._past: list[Mapping[str, Mapping[str, Any]]] = []
 
     def begin(self) -> None:
-        """Request the server's modalities, check them against the document, and reset the server's rollout state."""
+        """Request the server's modalities, compare them with the document, and reset the server's rollout state."""
         self._requests.begin()
         self._past = []
         found = self._requests.ask("get_modality_config")
@@ -228,7 +244,10 @@ class GrootPolicy(RemotePolicy):
         self._requests.ask("reset", {"options": None})
 
     def ask(self, observation: Observation) -> object:
-        """Return the joint and gripper values in the response side by side, shape (steps, 8) for a Franka."""
+        """Return the joint and gripper values in the response, concatenated along the last axis.
+
+        For a Franka, the result has shape (steps, 8).
+        """
         if len(observation.robots) != 1:
             message = f"a groot policy controls one arm, but the task has {len(observation.robots)} robots"
             raise self._requests.fail(message)
@@ -255,7 +274,7 @@ class GrootPolicy(RemotePolicy):
         return 1 + max(-step // self.spec.horizon for step in steps)
 
     def _seen(self, observation: Observation) -> Mapping[str, Mapping[str, Any]]:
-        """Collect all inputs that the server needs at the current time."""
+        """Collect all inputs that the server needs for the current time."""
         images, robots = pictures(self.spec, observation), observation.robots
         (robot,) = robots.values()
         known = {key: reading(name, robots, self.spec.gripper) for key, name in READINGS.items()}
@@ -264,7 +283,7 @@ class GrootPolicy(RemotePolicy):
         return {kind: {key: every[key] for key in self._takes[kind].keys} for kind, every in senses.items()}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
-        """Return the values at the time steps that the server requests, shape (1, T, ...).
+        """Return the values at the time steps that the server requests, as an array of shape (1, T, ...).
 
         Time steps before the start of the rollout are padded with the first value.
         """
@@ -274,7 +293,11 @@ class GrootPolicy(RemotePolicy):
 
 
 def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
-    """Raise :class:`PolicyError` if the document or this client does not provide an input that the server needs."""
+    """Check that the document and this client provide all inputs that the server needs.
+
+    Raises:
+        PolicyError: If an input is not provided.
+    """
     for key in takes["video"].keys:
         if key not in spec.cameras:
             raise PolicyError(f"the server needs the image `{key}`, which is missing from `cameras` in {spec.name}")
@@ -294,7 +317,7 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
 
 
 def _joined(answer: Any) -> Array:
-    """Concatenate the parts of each action in a response, which has the form ``[actions, info]``."""
+    """Concatenate the parts of each action in a response of the form ``[actions, info]``."""
     parts = answer[0] if isinstance(answer, list | tuple) and answer else answer
     if not isinstance(parts, dict):
         raise PolicyError(f"it is a `{type(parts).__name__}`, not a mapping of actions")

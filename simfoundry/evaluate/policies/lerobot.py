@@ -25,9 +25,12 @@ INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} le
 
 
 def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:
-    """Load a checkpoint from a folder or the Hub; return its inference function and its input and output features.
+    """Load a checkpoint from a folder or the Hub.
 
     Inference is not seeded, so a stochastic policy draws new random numbers for each request.
+
+    Returns:
+        The inference function of the checkpoint, its input features and its output features.
 
     Raises:
         PolicyError: If LeRobot is missing or the checkpoint is invalid.
@@ -63,12 +66,12 @@ def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, 
 
 
 def feature(question: Mapping[str, Any], name: str, shape: list[int]) -> np.ndarray[Any, Any]:
-    """Convert one feature of a request to LeRobot's format.
+    """Convert a single feature of a request to LeRobot's format.
 
     A uint8 image of shape (h, w, 3) is converted to floats from 0 to 1 with shape (3, h, w).
 
     Raises:
-        ValueError: If the feature is missing or invalid; the message contains its name.
+        ValueError: If the feature is missing or invalid. The message contains the name of the feature.
     """
     value = question.get(name)
     if not isinstance(value, np.ndarray):

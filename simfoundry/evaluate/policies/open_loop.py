@@ -1,4 +1,4 @@
-"""Open-loop policies: a random walk, which serves as a baseline, and the replay of a recorded rollout."""
+"""Open-loop policies, which are a random walk that serves as a baseline and the replay of a recorded rollout."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class RandomPolicy(Policy):
         self._rng = np.random.default_rng(0)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout; the same seed always produces the same walk."""
+        """Start a rollout. The same seed always produces the same walk."""
         self._rng = np.random.default_rng(seed)
 
     def infer(self, observation: Observation) -> Array:
-        """Return joint positions, shape (HORIZON, action size)."""
+        """Return joint positions, as an array of shape (HORIZON, action size)."""
         columns: list[Array] = []
         for robot in observation.robots.values():
             steps = self._rng.uniform(-STEP, STEP, (HORIZON, len(robot.joints)))
@@ -56,7 +56,7 @@ LARGEST = 256 * 2**20
 
 
 class ReplayPolicy(Policy):
-    """A policy that replays recorded actions in order and then keeps repeating the last action.
+    """A policy that replays recorded actions in order and then repeats the last action indefinitely.
 
     Every rollout starts with the first action.
     """
@@ -70,7 +70,11 @@ class ReplayPolicy(Policy):
         self._played = False
 
     def infer(self, observation: Observation) -> Array:
-        """Return all actions on the first call and the last action on every later call, shape (steps, action size)."""
+        """Return all actions on the first call, and only the last action on every later call.
+
+        Returns:
+            Array of shape (steps, action size).
+        """
         recorded, width = self._actions.shape[1], action_size(observation.robots)
         if recorded != width:
             raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots need {width}")
@@ -85,10 +89,14 @@ class ReplayPolicy(Policy):
 
 
 def load_replay(path: Path) -> ReplayPolicy:
-    """Load a recording as a policy; raises :class:`PolicyError` if the file is invalid.
+    """Load a recording as a policy.
 
-    A ``.npy`` file contains only the actions, shape (steps, action size). A ``.npz`` or ``.json`` file contains the
-    entry ``actions`` and optionally the entry ``action_space``, which defaults to joint positions.
+    A ``.npy`` file contains only the actions, as an array of shape (steps, action size). A ``.npz`` or ``.json`` file
+    contains the entry ``actions`` and optionally the entry ``action_space``. The default action space is joint
+    positions.
+
+    Raises:
+        PolicyError: If the file is invalid.
     """
     try:
         if path.stat().st_size > LARGEST:
@@ -107,7 +115,10 @@ def load_replay(path: Path) -> ReplayPolicy:
 
 
 def _read(path: Path) -> tuple[Array, str]:
-    """Read the actions and their action space; raises various exceptions if the file is not a recording."""
+    """Read the actions and their action space.
+
+    Various exceptions are raised if the file is not a recording.
+    """
     default = str(ActionSpace.JOINT_POSITION)
     match path.suffix.lower():
         case ".npy":

@@ -24,8 +24,9 @@ DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observa
 class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
-    Requests are independent of each other, so if the connection is lost, the client reconnects and repeats the request.
-    ``state_keys`` maps robot state keys to readings and is used unless the policy document specifies its own mapping.
+    Requests are independent of each other. If the connection is lost, the client therefore reconnects and repeats the
+    request. ``state_keys`` maps robot state keys to readings. It is used if the policy document does not specify a
+    mapping.
     """
 
     state_keys: Mapping[str, str] = DROID_STATE
@@ -35,7 +36,10 @@ class OpenpiPolicy(RemotePolicy):
         self._connection = Connection(spec, self.record)
 
     def begin(self) -> None:
-        """Connect to the server; the protocol does not announce the start of a rollout."""
+        """Connect to the server.
+
+        The protocol does not announce the start of a rollout.
+        """
         self._connection.begin()
 
     def ask(self, observation: Observation) -> object:
@@ -73,9 +77,9 @@ RESET_DONE = "reset successful"
 class RoboarenaPolicy(OpenpiPolicy):
     """A client of RoboArena's ``WebsocketPolicyServer``, which DreamZero also uses.
 
-    The server keeps state during a rollout, so a rollout whose connection is lost has no result and counts as missing;
-    the next rollout reconnects. ``new_session`` generates a unique session ID for each rollout; the server resets its
-    state whenever the ID changes.
+    The server keeps state during a rollout. If the connection is lost, the rollout therefore has no result and counts
+    as missing, and the next rollout reconnects. ``new_session`` generates a unique session ID for each rollout. The
+    server resets its state whenever the ID changes.
     """
 
     state_keys = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
@@ -85,7 +89,7 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._new_session, self._session = new_session, ""
 
     def begin(self) -> None:
-        """Connect, check the server's configuration against the document, and reset the server's rollout state."""
+        """Connect, compare the server's configuration with the document, and reset the server's rollout state."""
         self._connection.begin()
         wrong = next(disagreements(self.spec, self._connection.greeting), None)
         if wrong is not None:
@@ -96,7 +100,10 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
 
     def ask(self, observation: Observation) -> object:
-        """Return the response itself or, if it has an ``actions`` entry, that entry; servers use both forms."""
+        """Return the ``actions`` entry of the response, or the response itself if it has no such entry.
+
+        Servers use both forms.
+        """
         message = self._message(observation) | {"session_id": self._session, "endpoint": "infer"}
         answer = self._connection.ask(message, again=False)
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer

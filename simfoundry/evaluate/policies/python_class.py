@@ -1,4 +1,4 @@
-"""User-defined policies that run in this process, as Python classes selected by module or file."""
+"""User-defined policies, which are Python classes that run in this process and are selected by module or file."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from simfoundry.runtime.plugins import fault_text
 class PythonClass:
     """A policy class, selected by its module and name.
 
-    ``module`` is a dotted module name or the path to a ``.py`` file, and ``arguments`` are the constructor's keyword
-    arguments.
+    ``module`` is a dotted module name or the path of a ``.py`` file. ``arguments`` contains the keyword arguments of
+    the constructor.
     """
 
     module: str
@@ -33,12 +33,19 @@ class PythonClass:
 
     @property
     def digest(self) -> str:
-        """A digest of the class's source file and arguments; other files that the class reads are not included."""
+        """A digest of the class's source file and arguments.
+
+        Other files that the class reads are not included.
+        """
         source = _source(self.module)
         return hashlib.sha256(repr(self).encode() + (source.read_bytes() if source else b"")).hexdigest()[:16]
 
     def find(self) -> Callable[..., Any]:
-        """Import the class, or another callable that creates a policy; raises :class:`PolicyError` on failure."""
+        """Import the class, or a different callable that creates a policy.
+
+        Raises:
+            PolicyError: If there is no such class or callable.
+        """
         module = _module(self.module)
         made = getattr(module, self.name, None)
         if made is None:
@@ -53,9 +60,10 @@ class PythonClass:
 class PythonPolicy:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that wraps an instance of a user-defined class.
 
-    The instance must provide ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction,
-    seed)`` and ``close()`` are optional. Any exception it raises while acting counts as an invalid response. Anything
-    it prints goes to standard error, because standard output is reserved for the command.
+    The instance must provide ``infer(observation)`` and ``action_space``. The members ``cameras``, ``name``,
+    ``reset(instruction, seed)`` and ``close()`` are optional. An exception that the instance raises while acting counts
+    as an invalid response. Text that it prints is redirected to standard error because standard output is reserved for
+    the command.
     """
 
     def __init__(self, choice: PythonClass) -> None:
@@ -103,7 +111,10 @@ class PythonPolicy:
             return self._infer(observation)
 
     def close(self) -> None:
-        """Close the instance; exceptions are only printed, because the results are already complete."""
+        """Close the instance.
+
+        Exceptions are printed rather than raised, since the results are already complete.
+        """
         close = getattr(self._policy, "close", None)
         if callable(close):
             try:
@@ -145,9 +156,10 @@ def _module(module: str) -> ModuleType:
 
 
 def _source(module: str) -> Path | None:
-    """Return a module's file and add its folder to the import path; return None if the module is not found.
+    """Return the file of a module, and add its folder to the import path.
 
-    Installed packages take precedence, so a local file never shadows a package.
+    Installed packages take precedence, so a local file never shadows a package. The result is None if the module is not
+    found.
     """
     file = Path(module).resolve()
     folder = str(file.parent if _is_file(module) else Path.cwd())

@@ -1,4 +1,4 @@
-"""Shared parts of policies behind servers: their observations, response validation, and request statistics."""
+"""The shared parts of all policies behind servers: observations, response validation, and request statistics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,11 @@ from simfoundry.spec.models.policy import PROTOCOLS, GripperConvention, PolicySp
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
-    """Import an optional module; if it is missing, raise :class:`PolicyError` with the install command."""
+    """Import an optional module.
+
+    Raises:
+        PolicyError: If the module is missing. The message contains the install command.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -46,7 +50,7 @@ KEPT = 100
 
 @dataclass
 class PolicyRecord:
-    """The counts, response times and errors of requests to a policy, accumulated over rollouts.
+    """The number of requests to a policy, their response times and their errors, accumulated over rollouts.
 
     ``seconds`` contains the time from each request to its response [s], including reconnections and repeated requests.
     """
@@ -65,7 +69,7 @@ class PolicyRecord:
             self.errors.append(sentence)
 
     def to_json(self) -> Mapping[str, Any]:
-        """Return counts and messages for a report, with the median and maximum response times [s]."""
+        """Return counts, messages, and the median and maximum response times [s] for a report."""
         ordered = sorted(self.seconds)
         counts = {key: value for key, value in asdict(self).items() if key != "seconds"}
         median, longest = (ordered[len(ordered) // 2], ordered[-1]) if ordered else (None, None)
@@ -73,9 +77,9 @@ class PolicyRecord:
 
 
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
-    """Return the cameras in the scene that a policy uses, with the size at which each is rendered.
+    """Return the cameras in the scene that a policy uses, with the size at which each camera is rendered.
 
-    If two keys request different sizes from the same camera, it is rendered at the larger size.
+    If two keys request different sizes from the same camera, the larger size is used.
     """
     sizes = [(view.camera, ImageSize(*(view.render or view.size))) for view in spec.cameras.values()]
     cameras = dict.fromkeys(camera for camera, _ in sizes)
@@ -83,7 +87,11 @@ def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
 
 
 def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
-    """Return the images under the policy's keys; raises :class:`PolicyError` if a camera image is missing."""
+    """Return the images under the policy's keys.
+
+    Raises:
+        PolicyError: If the image of a camera is missing.
+    """
     found: dict[str, Image] = {}
     for key, view in spec.cameras.items():
         image = observation.images.get(view.camera)
@@ -96,7 +104,10 @@ def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
 
 
 def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
-    """Return one sensor quantity of all robots, in order, as an array; see ``state`` in policy documents."""
+    """Return one sensor quantity of all robots in order, as an array.
+
+    The quantities are described under ``state`` in the documentation of policy documents.
+    """
     rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
@@ -107,7 +118,7 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
-    """Return the robots' state under the policy's keys, in float32 like DROID's recordings."""
+    """Return the state of the robots under the policy's keys, in float32 as in DROID's recordings."""
     wanted = default if spec.state is None else spec.state
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
 
@@ -119,7 +130,7 @@ DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "w
 def droid_cameras(
     keys: Mapping[str, str], size: tuple[int, int], render: tuple[int, int]
 ) -> dict[str, dict[str, object]]:
-    """Return the camera views that DROID's policies use.
+    """Return the camera views that are used by DROID's policies.
 
     Args:
         keys: The role of the camera for each key in the protocol.
@@ -130,18 +141,18 @@ def droid_cameras(
 
 
 def resize_with_pad(image: Image, size: ImageSize) -> Image:
-    """Resize an image to fit into ``size`` and center it on black.
+    """Resize an image to fit into ``size``, and center it on a black background.
 
-    Pillow's bilinear filter is used, which averages pixels when it shrinks an image, and side lengths are rounded down.
-    The result is identical, pixel for pixel, to that of ``openpi_client.image_tools.resize_with_pad``, which was used
-    to train the policies.
+    Side lengths are rounded down. Pillow's bilinear filter is used, which averages pixels when it shrinks an image. The
+    result is identical, pixel for pixel, to that of ``openpi_client.image_tools.resize_with_pad``, which was used to
+    train the policies.
 
     Args:
         image: The image, shape (h, w, 3).
         size: The size of the result.
 
     Returns:
-        The resized image, shape (size.height, size.width, 3).
+        The resized image, as an array of shape (size.height, size.width, 3).
     """
     height, width = image.shape[:2]
     if (height, width) == (size.height, size.width):
@@ -158,9 +169,11 @@ def resize_with_pad(image: Image, size: ImageSize) -> Image:
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
-    """Validate an untrusted response and return its first ``horizon`` actions, shape (horizon, action size).
+    """Validate an untrusted response and return its first ``horizon`` actions.
 
-    Joint values are in rad, m, rad/s or m/s, and gripper values range from 0 (open) to 1 (closed).
+    Returns:
+        Array of shape (horizon, action size). Joint values are in rad, m, rad/s or m/s, and gripper values range from 0
+        (open) to 1 (closed).
 
     Raises:
         InvalidAnswerError: If the response is not an array of at least ``horizon`` actions.
@@ -184,14 +197,20 @@ def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]
 
 
 def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
-    """Convert gripper values in the policy's convention to the range from 0 (open) to 1 (closed), shape (n,)."""
+    """Convert gripper values in the policy's convention to the range from 0 (open) to 1 (closed).
+
+    The result has shape (n,).
+    """
     convention = spec.gripper
     closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
     return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
 
 
 class ServerConnection(ABC):
-    """A connection to a policy server. This base class contains everything that the protocols have in common."""
+    """A connection to a policy server.
+
+    This base class contains everything that the protocols have in common.
+    """
 
     codec: ClassVar[Codec]
 
@@ -202,7 +221,11 @@ class ServerConnection(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Start a rollout, connecting if necessary; raises :class:`PolicyError` on failure."""
+        """Start a rollout, connecting if necessary.
+
+        Raises:
+            PolicyError: If the connection fails.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -214,7 +237,7 @@ class ServerConnection(ABC):
         return self.spec.timeout if self.answered else self.spec.warm_up
 
     def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """Add an error to the record and return the error, so that the caller can raise it."""
+        """Add an error to the record, and return it so that the caller can raise it."""
         self.record.failed(message)
         return kind(message)
 
@@ -225,7 +248,10 @@ class ServerConnection(ABC):
 
     @property
     def retried(self) -> str:
-        """A phrase that states the number of reconnection attempts; empty if none are allowed."""
+        """A phrase that states the number of reconnection attempts.
+
+        The phrase is empty if no attempts are allowed.
+        """
         return f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
 
     def packed(self, message: Mapping[str, Any]) -> bytes:
@@ -254,7 +280,10 @@ class ServerConnection(ABC):
             self.record.seconds.append(time.monotonic() - start)
 
     def secret(self) -> str | None:
-        """Return the server's API key, read from an environment variable, or None if the document does not name one."""
+        """Return the server's API key, which is read from an environment variable.
+
+        The result is None if the document does not name an environment variable.
+        """
         spec = self.spec
         if spec.api_key is None:
             return None
@@ -276,10 +305,10 @@ def last_line(text: str, most: int = 300) -> str:
 
 
 class RemotePolicy(Policy, ABC):
-    """A policy behind a server, configured by a policy document; ``record`` contains statistics about its requests.
+    """A policy behind a server, configured by a policy document.
 
-    Subclasses implement the protocol: ``begin`` is called before each rollout, ``ask`` sends a request, and ``close``
-    closes the connection.
+    ``record`` contains statistics about its requests. Subclasses implement the protocol: ``begin`` is called before
+    each rollout, ``ask`` sends a request, and ``close`` closes the connection.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -290,7 +319,10 @@ class RemotePolicy(Policy, ABC):
         self._instruction = ""
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout, connecting if necessary; the server controls any randomness in the policy."""
+        """Start a rollout, connecting if necessary.
+
+        The server controls any randomness in the policy.
+        """
         self._instruction = instruction
         try:
             PROTOCOLS.running(self.spec.protocol, PolicyError)(self.begin)()
@@ -299,7 +331,10 @@ class RemotePolicy(Policy, ABC):
             raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:
-        """Return as many actions as ``horizon`` in the policy document specifies, shape (horizon, action size)."""
+        """Return as many actions as ``horizon`` in the policy document specifies.
+
+        The result has shape (horizon, action size).
+        """
         answer = PROTOCOLS.running(self.spec.protocol, InvalidAnswerError)(self.ask)(observation)
         try:
             return actions_of(self.spec, answer, observation.robots)
@@ -313,7 +348,10 @@ class RemotePolicy(Policy, ABC):
 
     @abstractmethod
     def ask(self, observation: Observation) -> object:
-        """Return the server's response, which should be an array of actions, shape (steps, action size)."""
+        """Return the server's response.
+
+        The response should be an array of actions of shape (steps, action size).
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -23,17 +23,18 @@ Infer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """Create a policy server, which runs once its ``serve_forever`` method is called.
+    """Create a policy server.
 
-    The server sends ``metadata`` when a client connects. If ``infer`` raises an exception, the client receives the
-    traceback as text and the connection is closed, as with openpi's server; later connections are not affected.
-    Requests are answered one at a time. ``GET /healthz`` returns OK.
+    The server runs once its ``serve_forever`` method is called. It sends ``metadata`` when a client connects. If
+    ``infer`` raises an exception, the client receives the traceback as text and the connection is closed, as with
+    openpi's server. Later connections are not affected. Requests are answered one at a time. ``GET /healthz`` returns
+    OK.
 
     Args:
         infer: The function that computes the response to a request.
         metadata: The first message sent to each client.
         host: The network address to listen on.
-        port: The port to listen on. 0 selects a free port, which can be read from ``server.socket``.
+        port: The port to listen on. If it is 0, a free port is selected, which can be read from ``server.socket``.
     """
     server = needed("websockets.sync.server", "serving a policy")
     needed("msgpack", "serving a policy")

@@ -1,9 +1,9 @@
 """A websocket connection to a policy server that uses the protocol of openpi and RoboArena.
 
-The server sends the first message; after that, each exchange consists of one binary request and one binary response.
-Messages are not compressed, so a response cannot expand beyond the size that was received. A text message is an error:
-it contains the server's traceback, after which the server closes the connection (see ``websocket_policy_server.py`` in
-both projects).
+The server sends the first message. After that, each exchange consists of one binary request and one binary response.
+Messages are not compressed, so a response cannot expand beyond the size that was received. A text message indicates an
+error. It contains the server's traceback, and the server closes the connection after sending it (see
+``websocket_policy_server.py`` in both projects).
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 
 
 class LostError(Exception):
-    """An error raised if the connection is lost; reconnecting may succeed."""
+    """An error raised if the connection is lost.
+
+    Reconnecting may succeed.
+    """
 
 
 class Connection(ServerConnection):
@@ -48,7 +51,10 @@ class Connection(ServerConnection):
         self._left = spec.retries
 
     def begin(self) -> None:
-        """Start a rollout: reset the number of retries, and connect if necessary."""
+        """Start a rollout.
+
+        The number of retries is reset, and the connection is opened if necessary.
+        """
         self._left = self.spec.retries
         self._again(self._connect)
 
@@ -57,7 +63,7 @@ class Connection(ServerConnection):
 
         Args:
             message: The request.
-            again: Whether to repeat the request if the connection is lost. If not, the rollout counts as missing,
+            again: True to repeat the request after a lost connection. If it is False, the rollout counts as missing
                 because the server has lost its rollout state.
             expect_text: The only text message that is not treated as an error.
 
@@ -146,7 +152,7 @@ class Connection(ServerConnection):
 
     @contextmanager
     def _connected(self) -> Iterator[ClientConnection]:
-        """Provide the socket, and convert the exceptions that it raises when the connection is lost."""
+        """Provide the socket, and convert the exceptions that it raises if the connection is lost."""
         from websockets.exceptions import ConnectionClosed
 
         assert self._socket is not None
@@ -163,7 +169,7 @@ class Connection(ServerConnection):
     def _received(self, expect_text: str | None) -> Any:
         """Receive one message.
 
-        The connection is closed after an invalid message, because later responses would no longer match their requests.
+        The connection is closed after an invalid message because later responses would no longer match their requests.
         """
         with self._connected() as socket:
             data = socket.recv(timeout=self.patience)

@@ -1,4 +1,4 @@
-"""A single attempt at an initial state: sample positions, place objects, check for collisions, settle, check again.
+"""A single attempt at an initial state, in which objects are placed at random positions, checked and settled.
 
 Each object is assigned a cell of its grid, drawn without replacement, and a random position within that cell.
 """
@@ -24,7 +24,7 @@ GridCell = tuple[int, int]
 
 
 def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
-    """Assign a grid cell to each object in each initial state of a block.
+    """Assign a grid cell to each object for each initial state in a block.
 
     A block has one initial state per cell of the grid, so the cells of an object are a random permutation of all cells.
     The cells of an object do not depend on the other objects.
@@ -42,7 +42,7 @@ def draws(name: str, seed: int, start: int) -> np.random.Generator:
 def sample(
     region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Uniformly sample a position x, y [m] within a cell, and a rotation [deg] within the allowed range."""
+    """Uniformly sample a position x, y [m] within a cell and a rotation [deg] within the allowed range."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
     share = rng.random(3)
     low_yaw, high_yaw = region.yaw_deg
@@ -51,7 +51,7 @@ def sample(
 
 
 def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ranges of x and y that a cell covers [m]."""
+    """Return the range of x and the range of y that a cell covers [m]."""
     (low_x, high_x), (low_y, high_y) = region.x, region.y
     (i, j), wide, deep = cell, (high_x - low_x) / grid[0], (high_y - low_y) / grid[1]
     return (low_x + i * wide, low_x + (i + 1) * wide), (low_y + j * deep, low_y + (j + 1) * deep)
@@ -85,8 +85,8 @@ class Refusal:
         object: The object that caused the failure.
         kind: The kind of failure, for statistics.
         why: A description of the failure that includes numbers.
-        other: The object with which it collided, if that object is also placed at random; otherwise an empty string.
-            An exchange of cells can help only if this is set, because every cell must be used by an initial state.
+        other: The object with which it collided, if that object is also placed at random, otherwise an empty string.
+            Exchanging cells can help only if this is set, because every cell must be used by an initial state.
     """
 
     object: str
@@ -100,7 +100,7 @@ Spots = Mapping[str, tuple[float, float, float]]
 
 
 def placed(task: Task, spots: Spots) -> SceneState:
-    """Return the state with the objects at their sampled positions, at the heights given by the scene.
+    """Return the state with the objects at their sampled positions. Their heights are given by the scene.
 
     Objects that rest on or in a placed object move along with it. Joints keep their positions from the scene.
     """
@@ -118,7 +118,10 @@ def placed(task: Task, spots: Spots) -> SceneState:
 
 
 def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
-    """Return the closest randomly placed object in the chain of supports, or None if there is none."""
+    """Return the closest object in the chain of supports that is placed at random.
+
+    The result is None if there is no such object.
+    """
     seen = {name}
     while (name := task.carriers.get(name, "")) and name not in seen:
         if name in spots:
@@ -128,7 +131,10 @@ def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
 
 
 def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal | None:
-    """Return a refusal for the deepest overlap of a moved object with anything other than its support, or None."""
+    """Return a refusal for the deepest overlap of a moved object with anything other than its support.
+
+    The result is None if there is no such overlap.
+    """
     moved = {n for n in state.poses if n in spots or _moving_carrier(task, n, spots) is not None}
     world.reset(state)
     overlaps = [(c.depth, *pair) for c in world.contacts() for pair in ((c.a, c.b), (c.b, c.a)) if pair[0] in moved]
@@ -142,7 +148,11 @@ def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal 
 
 
 def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal:
-    """Settle a state and return the rounded state at rest, or the reason for the failure."""
+    """Settle a state.
+
+    Returns:
+        The rounded state at rest, or the reason why settling failed.
+    """
     result = settle(world, SETTLING, state=state)
     for report in result.objects:
         name, ball = report.name, is_ball(task.scene.object(report.name))

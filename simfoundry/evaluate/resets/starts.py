@@ -69,7 +69,10 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
-    """Read the cached part of a block; return None if there is no entry or if it is damaged."""
+    """Read the cached part of a block.
+
+    The result is None if there is no entry or if the entry is damaged.
+    """
     try:
         entry = json.loads(cache.get(key_of(key)) or b"")
         cells = {name: [(int(i), int(j)) for i, j in one] for name, one in entry["cells"].items()}
@@ -85,7 +88,10 @@ def write_block(cache: Cache, key: str, cells: Mapping[str, list[GridCell]], sta
 
 
 def state_to_json(state: SceneState) -> dict[str, Any]:
-    """Serialize a state without rounding: positions [m], wxyz quaternions, and joint positions [rad or m]."""
+    """Serialize a state without rounding.
+
+    The result contains positions [m], quaternions (w, x, y, z), and joint positions [rad or m].
+    """
     return {
         "poses": {name: _numbers(pose) for name, pose in state.poses.items()},
         "joints": dict(state.joints),
@@ -94,7 +100,7 @@ def state_to_json(state: SceneState) -> dict[str, Any]:
 
 
 def state_from_json(data: Mapping[str, Any]) -> SceneState:
-    """Restore the exact state serialized by :func:`state_to_json`."""
+    """Restore the exact state that was serialized by :func:`state_to_json`."""
     return SceneState.of(
         {name: _pose(numbers) for name, numbers in data["poses"].items()},
         {name: float(position) for name, position in data["joints"].items()},
@@ -128,7 +134,7 @@ class RolloutStart:
     Attributes:
         index: The index of the rollout, counted from 0.
         seed: The seed from which the initial state was derived.
-        cells: The cell of each object by name.
+        cells: The cell of each object, keyed by object name.
         state: The state at rest.
     """
 
@@ -139,13 +145,16 @@ class RolloutStart:
 
     @property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that identify the state."""
+        """A digest of sixteen hexadecimal digits that identifies the state."""
         text = json.dumps(state_to_json(self.state), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class StartError(SimfoundryError):
-    """An error raised if no initial state is found; the message states the object, its cell and the reason."""
+    """An error raised if no initial state is found.
+
+    The message states the object, its cell and the reason.
+    """
 
 
 def starts(
@@ -186,7 +195,10 @@ def starts(
 
 @dataclass
 class _Block:
-    """The initial states of one block found so far, and the cells of each object in all of them."""
+    """The initial states of a block that have been found so far.
+
+    The block also stores the cells of each object in all of its states.
+    """
 
     first: int
     cells: dict[str, list[GridCell]]
@@ -202,21 +214,24 @@ class _Block:
         return made
 
     def at(self, k: int) -> Mapping[str, GridCell]:
-        """Return the cells for the k-th initial state in the block."""
+        """Return the cells for the initial state with index ``k`` in the block."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
 
     def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
-        """Return the k-th initial state in the block."""
+        """Return the initial state with index ``k`` in the block."""
         return RolloutStart(self.first + k, seed, self.at(k), state)
 
     def exchange(self, name: str, k: int, other: int) -> None:
-        """Exchange the cells of an object between two initial states."""
+        """Exchange the cells of an object in two initial states."""
         cells = self.cells[name]
         cells[k], cells[other] = cells[other], cells[k]
 
 
 class _Search:
-    """A search for the initial states of a task; the world is opened only when it is first needed."""
+    """A search for the initial states of a task.
+
+    The world is opened only when it is first needed.
+    """
 
     def __init__(self, task: Task, seed: int) -> None:
         self.task, self.seed = task, seed
@@ -231,7 +246,7 @@ class _Search:
             self._opened[0].close()
 
     def next(self, block: _Block) -> RolloutStart:
-        """Find the next initial state of a block, exchanging cells with later ones if necessary."""
+        """Find the next initial state of a block, exchanging cells with later initial states if necessary."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
         cells = block.at(k)
@@ -282,7 +297,10 @@ def _commonest(refusals: list[Refusal]) -> Refusal:
 
 
 def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, GridCell], refusals: list[Refusal]) -> str:
-    """Describe the object and cell for which no initial state was found, with the most frequent reasons."""
+    """Describe the object and the cell for which no initial state was found.
+
+    The description includes the most frequent reasons.
+    """
     blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)

@@ -1,1 +1,1 @@
-"""Rollouts: control, observations, progress toward the goal, and videos."""
+"""Rollouts, including control, observations, progress toward the goal, and videos."""

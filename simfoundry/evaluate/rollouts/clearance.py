@@ -1,4 +1,7 @@
-"""Distance bounds between bodies, which show that most goals cannot hold yet without measuring exact distances."""
+"""Distance bounds between bodies.
+
+The bounds show that most goals cannot hold yet, so that exact distances need not be measured.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +26,10 @@ NEAR, WAIT = 0.1, 10
 
 
 class Clearances:
-    """A test for conditions that are false because the bodies they refer to are too far apart to touch.
+    """A test for conditions that are false because the bodies to which they refer are too far apart to touch.
 
-    Objects are compared by their bounding spheres. The distance between a robot and an object is measured, and the
-    measurement remains valid until the joints and the object have moved so far that the two may touch.
+    Objects are compared by their bounding spheres. The distance between a robot and an object is measured once. The
+    measurement remains valid until the joints and the object have moved so far that the two bodies may touch.
     """
 
     def __init__(self, scene: Scene, judge: Judge) -> None:
@@ -81,7 +84,7 @@ class Clearances:
 
 
 def _levers(bodies: Bodies, robot: str) -> Mapping[str, float]:
-    """Return the maximum distance [m] by which a robot's points move per rad or m of each joint."""
+    """Return the maximum distance by which a robot's points move per unit of motion of each joint [m per rad or m]."""
     item, balls = bodies[robot].item, [(0.0, 0.0) if form is None else form.ball for form in bodies[robot].forms]
     far = {link.name: float(np.linalg.norm(c)) + r for link, (c, r) in zip(item.links, balls, strict=True)}
     levers = {}

@@ -18,7 +18,7 @@ from simfoundry.worlds.base import World, WorldRobot
 
 
 def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:
-    """Check that the scene has all requested cameras and that every requested image has at least one pixel.
+    """Check that the scene has all requested cameras and that no requested image is empty.
 
     Args:
         scene: The scene.
@@ -66,8 +66,8 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
     """Return the number of physics steps in a control step, which is at least 1.
 
     The end of each control step, rather than its length, is rounded to a physics step, so that rounding errors do not
-    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps consist of 33, 34, 33, ... physics steps,
-    and there are exactly 150 control steps in 10 s.
+    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps consist of 33, 34, 33, ... physics steps.
+    After 10 s, there have been exactly 150 control steps.
 
     Args:
         step: The index of the control step, counted from 0.
@@ -82,8 +82,8 @@ class Controller:
     """A controller that applies actions as targets for the arm joints and grippers.
 
     Position targets are clamped to the joint limits. Velocities [rad/s or m/s] are integrated from the previous
-    targets. If they were integrated from the measured positions, the arm would sink, because servos sag slightly below
-    their targets. A target stays within :data:`FARTHEST` of its joint, so that it does not wind up while the arm is
+    targets. If they were integrated from the measured positions, the arm would sink because servos sag slightly below
+    their targets. A target stays within :data:`FARTHEST` of its joint so that it does not wind up while the arm is
     blocked.
     """
 
@@ -92,7 +92,7 @@ class Controller:
         self._targets = {name: robot.positions() for name, robot in robots.items()}
 
     def apply(self, action: Array) -> None:
-        """Set the targets for one action, shape (action size,)."""
+        """Set the targets for one action, an array of shape (action size,)."""
         start = 0
         for name, robot in self._robots.items():
             arm = action[start : start + len(robot.joints)]

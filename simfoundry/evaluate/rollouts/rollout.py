@@ -1,6 +1,6 @@
-"""A single rollout: a policy acts from an initial state until the goal has held or can no longer be reached.
+"""A single rollout, in which a policy acts from an initial state until the goal has held or can no longer be reached.
 
-A sub-task remains completed once its goal has held; the goal of the task must hold for several control steps.
+A sub-task remains completed once its goal has held. The goal of the task must hold for several control steps.
 """
 
 from __future__ import annotations
@@ -57,14 +57,25 @@ class Progress:
         self.subtasks: dict[str, int | None] = dict.fromkeys(task.subtasks)
 
     def see(self, step: int, state: SceneState) -> bool:
-        """Evaluate the state after control step ``step``, counted from 1; return True if the task is now completed."""
+        """Evaluate the state after control step ``step``, counted from 1.
+
+        Returns:
+            True if the task is now completed.
+        """
         return self.see_all(step, [state]) is not None
 
     def see_all(self, step: int, states: Sequence[SceneState]) -> int | None:
-        """Evaluate consecutive states and return the index of the state that completes the task, or None.
+        """Evaluate consecutive states.
 
-        ``step`` is the control step after which the first state was reached, counted from 1. All states are evaluated
-        in one batch, which takes hardly longer than evaluating a single state. States after completion are ignored.
+        All states are evaluated in one batch, which takes hardly longer than evaluating a single state. States after
+        completion are ignored.
+
+        Args:
+            states: The states.
+            step: The control step after which the first state was reached, counted from 1.
+
+        Returns:
+            The index of the state that completes the task, or None.
         """
         goals = {name: self._task.subtasks[name].goal for name, done in self.subtasks.items() if done is None}
         goals[""] = self._task.goal
@@ -117,7 +128,10 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """The images to record during a rollout: one from each camera in ``cameras`` every ``every`` control steps."""
+    """The images to record during a rollout.
+
+    One image is recorded from each camera in ``cameras`` every ``every`` control steps.
+    """
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -170,15 +184,15 @@ def rollout(
     """Run a policy from an initial state in a world with the task's scene.
 
     The policy is queried again after all actions in a response have been executed. Images are rendered only for the
-    policy and for ``video``. If the policy returns something other than actions, the rollout fails; if it does not
-    respond, the rollout has no result.
+    policy and for ``video``. If the policy returns something other than actions, the rollout fails. If the policy does
+    not respond, the rollout has no result.
 
     Args:
         task: The task.
         start: The initial state.
         policy: The policy to run.
         world: A world with the scene of the task.
-        judge: A judge to reuse across rollouts; a new one is created by default.
+        judge: A judge to reuse across rollouts. By default, a new judge is created.
         video: The images to record.
 
     Raises:
@@ -238,7 +252,11 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Run until the rollout ends; return the reason and, for a failure, its details."""
+        """Run until the rollout ends.
+
+        Returns:
+            The reason why the rollout ended and, for a failure, its details.
+        """
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
@@ -296,7 +314,11 @@ class _Run:
             return checked_actions(self.policy.infer(observation), self.robots)
 
     def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
-        """Execute one action; return the reason if the rollout ends, otherwise None."""
+        """Execute one action.
+
+        Returns:
+            The reason if the rollout ends, otherwise None.
+        """
         step = len(self.actions)
         self.actions.append(action)
         with self.clock("physics"):

@@ -1,4 +1,7 @@
-"""Videos that web browsers can play: VP8 in WebM, written by OpenCV, which includes the encoder."""
+"""Videos that web browsers can play.
+
+The format is VP8 in WebM. The videos are written by OpenCV, which includes the encoder.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,16 @@ HEIGHT, WIDEST = 240, 640
 
 
 def whole_picture(width: int, height: int) -> ImageSize:
-    """Return the size of a video that shows a camera's full view; both sides are even, as VP8 requires."""
+    """Return the size of a video that shows the full view of a camera.
+
+    Both side lengths are even, as VP8 requires.
+    """
     scale = min(HEIGHT / height, WIDEST / width)
     return ImageSize(*(max(2, 2 * round(side * scale / 2)) for side in (width, height)))
 
 
 def side_by_side(pictures: Sequence[Image]) -> Image:
-    """Place the images of several cameras side by side, padding them with black to the same height."""
+    """Place the images of several cameras side by side. Images are padded with black to the same height."""
     highest = max(len(picture) for picture in pictures)
     even = [np.pad(p, ((0, highest - len(p)), (0, 0), (0, 0))) for p in pictures]
     return np.asarray(np.concatenate(even, axis=1), np.uint8)
@@ -59,7 +65,7 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the encoder's messages on standard error, which OpenCV has no setting for."""
+    """Suppress messages that the encoder prints to standard error. OpenCV has no setting for this."""
     kept = os.dup(2)
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:

@@ -1,6 +1,7 @@
-"""Paired comparisons from the same initial states: two policies in one engine, or one policy in two engines.
+"""Paired comparisons between rollouts that start from the same initial states.
 
-Comparing two engines reveals results that depend on the engine.
+They compare two policies in the same engine, or a policy in two engines. Comparing two engines reveals results that
+depend on the engine.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class PolicyComparison:
         second_only: The number of initial states from which only the second policy succeeded.
         p: The p-value of the exact McNemar test.
         p_holm: The same p-value after Holm's correction for multiple comparisons.
-        progress: The mean difference in the fraction of completed sub-tasks, first minus second, or None if no task has
-            sub-tasks.
+        progress: The mean difference in the fraction of completed sub-tasks (first policy minus second policy), or None
+            if no task has sub-tasks.
         p_progress: The p-value of a paired permutation test on that difference, or None if no task has sub-tasks.
     """
 
@@ -59,17 +60,17 @@ class PolicyComparison:
         return f"{text}; completed sub-tasks {self.progress:+.0%}, p = {self.p_progress:.3g} (paired permutation test)"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the comparison as a row of ``comparisons``."""
+        """Return the comparison as a row of the ``comparisons`` table."""
         return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
 def compare_policies(records: Iterable[Record]) -> list[PolicyComparison]:
     """Compare each pair of policies over the initial states for which both have a result.
 
-    Pairs of policies without a common initial state are skipped. Both policies start from bit-identical states of one
-    task in one engine. Success is binary, so the exact paired test is McNemar's test: under the null hypothesis, each
-    initial state with different outcomes is a fair coin toss. The fraction of completed sub-tasks has more than two
-    values, so it is tested by permuting the signs of the differences.
+    Pairs of policies without a common initial state are skipped. Both policies start from bit-identical states of the
+    same task in the same engine. Success is binary, so the exact paired test is McNemar's test. Under the null
+    hypothesis, each initial state with different outcomes is a fair coin toss. The fraction of completed sub-tasks has
+    more than two values, so it is tested by permuting the signs of the differences.
     """
     by_policy: dict[tuple[str, str, str], dict[tuple[Any, ...], Record]] = {}
     for record in records:
@@ -162,12 +163,15 @@ class EngineComparison:
         return tuple(sorted((*self.first_only, *self.second_only)))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the comparison as a row of ``engines``."""
+        """Return the comparison as a row of the ``engines`` table."""
         return {**vars(self), "p": round(self.p, 6), "disagrees": self.disagrees}
 
 
 def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
-    """Compare each pair of engines per task and policy, over the initial states with a result in both engines."""
+    """Compare each pair of engines per task and policy.
+
+    The comparison is based on the initial states that have a result in both engines.
+    """
     groups: dict[tuple[str, str, str, str], dict[str, dict[tuple[int, str], Record]]] = {}
     for record in records:
         if is_result(record):

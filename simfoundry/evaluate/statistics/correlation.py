@@ -1,8 +1,9 @@
-"""Correlation between real and simulated success rates: Pearson's r and MMRV per task, with uncertainty intervals.
+"""Correlation between real and simulated success rates.
 
-The rates are read from a table or from the results of `simfoundry eval`. A table is a CSV file with a header. It has
-the columns ``task``, ``policy`` and either ``rate`` (0 to 1, or a percentage with ``%``) or ``successes`` and
-``rollouts``; ``rollouts`` may also accompany a rate. Lines starting with ``#`` are comments.
+For each task, the correlation is measured by Pearson's r and by MMRV, with uncertainty intervals. The rates are read
+from a table or from the results of `simfoundry eval`. A table is a CSV file with a header. It has the columns ``task``,
+``policy`` and either ``rate`` (0 to 1, or a percentage with ``%``) or ``successes`` and ``rollouts``. The column
+``rollouts`` may also accompany ``rate``. Lines starting with ``#`` are comments.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ MOST_BYTES = 32 * 2**20
 
 
 class ScoresError(SimfoundryError):
-    """An error in a table of scores; the message includes the file, the line and the expected content."""
+    """An error in a table of scores.
+
+    The message includes the file, the line and the expected content.
+    """
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Score:
 
 
 def read_scores(path: Path) -> list[Score]:
-    """Read scores, in file order, from a CSV table, a ``results.json``, or a folder that contains a ``results.json``.
+    """Read scores, in file order, from a CSV table, a ``results.json`` file, or a folder that contains such a file.
 
     Rows of ``results.json`` without any result are skipped.
     """
@@ -182,7 +186,8 @@ class RateAgreement:
 class Draws:
     """Options for computing the intervals.
 
-    ``count`` is the number of draws, and ``rollouts`` is the number of rollouts to assume for rates without one.
+    ``count`` is the number of draws. ``rollouts`` is the number of rollouts to assume for rates whose number of
+    rollouts is unknown.
     """
 
     count: int = 2000
@@ -219,7 +224,7 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
 
 
 def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
-    """Return a sorted list of the ``task × policy`` pairs that appear in only one of the two tables."""
+    """Return all ``task × policy`` pairs that appear in only one of the two tables, in sorted order."""
     a, b = ({(s.task, s.policy) for s in scores} for scores in (real, sim))
     return [f"{task} × {policy}" for task, policy in sorted(a ^ b)]
 
@@ -235,7 +240,10 @@ def reservations(scores: Sequence[Score]) -> list[str]:
 
 
 def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]:
-    """Return the mean r, or None if r is undefined for every task, and the mean MMRV over all tasks."""
+    """Return the mean r and the mean MMRV over all tasks.
+
+    Tasks for which r is undefined are excluded from the mean r, which is None if r is undefined for every task.
+    """
     defined = [a.pearson for a in found if a.pearson is not None]
     return (fmean(defined) if defined else None), fmean(a.mmrv for a in found)
 
@@ -249,7 +257,10 @@ def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: n
 
 
 def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return Pearson's r (NaN if undefined) and MMRV for each draw, each with shape (draws,)."""
+    """Return Pearson's r and MMRV for each draw, as two arrays of shape (draws,).
+
+    Undefined values of r are NaN.
+    """
     found: list[tuple[Array, Array]] = []
     for start in range(0, draws.count, BLOCK):
         count = min(BLOCK, draws.count - start)
@@ -261,7 +272,7 @@ def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Genera
 
 
 def _rates(scores: list[Score], draws: Draws, count: int, rng: np.random.Generator) -> Array:
-    """Sample rates from their posteriors, shape (count, policies)."""
+    """Draw samples of the rates from their posteriors, as an array of shape (count, policies)."""
     of = np.array([s.rollouts or draws.rollouts for s in scores], dtype=float)
     done = np.array([s.rate for s in scores]) * of
     return rng.beta(done + 0.5, of - done + 0.5, (count, len(scores)))

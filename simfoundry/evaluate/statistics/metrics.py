@@ -1,4 +1,4 @@
-"""Metrics for the agreement between simulation and reality, and confidence intervals for success rates.
+"""Metrics of the agreement between simulation and reality, and confidence intervals for success rates.
 
 Pearson's r and the mean maximum rank violation are defined as in the SimFoundry paper, appendix *Real-to-Sim Metrics*.
 """
@@ -18,9 +18,9 @@ Z_95 = 1.959963984540054
 
 
 def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float | None:
-    """Return Pearson's correlation coefficient between two arrays of scores, shape (n,), or None if either is constant.
+    """Return Pearson's correlation coefficient between two arrays of scores of shape (n,).
 
-    For a constant array, the coefficient is 0/0 and therefore undefined.
+    The result is None if either array is constant. In that case, the coefficient is 0/0 and therefore undefined.
     """
     x, y = _pair(real, sim)
     if len(x) < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
@@ -30,11 +30,12 @@ def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> floa
 
 
 def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
-    """Return the mean maximum rank violation of two arrays of scores, shape (n,), in the unit of the real scores.
+    """Return the mean maximum rank violation of two arrays of scores of shape (n,).
 
-    For each policy, the rank violation is the largest real difference from any policy that the simulation ranks in the
-    opposite order. The result is the mean over the policies. Comparisons are strict, as in the paper, so if two
-    policies are tied in only one of the arrays, the rank of one of them is violated.
+    The result has the unit of the real scores. For each policy, the rank violation is the largest real difference from
+    any policy that the simulation ranks in the opposite order. The result is the mean over the policies. Comparisons
+    are strict, as in the paper, so if two policies are tied in only one of the arrays, the rank of one of them is
+    violated.
     """
     x, y = _pair(real, sim)
     if len(x) == 0:
@@ -44,9 +45,9 @@ def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
 
 
 def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
-    """Return Pearson's correlation coefficient for each row of weighted scores, or NaN for constant rows.
+    """Return Pearson's correlation coefficient for each row of weighted scores.
 
-    All arguments have shape (rows, n).
+    All arguments have shape (rows, n). The result is NaN for constant rows.
     """
     share = weights / weights.sum(axis=1, keepdims=True)
     dx, dy = (v - (share * v).sum(axis=1, keepdims=True) for v in (real, sim))
@@ -56,16 +57,20 @@ def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
 
 
 def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
-    """Return the mean maximum rank violation for each row of weighted scores; all arguments have shape (rows, n)."""
+    """Return the mean maximum rank violation for each row of weighted scores.
+
+    All arguments have shape (rows, n).
+    """
     share = weights / weights.sum(axis=1, keepdims=True)
     dx, dy = (v[:, :, None] - v[:, None, :] for v in (real, sim))
     return np.asarray((share * np.max(np.abs(dx) * ((dy < 0) != (dx < 0)), axis=2)).sum(axis=1))
 
 
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
-    """Return Wilson's score interval for a success rate at ``z`` standard deviations, or (0, 1) without rollouts.
+    """Return Wilson's score interval for a success rate at ``z`` standard deviations.
 
-    The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927).
+    The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927). If
+    there are no rollouts, it is (0, 1).
     """
     if not 0 <= successes <= rollouts:
         raise ValueError(f"{successes} successes in {rollouts} rollouts")
@@ -75,7 +80,7 @@ def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float
 
 
 def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
-    """Return Wilson's score interval for a rate, given a number of rollouts that need not be an integer."""
+    """Return Wilson's score interval for a rate. The number of rollouts need not be an integer."""
     share = z * z / rollouts
     middle = (rate + share / 2) / (1 + share)
     half = z * math.sqrt(rate * (1 - rate) / rollouts + share / (4 * rollouts)) / (1 + share)
@@ -84,19 +89,22 @@ def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Rate:
-    """A success rate: ``done`` successes in ``of`` rollouts."""
+    """A success rate of ``done`` successes in ``of`` rollouts."""
 
     done: int
     of: int
 
     @property
     def share(self) -> float:
-        """The rate as a number from 0 to 1; 0 without rollouts."""
+        """The rate as a number from 0 to 1.
+
+        The value is 0 if there are no rollouts.
+        """
         return self.done / self.of if self.of else 0.0
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95% interval of the rate."""
+        """Wilson's 95% interval for the rate."""
         return wilson(self.done, self.of)
 
     def __str__(self) -> str:
@@ -110,11 +118,11 @@ def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[floa
     The variance of the mean is the sum of p(1-p)/n over the strata, divided by the squared number of strata. With a
     single rollout in a stratum, p(1-p) cannot be estimated, so the value for the mean rate is used for all strata.
     Because p(1-p) is concave, this never makes the interval too narrow. The interval is Wilson's interval for S^2 /
-    sum(1/n) rollouts, with S strata of n rollouts each; if all n are equal, this is the interval of the pooled
+    sum(1/n) rollouts, with S strata of n rollouts each. If all n are equal, this is the interval of the pooled
     rollouts.
 
     Args:
-        counts: The number of successes and rollouts in each stratum.
+        counts: The numbers of successes and rollouts in each stratum.
         z: The width of the interval in standard deviations.
     """
     if not counts or any(n < 1 for _, n in counts):
@@ -128,7 +136,7 @@ def mcnemar(first_only: int, second_only: int) -> float:
     """Return the two-sided p-value of the exact McNemar test on paired successes (McNemar, 1947).
 
     The exact test is a binomial test with probability 1/2. The arguments count the pairs in which only the first or
-    only the second member succeeded; other pairs carry no information. Without any such pair, the p-value is 1.
+    only the second member succeeded. All other pairs carry no information. If there is no such pair, the p-value is 1.
     """
     n, least = first_only + second_only, min(first_only, second_only)
     tail: int = sum(math.comb(n, k) for k in range(least + 1))
@@ -144,11 +152,15 @@ DRAWN_FLIPS = 20_000
 
 
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
-    """Return the two-sided p-value of a paired permutation test for zero mean of ``differences``, shape (n,).
+    """Return the two-sided p-value of a paired permutation test for zero mean of ``differences``.
 
     Under the null hypothesis, the two members of each pair are exchangeable, and swapping them flips the sign of their
     difference (Fisher, 1935). For up to :data:`EXACT_FLIPS` differences, all sign changes are enumerated. Beyond that,
     they are sampled with ``seed``, and the observed signs are included as one of the samples.
+
+    Args:
+        differences: The differences, shape (n,).
+        seed: The seed for sampling sign changes.
     """
     rest = np.asarray([d for d in differences if abs(d) > 1e-12], dtype=float)
     if not len(rest):

@@ -1,8 +1,9 @@
-"""Records of finished rollouts on disk, one file per rollout, so that an interrupted evaluation can be resumed.
+"""Records of finished rollouts on disk.
 
-``rollouts/TASK/POLICY/ENGINE/007.json`` contains the result of a rollout, ``007.npz`` its actions (for ``--policy
-replay:…``), and ``007.webm`` its video. A rollout whose policy did not respond is recorded as ``007.missing.json``; it
-has no result and is tried again. A rollout with an invalid response has a result: it failed.
+There is one file per rollout, so an interrupted evaluation can be resumed. ``rollouts/TASK/POLICY/ENGINE/007.json``
+contains the result of a rollout, ``007.npz`` its actions (for ``--policy replay:…``), and ``007.webm`` its video. A
+rollout whose policy did not respond is recorded as ``007.missing.json``. It has no result and is tried again. A rollout
+with an invalid response has a result and counts as a failure.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ class RecordSlot:
         return self.path.with_suffix(".webm")
 
     def read(self) -> dict[str, Any] | None:
-        """Read the record, or return None if it does not exist.
+        """Read the record.
+
+        The result is None if the record does not exist.
 
         Raises:
             OutputError: If the file is not a record.
@@ -60,7 +63,10 @@ class RecordSlot:
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
-        """Write a rollout and its context ``about``; the file that marks the rollout as finished is written last."""
+        """Write a rollout and its context ``about``.
+
+        The file that marks the rollout as finished is written last.
+        """
         record = record_of(result, about)
         if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
@@ -73,7 +79,10 @@ class RecordSlot:
         return record
 
     def write_missing(self, reason: str, about: Mapping[str, Any]) -> dict[str, Any]:
-        """Record, along with the context ``about``, that the policy could not be opened for this rollout."""
+        """Record that the policy could not be opened for this rollout.
+
+        The context ``about`` is also recorded.
+        """
         found = {"index": self.index, "success": False, "end": str(RolloutEnd.NO_ANSWER), "reason": reason, "steps": 0}
         record = {"simfoundry": VERSION, **about, **found, "subtasks": {}}
         write_atomically(self.missing, _text(record))
@@ -81,7 +90,7 @@ class RecordSlot:
 
 
 def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a rollout as plain data for its record file."""
+    """Return a rollout as plain data that can be written to its record file."""
     return {
         "simfoundry": VERSION,
         **about,
@@ -94,12 +103,19 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """Return True if a record contains a result, which requires that the policy responded."""
+    """Return True if a record contains a result.
+
+    This requires that the policy responded.
+    """
     return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read a record; raises :class:`OutputError` if the file was not written by :class:`RecordSlot`."""
+    """Read a record.
+
+    Raises:
+        OutputError: If the file was not written by :class:`RecordSlot`.
+    """
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ValueError("too large")
@@ -112,9 +128,12 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def check_layout(folder: Path) -> None:
-    """Raise :class:`OutputError` if the folder contains rollouts in the layout of an earlier version.
+    """Check that the folder contains no rollouts in the layout of an earlier version.
 
     Such rollouts would be neither read nor replaced.
+
+    Raises:
+        OutputError: If there is such a rollout.
     """
     for path in (folder / "rollouts").glob("*/*/*.json"):
         raise OutputError(
@@ -126,7 +145,7 @@ def check_layout(folder: Path) -> None:
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Yield every rollout of an evaluation, along with its file, ordered by file name.
 
-    Missing rollouts are included; their ``end`` identifies them.
+    Missing rollouts are included. They are identified by their ``end``.
 
     Raises:
         OutputError: If a file is not a record, or if the folder has the layout of an earlier version.

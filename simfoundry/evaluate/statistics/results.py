@@ -1,7 +1,8 @@
-"""Compute the success rates in ``results.json`` for tasks and their steps, with intervals, from rollout records.
+"""Compute the success rates in ``results.json`` from rollout records.
 
-Rates are also pooled over multiple tasks, such as a folder of cousins. A rollout with an invalid response counts as a
-failure. A rollout without a response has no result: it is counted as missing and excluded from all rates.
+Rates and their intervals are computed for tasks and for the steps of tasks. Rates are also pooled over multiple tasks,
+such as a folder of cousins. A rollout with an invalid response counts as a failure. A rollout without a response has no
+result, so it is counted as missing and excluded from all rates.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """Return the recipe, seed, index and axes of a cousin, or None if the task was not generated from a recipe.
+    """Return the recipe, seed, index and axes of a cousin.
 
     ``axes`` are the axes along which the cousin differs from its twin. They are derived from the fields in its
-    documents that the twin's documents do not contain.
+    documents that the twin's documents do not contain. The result is None if the task was not generated from a recipe.
     """
     origin = task.setup.task_spec.origin
     if origin is None or origin.cousin is None:
@@ -61,7 +62,7 @@ class RatePool:
 
     @property
     def rate(self) -> Rate:
-        """The fraction of rollouts with a result that succeeded."""
+        """The success rate over all rollouts that have a result."""
         return Rate(sum(done for done, _ in self.counts), sum(of for _, of in self.counts))
 
     @property
@@ -72,7 +73,10 @@ class RatePool:
 
     @property
     def is_balanced(self) -> bool:
-        """True if all tasks have the same number of rollouts, so that the stratified and pooled rates are equal."""
+        """True if all tasks have the same number of rollouts.
+
+        In that case, the stratified and pooled rates are equal.
+        """
         return len({of for _, of in self.counts}) == 1
 
     @property
@@ -82,7 +86,7 @@ class RatePool:
         return f"{rate:.0%} ({low:.0%} to {high:.0%})"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the pool as a row of ``pooled``."""
+        """Return the pool as a row of the ``pooled`` table."""
         rate, low, high = stratified(self.counts)
         return {
             "part": self.part,
@@ -106,11 +110,11 @@ def _rounded(interval: tuple[float, float]) -> list[float]:
 
 
 def pools(records: Iterable[Record]) -> list[RatePool]:
-    """Pool the results of every policy over all tasks, and over each stratum if there is more than one.
+    """Pool the results of every policy over all tasks, and over each stratum if there are several strata.
 
-    A stratum consists of a recipe and a set of axes. A pool contains at least two tasks, because a single task already
-    has its own row. Single steps and remainders of tasks (``part``) are pooled separately from whole tasks, because
-    they measure different abilities.
+    A stratum consists of a recipe and a set of axes. A pool contains at least two tasks because there is already a
+    separate row for each single task. Single steps and remainders of tasks (``part``) are pooled separately from whole
+    tasks because they measure different abilities.
     """
     groups: dict[tuple[str, str, str, str], dict[str, list[Record]]] = {}
     results = [r for r in records if is_result(r)]
@@ -134,12 +138,19 @@ def pools(records: Iterable[Record]) -> list[RatePool]:
 
 
 def _rate_of(done: Sequence[int | None]) -> Rate:
-    """Return a step's rate, given the control step at which each rollout completed it, or None if it did not."""
+    """Return the success rate of a step.
+
+    ``done`` contains the control step at which each rollout completed the step, or None if the rollout did not complete
+    it.
+    """
     return Rate(sum(step is not None for step in done), len(done))
 
 
 def stratum_of(record: Record) -> str:
-    """Return the stratum of a rollout: the recipe and axes of its cousin."""
+    """Return the stratum of a rollout.
+
+    The stratum consists of the recipe and the axes of the rollout's cousin.
+    """
     cousin = record.get("cousin")
     return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousins"
 
@@ -184,12 +195,15 @@ class ScoreRow:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """The key that all records in this row share, as returned by :func:`cell_key`."""
+        """The key that all records in this row share. It is the value returned by :func:`cell_key`."""
         return self.task, self.part, self.step, self.engine, self.policy
 
     @property
     def exceptions(self) -> str:
-        """The numbers of invalid responses and missing rollouts as text; empty if both numbers are zero."""
+        """The numbers of invalid responses and missing rollouts, as text.
+
+        The text is empty if both numbers are zero.
+        """
         counts = {"with an invalid response": self.invalid, "missing": self.missing}
         return ", ".join(f"{count} {words}" for words, count in counts.items() if count)
 
@@ -200,9 +214,9 @@ class ScoreRow:
         return f"{rate}, {self.exceptions}" if self.exceptions else rate
 
     def to_json(self) -> dict[str, Any]:
-        """Return the row as an entry of ``scores``, which `simfoundry correlate` reads.
+        """Return the row as an entry of the ``scores`` table, which `simfoundry correlate` reads.
 
-        Results of a single step are listed as a separate task.
+        The results of a single step are listed as a separate task.
         """
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
@@ -233,7 +247,7 @@ Row = TypeVar("Row", ScoreRow, RatePool)
 
 
 def by_title(found: Sequence[Row]) -> dict[str, dict[str, Row]]:
-    """Arrange rows by title and policy; the title includes the engine if there is more than one."""
+    """Arrange rows by title and policy. The title includes the engine if there are several engines."""
     several = len({row.engine for row in found}) > 1
     named: dict[str, dict[str, Row]] = {}
     for row in found:
@@ -242,7 +256,10 @@ def by_title(found: Sequence[Row]) -> dict[str, dict[str, Row]]:
 
 
 def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the key of the row that a record belongs to: task, part, step, engine and policy."""
+    """Return the key of the row to which a record belongs.
+
+    The key consists of the task, the part, the step, the engine and the policy.
+    """
     return tuple(record[key] for key in ("task", "part", "step", "engine", "policy"))
 
 
@@ -260,9 +277,10 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of an evaluation as plain data. Identical rollouts produce identical bytes.
+    """Return the results of an evaluation as plain data.
 
-    ``rollouts`` contains the rollouts with a result, and ``unanswered`` those that were tried but have no result.
+    Identical rollouts produce identical bytes. ``rollouts`` contains the rollouts that have a result, and
+    ``unanswered`` contains those that were tried but have no result.
     """
     kept = [{key: value for key, value in r.items() if key not in ("timings", "simfoundry")} for r in records]
     return {

@@ -1,8 +1,8 @@
 """Read BDDL files: parse the PDDL expressions, extract the problem, and convert its conditions to predicates.
 
 Quantifiers are expanded over the scene's objects to `all`, `any` and `not`, with the same semantics as in the `bddl`
-package. `forn` requires exactly n objects, and `fornpairs` exactly n pairs. In each of two groups, `forpairs` requires
-partners for at least as many objects as the smaller group contains.
+package. `forn` requires exactly n objects, and `fornpairs` requires exactly n pairs. `forpairs` refers to two groups of
+objects, the smaller of which has k members; it requires that at least k objects in each group have a partner.
 """
 
 from __future__ import annotations
@@ -52,7 +52,11 @@ class BddlProblem:
 
 
 def read_problem(path: Path) -> BddlProblem:
-    """Read a BDDL file; raise :class:`ImportRefusedError` if it is invalid."""
+    """Read a BDDL file.
+
+    Raises:
+        ImportRefusedError: If the file is invalid.
+    """
     whole = read_group(path)
     if whole.head != "define":
         raise ImportRefusedError(path, "the file must begin with `(define`", whole.line)
@@ -116,7 +120,7 @@ def _regions(path: Path, group: BddlGroup) -> dict[str, BddlRegion]:
 
 
 def _numbers(path: Path, group: BddlGroup | None, count: int) -> Any:
-    """Return the numbers in ``(:key ((1 2 3 4)))``; if there are several rectangles, return the first."""
+    """Return the numbers in ``(:key ((1 2 3 4)))``, using only the first rectangle if there are several."""
     while group is not None and group.groups:
         group = group.groups[0]
     if group is None:
@@ -141,7 +145,7 @@ _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
 @dataclass(frozen=True)
 class BddlWord:
-    """A word and its line number; BDDL keywords are case-insensitive."""
+    """A word and its line number. BDDL keywords are case-insensitive."""
 
     text: str
     line: int
@@ -181,7 +185,11 @@ class BddlGroup:
 
 
 def read_group(path: Path) -> BddlGroup:
-    """Parse a file that contains a single expression; raise :class:`ImportRefusedError` if it is invalid."""
+    """Parse a file that contains a single expression.
+
+    Raises:
+        ImportRefusedError: If the file is invalid.
+    """
     if path.stat().st_size > MAX_BYTES:
         raise ImportRefusedError(path, f"the file is larger than the limit of {MAX_BYTES >> 20} MiB")
     try:
@@ -229,7 +237,7 @@ Scope = Mapping[str, str]
 
 
 class Missing(list[str]):
-    """The problems that prevent a conversion, without duplicates."""
+    """A list of the problems that prevent a conversion, without duplicates."""
 
     def add(self, group: BddlGroup, what: str) -> None:
         """Record a problem at the line of ``group``, unless the same problem has already been recorded."""
@@ -240,7 +248,7 @@ class Missing(list[str]):
 
 @dataclass
 class ConditionReader:
-    """Converts BDDL conditions to document conditions.
+    """A converter from BDDL conditions to document conditions.
 
     ``atom`` creates a predicate from its name and arguments, and ``objects`` lists the objects of each type.
     """
@@ -251,7 +259,10 @@ class ConditionReader:
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
-        """Convert a condition; if part of it cannot be resolved, extend ``missing`` and return None."""
+        """Convert a condition.
+
+        If part of the condition cannot be resolved, the problems are added to ``missing`` and None is returned.
+        """
         match group.head:
             case "and" | "or":
                 key = "all" if group.head == "and" else "any"
@@ -278,7 +289,7 @@ class ConditionReader:
         *ranges, body = parts
         each = [self._members(r) for r in ranges]
         for part in (part for part, (_, names) in zip(ranges, each, strict=True) if not names):
-            self.missing.add(part, "no object has the type of this variable")
+            self.missing.add(part, "no object has this variable's type")
         if not all(names for _, names in each):
             return None
         if not pairs:
@@ -323,7 +334,7 @@ class ConditionReader:
     def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
-            self.missing.add(group, f"it expands to more than {MOST_TERMS} predicates")
+            self.missing.add(group, f"the condition expands to more than {MOST_TERMS} predicates")
         return self.terms <= MOST_TERMS
 
     def _joined(self, key: str, found: list[Condition | None]) -> Condition | None:
@@ -340,7 +351,10 @@ class ConditionReader:
 
 
 def negated(condition: Condition | None) -> Condition | None:
-    """Return the negation of a condition, applying `not` only to predicates and using `Open` to negate `Closed`."""
+    """Return the negation of a condition.
+
+    `not` is applied only to individual predicates, and `Closed` is negated as `Open`.
+    """
     if condition is None:
         return None
     if isinstance(condition, dict):

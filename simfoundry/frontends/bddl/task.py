@@ -1,4 +1,4 @@
-"""Convert a BDDL problem to a task: names are bound to scene objects, and regions become conditions."""
+"""Convert a BDDL problem to a task. Names are bound to scene objects, and regions become conditions."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def read_bddl_task(
         options: Import options; ``scene`` is the scene document, and ``bound`` assigns objects to unresolved names.
 
     Raises:
-        ImportRefusedError: If the file is invalid or some elements cannot be resolved; the message lists all of these
-            elements with their lines.
+        ImportRefusedError: If the file is invalid or if some elements cannot be resolved. The message lists each
+            unresolved element with its line number.
     """
     problem = read_problem(path)
     draft = ModelDraft(problem.name, "BDDL")
@@ -55,7 +55,7 @@ def read_bddl_task(
     unnumbered = re.sub(r"-\d+\Z", "", problem.name)
     instruction = problem.language or f"{unnumbered.replace('_', ' ').capitalize()}."
     if not problem.language:
-        draft.assumed("instruction", "the file specifies none; derived from the name of the problem")
+        draft.assumed("instruction", "the file specifies no instruction; it is derived from the problem name")
     assert options.scene is not None
     name = plain_name(path.stem if problem.domain == "robosuite" else unnumbered, "task")
     data: dict[str, Any] = {
@@ -68,7 +68,7 @@ def read_bddl_task(
 
 @dataclass
 class _TaskReader:
-    """Converts a BDDL problem to a task."""
+    """A converter from a BDDL problem to a task."""
 
     problem: BddlProblem
     scene: Scene
@@ -84,7 +84,10 @@ class _TaskReader:
         self.missing = self.conditions.missing
 
     def goal(self) -> Any:
-        """Return the goal condition, or None if it could not be resolved; ``missing`` contains the reasons."""
+        """Return the goal condition, or None if it could not be resolved.
+
+        The reasons are then listed in ``missing``.
+        """
         found = self.conditions.condition(self.problem.goal, {})
         if found is None and not self.missing:
             self.missing.add(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
@@ -114,7 +117,7 @@ class _TaskReader:
             return None
         text = f"{predicate}({item_name}, {target})"
         if group.head == "on" and self._put_in(target):
-            why = "the instruction says `in`, and LIBERO's `On` includes `Inside`, so either is accepted"
+            why = "the instruction says `in`, and LIBERO's `On` includes `Inside`, so both are accepted"
             self.draft.changed(f"`{text}`", why)
             return {"any": (text, f"Inside({item_name}, {target})")}
         return text
@@ -130,7 +133,7 @@ class _TaskReader:
         if (box := self._rectangle(group, region)) is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
-        why = "a goal region is converted to `At` its center, with the tolerance of `At`"
+        why = "the goal region became an `At` condition for its center, with the usual tolerance of `At`"
         self.draft.changed(f"region `{region.name}`", why, size)
         return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
@@ -157,7 +160,7 @@ class _TaskReader:
         if predicate == "Inside" and links:
             self._unclear(group, region, owner, links, found)
             return None
-        self.draft.changed(f"region `{name}`", f"it is interpreted as the entire object `{owner}`")
+        self.draft.changed(f"region `{name}`", f"the name is interpreted as the entire object `{owner}`")
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:
@@ -227,7 +230,8 @@ class _TaskReader:
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
     """Return the scene object for a name in a problem, or None if there is no match.
 
-    Names in ``bound`` take precedence, followed by objects with the same name and then by matches of type and number.
+    Names in ``bound`` take precedence. They are followed by objects with the same name, and then by objects whose type
+    and number match.
     """
     if name in bound:
         return bound[name]
@@ -258,7 +262,7 @@ def _opened(item: SceneObject, name: str) -> float:
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """Return the part that has the same name as a region, or else all parts whose names share a word with it."""
+    """Return the part that has the same name as a region, or otherwise all parts whose names share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]

@@ -28,7 +28,7 @@ ROBOT, MOUNT = ":robot", ":mount"
 
 @dataclass(frozen=True)
 class CustomFields:
-    """Custom texts and numbers in a compiled file, by name."""
+    """The custom texts and numbers in a compiled file, keyed by name."""
 
     texts: Mapping[str, str]
     numbers: Mapping[str, list[float]]

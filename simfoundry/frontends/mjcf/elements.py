@@ -64,12 +64,13 @@ def _add_drives(source: MjcfSource) -> None:
         gain = float(model.actuator_gainprm[k][0])
         bias, stiffness, damping = (-model.actuator_biasprm[k][:3]).tolist()
         is_servo = is_servo and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
-        if not is_servo or gain != (stiffness or damping) or joint not in joints or joints[joint][1].type == "ball":
+        is_servo = is_servo and gain in ((stiffness,) if stiffness else (damping, 0.0))
+        if not is_servo or joint not in joints or joints[joint][1].type == "ball":
             draft.dropped(what, "only position and velocity servos on joints can be expressed")
             continue
         driven = joints[joint][1]
         if driven.drive is not None:
-            draft.dropped(what, "its joint already has a drive")
+            draft.dropped(what, "the joint already has a drive")
             continue
         gear = float(model.actuator_gear[k, 0])
         limit = float(np.abs(model.actuator_forcerange[k]).max()) * abs(gear) if model.actuator_forcelimited[k] else 0
@@ -83,7 +84,7 @@ def _add_drives(source: MjcfSource) -> None:
             draft.dropped(what, "a joint with a drive cannot also have a spring")
         elif stiffness:
             driven.drive = DriveSpec(stiffness=stiffness, target=float(model.jnt(joint).qpos_spring[0]))
-            draft.changed(what, "it is represented by a drive with the same stiffness")
+            draft.changed(what, "the spring became a drive with the same stiffness")
 
 
 def _add_exclusions(source: MjcfSource) -> None:
@@ -155,21 +156,26 @@ def _add_cameras(source: MjcfSource) -> None:
 
 
 def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
-    """Return camera ``k`` in its body frame, or record the camera and return None if it is not a pinhole camera."""
+    """Return camera ``k`` with its pose in the body frame.
+
+    A camera that is not a pinhole camera is recorded as dropped, and None is returned.
+    """
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
-        draft.changed(f"camera `{name}`", "it tracks a target in MuJoCo, but the imported camera is fixed to its body")
+        draft.changed(
+            f"camera `{name}`", "the camera tracks a target in MuJoCo, but the imported camera is fixed to its body"
+        )
     # MuJoCo 3.5 replaced the flag with an enum of projections, in which 1 is orthographic.
     projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
     if projections[k] == 1:
-        draft.dropped(f"camera `{name}`", "it is orthographic, but only pinhole cameras are supported")
+        draft.dropped(f"camera `{name}`", "the camera is orthographic, but only pinhole cameras are supported")
         return None
     X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
     width, height = model.cam_resolution[k].tolist()
     if width <= 1 or height <= 1:
         width, height = PICTURE
-        draft.assumed(f"image size of camera `{name}`", f"the file specifies none; {width} x {height} px is assumed")
+        draft.assumed(f"image size of camera `{name}`", f"the file specifies no size; {width} x {height} px is assumed")
     fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
     camera = CameraDraft(name, (width, height), fy, fy, X_BC)
     across, up = model.cam_sensorsize[k].tolist()
@@ -177,7 +183,7 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
         fx, fy, cx, cy = model.cam_intrinsic[k].tolist()
         camera.fx, camera.fy = fx / across * width, fy / up * height
         camera.cx = (width - 1) / 2 - cx / across * width
-        camera.cy = (height - 1) / 2 + cy / up * height
+        camera.cy = (height - 1) / 2 - cy / up * height
     return camera
 
 
@@ -187,13 +193,13 @@ def _add_lights(source: MjcfSource) -> None:
     for k in range(model.nlight):
         light, name = model.light(k), source.name("light", k) or f"light_{k + 1}"
         if model.light_bodyid[k] != 0:
-            draft.dropped(f"light `{name}`", "it is attached to a body, but only static lights are supported")
+            draft.dropped(f"light `{name}`", "the light is attached to a body, but only static lights are supported")
             continue
         if not model.light_active[k]:
             continue
         kind = "distant" if model.light_type[k] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL else "point"
         if kind == "point" and model.light_cutoff[k] < 90:
-            draft.changed(f"spotlight `{name}`", "it became a point light, which shines in all directions")
+            draft.changed(f"spotlight `{name}`", "the light became a point light, which shines in all directions")
         direction, xyz = tuple(light.dir.tolist()), tuple(light.pos.tolist())
         draft.lights.append(LightDraft(name, kind, *split_color(light.diffuse.tolist()), direction, xyz))
 

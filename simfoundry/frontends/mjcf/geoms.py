@@ -33,11 +33,14 @@ class MjcfSource:
     joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
 
     def name(self, kind: str, number: int) -> str:
-        """Return the name of an element, or an empty string; ``kind`` is a MuJoCo object type such as `body`."""
+        """Return the name of an element, or an empty string if it is unnamed.
+
+        ``kind`` is a MuJoCo object type such as `body`.
+        """
         return self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number) or ""
 
     def label(self, kind: str, number: int) -> str:
-        """Return an element's name (or its number if it is unnamed) for use in messages."""
+        """Return the name of an element for use in messages, or its number if it is unnamed."""
         name = self.name(kind, number)
         return f"`{name}`" if name else f"number {number + 1}"
 
@@ -50,14 +53,17 @@ UNSET = (0.5, 0.5, 0.5, 1.0)
 
 
 class MjcfGeoms:
-    """Converts geoms to parts; meshes shared by several geoms are written only once."""
+    """A converter from geoms to parts. Meshes shared by several geoms are written only once."""
 
     def __init__(self, source: MjcfSource) -> None:
         self.source, self.mujoco, self.model, self.draft = source, source.mujoco, source.model, source.draft
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
 
     def part(self, geom: int) -> PartDraft | None:
-        """Return a geom as a part with its pose in the body; record unsupported geoms and return None for them."""
+        """Return a geom as a part with its pose in the body.
+
+        Unsupported geoms are recorded, and None is returned for them.
+        """
         model, types = self.model, self.mujoco.mjtGeom
         name = self.source.name("geom", geom)
         kind = types(model.geom_type[geom])
@@ -87,7 +93,10 @@ class MjcfGeoms:
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
-        """Return the use of a geom: `visual` if it never collides, `collision` if viewers hide it, or `both`."""
+        """Return the use of a geom.
+
+        The use is `visual` if the geom never collides, `collision` if viewers hide it, and `both` otherwise.
+        """
         if not self.model.geom_contype[geom] and not self.model.geom_conaffinity[geom]:
             return "visual"
         return "collision" if int(self.model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0 else "both"
@@ -128,7 +137,7 @@ class MjcfGeoms:
         return texture if flat else -1
 
     def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:
-        """Return the mesh of a geom in its file's frame, and the pose of that frame in the body."""
+        """Return the mesh of a geom in the frame of its file, and the pose of that frame in the body."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
         texture = self.texture(int(model.geom_matid[geom]))
@@ -138,7 +147,7 @@ class MjcfGeoms:
         return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
     def baked(self, geom: int) -> MeshPart:
-        """Return the mesh of a geom in the body frame, including the color and texture."""
+        """Return the mesh of a geom in the body frame, including its color and texture."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         texture = self.texture(int(model.geom_matid[geom]))
         part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))
@@ -180,6 +189,6 @@ class MjcfGeoms:
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=3)
-        self.draft.changed(f"ellipsoid `{name}`", "it is represented by a mesh with 1280 triangles")
+        self.draft.changed(f"ellipsoid `{name}`", "the ellipsoid is represented by a mesh with 1280 triangles")
         part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
         return mesh_of_parts([part], plain_name(name, "ellipsoid"))

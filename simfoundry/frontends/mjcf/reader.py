@@ -47,8 +47,9 @@ NOISE = 1e-12
 def read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
     """Read the scene in an MJCF file.
 
-    Raises :class:`ImportRefusedError` if the file cannot be imported. If MuJoCo rejects the file, the error includes
-    MuJoCo's message.
+    Raises:
+        ImportRefusedError: If the file cannot be imported. If MuJoCo rejects the file, the error includes MuJoCo's
+            message.
     """
     import mujoco
 
@@ -67,7 +68,10 @@ def read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
 
 
 def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
-    """Return the XML roots of a file and its includes; all files they reference must be in the model's folders."""
+    """Return the XML roots of a file and of the files that it includes.
+
+    All referenced files must be in the model's folders.
+    """
     search = FileSearch(path, packages)
     roots: list[Element] = []
     waiting = [path]
@@ -129,7 +133,7 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
 
 
 class _MjcfReader:
-    """Converts a compiled model to a draft."""
+    """A converter from a compiled model to a draft."""
 
     def __init__(self, path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
         self.path, self.mujoco, self.roots = path, mujoco, roots
@@ -141,6 +145,9 @@ class _MjcfReader:
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
             mujoco.mj_normalizeQuat(model, self.data.qpos)  # turns a zero quaternion into the identity
+            free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] if self.own is not None else []
+            for start in free:  # in compiled files, the pose of a free body can be edited at the body
+                self.data.qpos[start : start + 7] = model.qpos0[start : start + 7]
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
@@ -149,7 +156,10 @@ class _MjcfReader:
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
 
     def element_names(self, kind: str, count: int) -> list[str]:
-        """Return a unique name for each element of a kind; unnamed elements are named by kind and number."""
+        """Return a unique name for each element of a kind.
+
+        Unnamed elements are named after their kind and number.
+        """
         own = [self.source.name(kind, k) for k in range(count)]
         self.taken[kind] = set(own)
         return [name or self.new_name(kind, f"{kind}_{k}") for k, name in enumerate(own)]
@@ -220,7 +230,10 @@ class _MjcfReader:
         self.chain(draft, body, base, Pose.of(), joints)
 
     def note_free_dynamics(self, joint: int) -> None:
-        """Record a free joint's damping, friction and armature as dropped, because free bodies have no joint."""
+        """Record a free joint's damping, friction and armature as dropped.
+
+        Free bodies in documents have no joint that could have these properties.
+        """
         what = f"free joint `{self.names['joint'][joint]}`"
         for field, word in (("armature", "armature"), ("damping", "damping"), ("frictionloss", "friction")):
             value = float(getattr(self.model.jnt(joint), field).flat[0])
@@ -233,7 +246,10 @@ class _MjcfReader:
         return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
     def chain(self, draft: BodyDraft, body: int, parent: str, X_PB: Pose, joints: list[int]) -> None:
-        """Convert a body and its joints; if it has several joints, insert links with negligible mass between them."""
+        """Convert a body and its joints.
+
+        If the body has several joints, links with negligible mass are inserted between them.
+        """
         model, name = self.model, self.names["body"][body]
         if not joints:
             self.add_link(draft, body)
@@ -255,7 +271,10 @@ class _MjcfReader:
         self.add_link(draft, body, Pose.of(model.jnt_pos[joints[-1]]))
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
-        """Convert a joint without changing its coordinate: positions are the same as in MuJoCo, even with `ref`."""
+        """Convert a joint without changing its coordinate.
+
+        Positions are the same as in MuJoCo, even with `ref`.
+        """
         model, kinds = self.model, self.mujoco.mjtJoint
         kind, name, source = model.jnt_type[joint], self.names["joint"][joint], model.jnt(joint)
         axis = np.array(source.axis, dtype=np.float64)
@@ -289,7 +308,10 @@ class _MjcfReader:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
     def add_link(self, draft: BodyDraft, body: int, X_BL: Pose = IDENTITY) -> None:
-        """Add a body's link to ``draft``; ``X_BL`` is the pose of the link frame in the body frame."""
+        """Add a body's link to ``draft``.
+
+        ``X_BL`` is the pose of the link frame in the body frame.
+        """
         model, X_LB, name = self.model, X_BL.inverse(), self.names["body"][body]
         link = draft.links[name] = LinkDraft(name, mass=float(model.body_mass[body]))
         self.source.owners[body] = (draft, name, X_BL)

@@ -1,4 +1,4 @@
-"""The importer for OmniGibson scenes and tasks as published in the authors' release."""
+"""The importer for the OmniGibson scenes and tasks in the release that accompanies the SimFoundry paper."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

@@ -1,4 +1,4 @@
-"""Read scenes from the authors' release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
+"""Read scenes from the paper's release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
 
 In this format, quaternions have w last, masses are specified only in the URDF, friction coefficients are in the object
 list, joint positions have no names, and the table is an infinite plane.
@@ -32,12 +32,16 @@ LEVELS = 5
 
 
 def read_omnigibson(path: Path, options: ImportOptions) -> ModelDraft:
-    """Read the scene in a JSON file from the release; raise :class:`ImportRefusedError` if it is invalid."""
+    """Read the scene in a JSON file from the paper's release.
+
+    Raises:
+        ImportRefusedError: If the file is invalid.
+    """
     return _SceneReader(path, options).read()
 
 
 class _SceneReader:
-    """Reads a single scene file."""
+    """A reader for a single scene file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.options, self.packages = path, options, options.packages
@@ -48,7 +52,11 @@ class _SceneReader:
         self.listed = self.object_list()
 
     def at(self, data: Any, *keys: str) -> dict[str, Any]:
-        """Return the mapping at ``keys`` in ``data``, or raise an error if there is no such mapping."""
+        """Return the mapping at ``keys`` in ``data``.
+
+        Raises:
+            ImportRefusedError: If there is no such mapping.
+        """
         for key in keys:
             data = data.get(key) if isinstance(data, dict) else None
         if not isinstance(data, dict):
@@ -56,7 +64,7 @@ class _SceneReader:
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """Return the entries in `scene_objects_info.json` by object name."""
+        """Return the entries in `scene_objects_info.json`, keyed by object name."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:
@@ -102,7 +110,10 @@ class _SceneReader:
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """Add an object from its URDF; its friction and pose come from the other files."""
+        """Add an object from its URDF.
+
+        The friction and the pose come from the other files.
+        """
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
@@ -117,7 +128,7 @@ class _SceneReader:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                why = "it is for information only; the URDF contains the actual values"
+                why = "this entry is for information only; the URDF contains the actual values"
                 self.draft.dropped(f"`{word}` of `{name}` in the scene", why)
         if args.get("visual_only"):
             for link in body.links.values():
@@ -125,7 +136,7 @@ class _SceneReader:
         self.draft.bodies.append(body)
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
-        """Find the URDF of an object in the folders of the release."""
+        """Find the URDF of an object in the folders of the paper's release."""
         parts = Path(str(args.get("usd_path") or "")).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
             k = parts.index("objects")
@@ -144,7 +155,10 @@ class _SceneReader:
         raise ImportRefusedError(self.path, f"could not find the URDF of `{name}`: {inside.as_posix()}", hint=hint)
 
     def scale(self, name: str, body: BodyDraft, scale: Any) -> None:
-        """Scale a body uniformly; as in OmniGibson, a mass specified in the file does not change."""
+        """Scale a body uniformly.
+
+        As in OmniGibson, a mass that is specified in the file does not change.
+        """
         factors = [float(v) for v in scale] if isinstance(scale, list) else [float(scale or 1.0)] * 3
         if all(abs(f - 1) < 1e-9 for f in factors):
             return
@@ -152,7 +166,7 @@ class _SceneReader:
         if not s > 0 or any(abs(f - s) > 1e-6 * s for f in factors):
             hint = "only uniform scales are supported"
             raise ImportRefusedError(self.path, f"`{name}` is scaled by {factors}", hint=hint)
-        self.draft.changed(f"scale of `{name}`", "its parts are scaled, but its mass is unchanged", f"{s:g}")
+        self.draft.changed(f"scale of `{name}`", "the object's parts are scaled, but its mass is unchanged", f"{s:g}")
         for joint in body.joints:
             joint.X_PC = Pose.of(joint.X_PC.p * s, joint.X_PC.q)
             if joint.type == "prismatic" and joint.limits is not None:
@@ -172,7 +186,7 @@ class _SceneReader:
                     link.contact["friction"] = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
-        """Set the joint positions, which the file lists in PhysX's breadth-first order without names."""
+        """Set the joint positions, which the file lists without names in PhysX's breadth-first order."""
         listed = [float(v) for v in state.get("joint_pos") or ()]
         order, todo = [], [body.root]
         while todo:
@@ -198,7 +212,7 @@ class _SceneReader:
         if model == "franka_panda" and "robotiq" in str(args.get("end_effector", "")):
             model = "franka_robotiq"
         if state.get("joint_pos"):
-            why = "its joint positions have no names, so the robot starts in its home posture"
+            why = "the joint positions have no names, so the robot starts in its home posture"
             self.draft.changed(f"posture of robot `{name}`", why)
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
@@ -210,12 +224,12 @@ class _SceneReader:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            why = "the table is placed at this height, which OmniGibson itself does not restore"
+            why = "the table is placed at this height, although OmniGibson itself does not restore the height"
             self.draft.changed("`ground_plane_info`", why)
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
         self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X_WO))
-        why = f"it is represented by a box of {TABLE[0]:g} x {TABLE[1]:g} m"
+        why = f"the plane is represented by a box of {TABLE[0]:g} x {TABLE[1]:g} m"
         self.draft.changed("the infinite plane that serves as the table", why)
 
 

@@ -1,4 +1,7 @@
-"""Read the authors' task YAML (goals, milestones, initial states, and reset ranges) as a task for an imported scene."""
+"""Read a task YAML from the paper's release as a task for an imported scene.
+
+The file contains goals, milestones, initial states, and reset ranges.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,11 @@ HORIZON = 1000
 def read_task(
     path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """Read a YAML file from the release as a task for a scene; raise :class:`ImportRefusedError` if it is invalid."""
+    """Read a YAML file from the paper's release as a task for a scene.
+
+    Raises:
+        ImportRefusedError: If the file is invalid.
+    """
     try:
         data = read_yaml(path).data
     except YamlError as error:
@@ -47,7 +54,7 @@ def read_task(
 
 
 class _TaskReader:
-    """Reads a single task file."""
+    """A reader for a single task file."""
 
     def __init__(self, path: Path, data: dict[str, Any], spec: SceneSpec, scene: Scene) -> None:
         self.path, self.data, self.scene_spec, self.scene = path, data, spec, scene
@@ -62,7 +69,7 @@ class _TaskReader:
         goal, instruction = self.goal(), self.data.get("language_instruction")
         if not instruction:
             instruction = self.draft.name.replace("_", " ").capitalize() + "."
-            self.draft.assumed("instruction", "the file specifies none; derived from the name of the task")
+            self.draft.assumed("instruction", "the file specifies no instruction; it is derived from the task name")
         steps = (self.config.get("termination_config") or {}).get("max_steps") or HORIZON
         data: dict[str, Any] = {
             "simfoundry": "task/1", "name": plain_name(self.draft.name, "task"), "scene": scene_file,
@@ -82,7 +89,7 @@ class _TaskReader:
         return TaskSpec.model_validate(rounded(data))
 
     def members(self, group: Any) -> list[str]:
-        """Return the scene names of the objects in a group; `agent` stands for the robot."""
+        """Return the scene names of the objects in a group, in which `agent` stands for the robot."""
         out: dict[str, None] = {}
         for word in map(str, self.groups.get(str(group), [group])):
             found = ["agent"] if word in AGENTS else self.objects_called(word)
@@ -92,7 +99,7 @@ class _TaskReader:
         return list(out)
 
     def objects_called(self, word: str) -> list[str]:
-        """Return the objects with the given category or name; the name in the release also works."""
+        """Return the objects with the given category or name, which may also be a name from the paper's release."""
 
         def matches(name: str, item: Any) -> bool:
             note = item.origin.note if item.origin is not None else None
@@ -109,7 +116,7 @@ class _TaskReader:
     def goal(self) -> Any:
         """Return the conjunction of all goal predicates.
 
-        The suffixes `all` and `any` in their keys refer to the objects in each group.
+        The suffixes `all` and `any` in the keys of the predicates refer to the objects in each group.
         """
         if self.predicates("goal_predicates_specific"):
             message = "`goal_predicates_specific` refers to objects by number, which is not supported"
@@ -162,7 +169,7 @@ class _TaskReader:
         return f"Touching({robots[0]}, {item})"
 
     def subtasks(self) -> dict[str, Any]:
-        """Return the milestones as subtasks, ordered so that each one follows the milestones that it requires."""
+        """Return the milestones as subtasks, ordered so that each milestone follows the milestones that it requires."""
         listed, names = self.predicates("milestone_predicates"), NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()

@@ -1,4 +1,4 @@
-"""URDF importer, both for single files and for folders compiled by SimFoundry."""
+"""The URDF importer, which reads both single files and folders compiled by SimFoundry."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

@@ -37,7 +37,11 @@ def is_poses(path: Path) -> bool:
 
 
 def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
-    """Read a scene from a ``poses.json`` file and its URDFs; raise :class:`ImportRefusedError` if they are invalid."""
+    """Read a scene from a ``poses.json`` file and its URDFs.
+
+    Raises:
+        ImportRefusedError: If any of these files is invalid.
+    """
     draft = ModelDraft(path.parent.name, "URDF")
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
     for name, entry in read_json(path).items():
@@ -88,7 +92,7 @@ def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, An
 
 
 def _with_capsules(parts: list[PartDraft]) -> list[PartDraft]:
-    """Return the parts of a link, turning any cylinder and two spheres that represent a capsule into a capsule."""
+    """Return the parts of a link, merging any cylinder and two spheres that represent a capsule into a capsule."""
     by_name = {(part.name, part.use): part for part in parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():

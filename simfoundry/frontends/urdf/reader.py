@@ -52,7 +52,8 @@ _READ = {
 def read_urdf(path: Path, options: ImportOptions) -> ModelDraft:
     """Read a URDF file into a draft with a single body.
 
-    Raises :class:`ImportRefusedError` with a line number if the file is invalid.
+    Raises:
+        ImportRefusedError: If the file is invalid. The error includes a line number.
     """
     return _UrdfReader(path, options).read()
 
@@ -61,7 +62,7 @@ Named = TypeVar("Named", LinkDraft, JointDraft)
 
 
 class _UrdfReader:
-    """Reads a single URDF file."""
+    """A reader for a single URDF file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.search = path, FileSearch(path, options.packages)
@@ -99,7 +100,11 @@ class _UrdfReader:
         return self.draft
 
     def root_link(self, links: dict[str, LinkDraft], joints: Iterable[JointDraft]) -> str:
-        """Return the name of the root link; raise an error unless links and joints form a single tree."""
+        """Return the name of the root link.
+
+        Raises:
+            ImportRefusedError: If the links and joints do not form a single tree.
+        """
         if not links:
             raise self.root.refused("the robot has no links")
         children = Counter(joint.child for joint in joints)
@@ -148,7 +153,10 @@ class _UrdfReader:
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def parts(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
-        """Yield the parts of a `<visual>` or `<collision>` element: a single part, or one per group in an OBJ mesh."""
+        """Yield the parts of a `<visual>` or `<collision>` element.
+
+        An OBJ collision mesh with several groups has one part per group. Any other element has a single part.
+        """
         geometry = element.first("geometry")
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
@@ -162,13 +170,16 @@ class _UrdfReader:
         if drafted is None:
             return
         if use == "visual" and isinstance(drafted, MeshDraft) and self.mesh_width(drafted) > LARGEST:
-            self.draft.dropped(f"visual mesh of `{link}`", f"it is larger than {LARGEST:g} m")
+            self.draft.dropped(f"visual mesh of `{link}`", f"the mesh is larger than {LARGEST:g} m")
             return
         color = self.color(element.first("material")) if use == "visual" else None
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
     def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft | None, Pose]:
-        """Return a shape and its pose in the element, or record the shape and return None if it is unsupported."""
+        """Return a shape and its pose in the element.
+
+        Unsupported shapes are recorded, and None is returned instead of the shape.
+        """
         if shape.tag == "mesh":
             return self.mesh(shape), IDENTITY
         if shape.tag == "plane":
@@ -183,7 +194,7 @@ class _UrdfReader:
         if min(sizes) < 0:
             raise shape.refused(f"a `<{shape.tag}>` of link `{link}` has a negative size")
         if min(sizes) == 0:
-            self.draft.dropped(what, "its size is zero")
+            self.draft.dropped(what, "the size is zero")
             return None, IDENTITY
         return primitive(shape.tag, *sizes), IDENTITY
 
@@ -237,7 +248,7 @@ class _UrdfReader:
         return joint
 
     def set_type_and_limits(self, joint: JointDraft, element: Element) -> None:
-        """Set the type and the limits of a joint as documents define them."""
+        """Set the type and the limits of a joint in the form that documents use."""
         what, limit = f"joint `{joint.name}`", element.first("limit")
         bounds, is_stated = None, False
         if limit is not None:
@@ -262,7 +273,7 @@ class _UrdfReader:
                 self.draft.changed(what, "both limits are 0, so the joint is fixed")
             case "revolute":
                 joint.type = "continuous"
-                self.draft.changed(what, "it has no limits, so it became a continuous joint")
+                self.draft.changed(what, "the joint has no limits, so it became a continuous joint")
             case "prismatic":
                 joint.limits = self.draft.unlimited_slide(what)
             case "spherical":
@@ -307,7 +318,7 @@ def _origin(element: Element) -> Pose:
 
 
 def _upright(normal: Array) -> Pose:
-    """Return a pose that rotates the z axis to the ``normal`` direction."""
+    """Return a rotation that aligns the z axis with ``normal``."""
     length = float(np.linalg.norm(normal))
     z = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     across = np.array([-z[1], z[0], 0.0])
@@ -326,7 +337,10 @@ def _lock(joint: JointDraft, position: float) -> None:
 
 
 def _united(visuals: list[PartDraft], colliders: list[PartDraft]) -> list[PartDraft]:
-    """Combine visuals and colliders; a visual and a collider with the same geometry and pose become one part."""
+    """Combine visuals and colliders.
+
+    A visual and a collider with the same geometry and pose become a single part.
+    """
     left = list(colliders)
     for part in visuals:
         proxy = next((p for p in left if _same_geometry(p, part)), None)

@@ -1,4 +1,4 @@
-"""USD importer, both for arbitrary stages and for stages compiled by SimFoundry (``compiled``)."""
+"""The USD importer, which reads both arbitrary stages and stages compiled by SimFoundry (``compiled``)."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

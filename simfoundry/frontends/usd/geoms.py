@@ -33,7 +33,10 @@ AXES = {
 
 
 class UsdGprims:
-    """Converts the gprims in a stage to parts; the stage units are ``to_kg`` [kg] and ``to_m`` [m]."""
+    """A converter from the gprims in a stage to parts.
+
+    ``to_m`` [m] and ``to_kg`` [kg] are the stage's units of length and mass.
+    """
 
     def __init__(self, pxr: Any, draft: ModelDraft, to_kg: float, to_m: float) -> None:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
@@ -69,7 +72,7 @@ class UsdGprims:
         """
         kind, scales = prim.GetTypeName(), np.linalg.norm(X_LG[:3, :3], axis=0)
         if not np.isfinite(X_LG).all() or scales.min() <= 0:
-            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "its scale is zero or not finite")
+            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scale is zero or not finite")
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
@@ -83,7 +86,7 @@ class UsdGprims:
         return None if mesh is None else self.baked(prim, mesh, X_LG, R_LG if is_orthogonal else None)
 
     def primitive(self, prim: Any, kind: str, scales: Array) -> tuple[PrimitiveShape, Pose] | None:
-        """Return a scaled gprim as a primitive with its pose in the gprim's frame, or None if this is impossible."""
+        """Return a scaled gprim as a primitive with its pose in the gprim's frame, or None if no primitive fits."""
         match kind:
             case "Cube":
                 return primitive("box", *(prim.GetAttribute("size").Get() * scales).tolist()), IDENTITY
@@ -115,14 +118,17 @@ class UsdGprims:
         return mesh_of_parts([part], plain_name(prim.GetName(), "mesh")), pose
 
     def mesh(self, prim: Any) -> MeshPart | None:
-        """Return the triangles of a mesh in the gprim's units; polygons are triangulated as fans."""
+        """Return the triangles of a mesh in the gprim's units.
+
+        Polygons are triangulated as fans.
+        """
         mesh = self.pxr.UsdGeom.Mesh(prim)
         points = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
         indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
         is_sound = len(points) and len(counts) and counts.sum() == len(indices) and counts.min() >= 0
         if not is_sound or indices.min() < 0 or indices.max() >= len(points):
-            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "it has no valid faces")
+            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "the mesh has no valid faces")
             return None
         corners = _fans(counts)
         faces = indices[corners]
@@ -133,7 +139,7 @@ class UsdGprims:
         return MeshPart(points[faces.reshape(-1)], np.arange(faces.size, dtype=np.int32).reshape(-1, 3), uv)
 
     def coordinates(self, prim: Any, corners: Any, faces: Any) -> Array | None:
-        """Return the texture coordinates of each face corner, shape (3 m, 2), v up."""
+        """Return the texture coordinates of each face corner as an array of shape (3 m, 2), with v pointing up."""
         found = (self.pxr.UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name) for name in COORDINATES)
         primvar = next((v for v in found if v and v.HasValue()), None)
         if primvar is None or primvar.GetInterpolation() == "constant":
@@ -163,7 +169,7 @@ class UsdGprims:
             case _:
                 self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scene language does not support this shape")
                 return None
-        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"it is represented by {len(made.faces)} triangles")
+        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"the shape is represented by {len(made.faces)} triangles")
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
     def surface(self, prim: Any) -> tuple[Contact, float | None]:
@@ -177,13 +183,13 @@ class UsdGprims:
         attributes = (target.GetAttribute(f"physics:{name}") for name in names)
         static, dynamic, restitution, density = (float(a.Get()) if a.HasAuthoredValue() else None for a in attributes)
         if static is not None and dynamic is not None and abs(static - dynamic) > EVEN_SCALE:
-            self.draft.changed(f"material `{target.GetPath()}`", "only its dynamic friction is used")
+            self.draft.changed(f"material `{target.GetPath()}`", "only the dynamic friction is used")
         given = {"friction": static if dynamic is None else dynamic, "restitution": restitution}
         contact = {key: value for key, value in given.items() if value is not None}
         return contact, density * self.to_kg / self.to_m**3 if density else None
 
     def look(self, prim: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the color of a gprim and its texture as PNG; each may be None."""
+        """Return the color of a gprim and its texture as PNG, either of which may be None."""
         material, _ = self.pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
         shader = material.ComputeSurfaceSource()[0] if material else None
         if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
@@ -196,7 +202,7 @@ class UsdGprims:
         return _rgba(colors[0], float(opacity[0]) if opacity else 1.0), None
 
     def preview(self, shader: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the color of a UsdPreviewSurface and its texture as PNG; each may be None."""
+        """Return the color of a UsdPreviewSurface and its texture as PNG, either of which may be None."""
         diffuse, opacity = shader.GetInput("diffuseColor"), shader.GetInput("opacity")
         if not diffuse:
             return None, None
@@ -206,7 +212,7 @@ class UsdGprims:
             file = node.GetInput("file").Get() if node and node.GetInput("file") else None
             png = _png(file.resolvedPath) if file is not None and file.resolvedPath else None
             if png is None:
-                self.draft.dropped(f"texture of `{shader.GetPath()}`", "its image could not be found")
+                self.draft.dropped(f"texture of `{shader.GetPath()}`", "the image could not be found")
             return None, png
         color = diffuse.Get()
         alpha = float(opacity.Get()) if opacity and isinstance(opacity.Get(), float) else 1.0
@@ -228,7 +234,11 @@ def _is_even(scales: Array) -> bool:
 
 
 def _fans(counts: Any) -> Any:
-    """Triangulate faces as fans; return three indices into the list of face corners per triangle, shape (m, 3)."""
+    """Triangulate faces as fans.
+
+    Returns:
+        Three indices into the list of face corners for each triangle, shape (m, 3).
+    """
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     per_face = np.maximum(counts - 2, 0)
     face = np.repeat(np.arange(len(counts)), per_face)

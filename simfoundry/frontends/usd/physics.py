@@ -37,7 +37,7 @@ _DAMPING = ("mjc:damping", "newton:damping")
 
 @dataclass
 class UsdJoint:
-    """A joint with parent body0 and child body1, which may be swapped when the tree is constructed.
+    """A joint with the parent ``body0`` and the child ``body1``, which may be swapped when the tree is constructed.
 
     ``X_0`` and ``X_1`` are the poses of the joint frame in the two bodies. The axis is expressed in the joint frame.
     """
@@ -59,8 +59,8 @@ def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims
 
     Args:
         prim: Prim of the joint.
-        end: Function that resolves the targets of one end of the joint.
-        geoms: The draft and the stage units.
+        end: Function that resolves the targets at one end of the joint.
+        geoms: Converter that contains the draft and the stage units.
     """
     joint = geoms.pxr.UsdPhysics.Joint(prim)
     ends = (end(list(relation.GetTargets())) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()))
@@ -76,7 +76,10 @@ def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
     """Return the pose specified by a prim's position and rotation attributes.
 
-    Missing values and zero quaternions mean identity. Raises :class:`ImportRefusedError` for non-finite numbers.
+    Missing values and zero quaternions represent the identity.
+
+    Raises:
+        ImportRefusedError: If a number is not finite.
     """
     p = np.array(position if position is not None else (0, 0, 0), dtype=np.float64) * scale
     q = (1.0, 0.0, 0.0, 0.0) if rotation is None else (rotation.GetReal(), *rotation.GetImaginary())
@@ -87,7 +90,7 @@ def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float
 
 
 class _JointReader:
-    """Reads the type, limits and dynamics of a joint."""
+    """A reader for the type, limits and dynamics of a joint."""
 
     def __init__(self, prim: Any, joint: JointDraft, geoms: UsdGprims) -> None:
         self.prim, self.joint, self.label = prim, joint, f"joint `{joint.name}`"
@@ -124,7 +127,7 @@ class _JointReader:
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
-            self.draft.changed(self.label, "its limits leave no range of motion, so the joint is fixed at zero")
+            self.draft.changed(self.label, "the limits leave no range of motion, so the joint is fixed at zero")
         elif turns:
             joint.type = "continuous"
             if (low is None) != (high is None):
@@ -134,7 +137,7 @@ class _JointReader:
             joint.type, joint.limits = "prismatic", (least if low is None else low, most if high is None else high)
 
     def dynamics(self, token: str, turns: bool) -> None:
-        """Set damping, friction, armature and drive; angular quantities in the stage are per degree."""
+        """Set the damping, friction, armature and drive of a joint. Angular quantities in the stage are per degree."""
         prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
         force = to_kg * to_m * (to_m if turns else 1.0)
         per_unit = math.degrees(1.0) if turns else 1.0 / to_m
@@ -148,7 +151,7 @@ class _JointReader:
         if stiffness <= 0 and damping <= 0:
             return
         if drive.GetTypeAttr().Get() == "acceleration":
-            why = "it is an acceleration drive, but only force drives are supported"
+            why = "only force drives are supported, not acceleration drives"
             self.draft.dropped(f"drive of {self.label}", why)
             return
         factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
@@ -162,7 +165,7 @@ class _JointReader:
         )
 
     def six_axes(self) -> None:
-        """Convert a joint with individually locked axes to a fixed, one-axis, ball or free joint.
+        """Convert a joint with individually locked axes to a fixed, single-axis, ball or free joint.
 
         If none of these types matches, the joint becomes fixed and its motion is recorded as dropped.
         """
@@ -201,8 +204,8 @@ NOISE = 1e-9
 class UsdBody:
     """A rigid body in the stage.
 
-    ``X_WB`` is the pose of the body frame in the world, and ``scale`` [m per unit] is the scale of its units. ``X_BL``
-    is the pose of the link frame in the body frame, which joints may change.
+    ``X_WB`` is the pose of the body frame in the world, and ``scale`` [m per unit] converts lengths in that frame to
+    meters. ``X_BL`` is the pose of the link frame in the body frame, which joints may change.
     """
 
     prim: Any
@@ -231,7 +234,7 @@ def add_mass(body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
     elif masses and len(masses) == len(colliders):
         link.mass = math.fsum(masses) * to_kg
         if len(masses) > 1:
-            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is distributed by volume")
+            draft.changed(f"masses of the colliders of `{link.name}`", "the sum of the masses is distributed by volume")
     elif len(densities) == 1 and None not in densities:
         link.density = densities.pop()
     elif link.colliders:

@@ -37,7 +37,11 @@ AT_ZERO = 1e-5
 
 
 def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the scene in a USD file; raise :class:`ImportRefusedError` if it cannot be imported."""
+    """Read the scene in a USD file.
+
+    Raises:
+        ImportRefusedError: If the file cannot be imported.
+    """
     from pxr import Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
     pxr = SimpleNamespace(Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade)
@@ -64,7 +68,7 @@ def _check_layers(path: Path, stage: Any) -> None:
 
 
 class _UsdReader:
-    """Converts a stage to a draft."""
+    """A converter from a stage to a draft."""
 
     def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
         self.path, self.pxr, self.stage = path, pxr, stage
@@ -129,20 +133,24 @@ class _UsdReader:
         self.draft.gravity = tuple((np.round(down * float(size) * self.to_m, 6) + 0.0).tolist())
 
     def known(self, prim: Any) -> bool:
-        """Return True for a prim that has no content of its own or is read together with another prim."""
+        """Return True for a prim that has no content of its own or that is read together with another prim."""
         usd, lux = self.pxr.UsdGeom, self.pxr.UsdLux
         kinds = (usd.Camera, self.pxr.UsdPhysics.Joint, lux.BoundableLightBase, lux.NonboundableLightBase)
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform, shape (4, 4), from a prim's frame and units to the world frame in meters with z up."""
+        """Return the transform from a prim's frame and units to the world frame, which is in meters with z up.
+
+        Returns:
+            Transformation matrix, shape (4, 4).
+        """
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has non-finite numbers")
         return np.asarray(self.W @ X_SP)
 
     def frame(self, prim: Any) -> tuple[Pose, Array]:
-        """Return the pose of a prim in the world, without mirroring, and its scale [m per unit]."""
+        """Return a prim's pose in the world, without mirroring, and its scale [m per unit]."""
         X_WP = self.matrix(prim)
         scales = np.linalg.norm(X_WP[:3, :3], axis=0)
         scales = np.where(scales > 0, scales, 1.0)
@@ -170,10 +178,10 @@ class _UsdReader:
             if how == "convexDecomposition":
                 body.link.collision = "decompose"
             elif how not in (None, "none", "convexHull"):
-                self.draft.changed(f"collider `{prim.GetPath()}`", "it collides as its convex hull", str(how))
+                self.draft.changed(f"collider `{prim.GetPath()}`", "the mesh collides as its convex hull", str(how))
 
     def group(self, prim: Any) -> str:
-        """Return the path of the prim that represents the object of a static gprim.
+        """Return the path of the prim that represents the object to which a static gprim belongs.
 
         This prim is the nearest parent Xform, or the gprim itself if it is directly below the default prim.
         """
@@ -199,7 +207,7 @@ class _UsdReader:
                 yield read_joint(prim, self.end, self.geoms)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """Return the body (or the world) at one end of a joint, and the pose and scale of the target in that body."""
+        """Return the body (or the world) at one end of a joint, with the target's pose in that body and its scale."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -226,7 +234,9 @@ class _UsdReader:
                 self.tree(root, left, at, used)
         for joint in joints:
             if id(joint) not in used:
-                self.draft.dropped(f"joint `{joint.path}`", "it closes a kinematic loop, and only trees are supported")
+                self.draft.dropped(
+                    f"joint `{joint.path}`", "the joint closes a kinematic loop, but only trees are supported"
+                )
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """Add an object consisting of a root body and all of its descendants."""
@@ -260,7 +270,7 @@ class _UsdReader:
         self.rename(draft)
 
     def fasten(self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose) -> None:
-        """Attach a child to its parent, and move the frame of the child link to the joint."""
+        """Attach a child to its parent, and move the frame of the child's link to the joint."""
         X_CJ, drafted = joint.frame(child), joint.draft
         X_CL = Pose.of(X_CJ.p) if drafted.type != "fixed" else Pose.of()
         self.bodies[child].X_BL = X_CL
@@ -275,7 +285,10 @@ class _UsdReader:
         draft.joints.append(drafted)
 
     def position(self, draft: BodyDraft, joint: JointDraft) -> float:
-        """Return the current position of a joint: its child's motion along the axis, relative to the zero position."""
+        """Return the current position of a joint.
+
+        This is the motion of its child along the axis, relative to the zero position.
+        """
         parent, child = self.bodies.get(joint.parent), self.bodies[joint.child]
         X_WP = draft.X_WO if parent is None else parent.X_WB @ parent.X_BL
         moved = joint.X_PC.inverse() @ X_WP.inverse() @ child.X_WB @ child.X_BL

@@ -37,18 +37,18 @@ def _pose(X_WP: Array) -> Pose:
 
 
 def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
-    """Add all perspective cameras; cameras below a rigid body are attached to its link."""
+    """Add all perspective cameras. Cameras below a rigid body are attached to its link."""
     for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
         focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in (*LENS, *OFFSETS))
         if camera.GetProjectionAttr().Get() != "perspective":
-            draft.dropped(what, "it is orthographic, but only pinhole cameras are supported")
+            draft.dropped(what, "the camera is orthographic, but only pinhole cameras are supported")
             continue
         if min(focal, across, up) <= 0:
-            draft.dropped(what, "its focal length or aperture is not positive")
+            draft.dropped(what, "the focal length or aperture is not positive")
             continue
         height = max(1, round(WIDTH * up / across))
-        draft.assumed(f"image size of {what}", f"the stage specifies none; a width of {WIDTH} px is assumed")
+        draft.assumed(f"image size of {what}", f"the stage specifies no size; a width of {WIDTH} px is assumed")
         X_WC = _pose(matrix(prim)) @ X_CU
         drafted = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WC)
         if right or above:
@@ -80,7 +80,9 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         if kind is LightType.DOME and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
             draft.dropped(f"texture of light `{path}`", "a dome light can only have a uniform color")
         if strength > BRIGHTEST:
-            why = "it assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
+            why = (
+                "the intensity assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
+            )
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
         draft.lights.append(LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z)))

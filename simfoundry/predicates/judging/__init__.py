@@ -1,1 +1,4 @@
-"""Measurement and evaluation of predicates: bodies and states of a scene, terms with margins, and the judge."""
+"""Measurement and evaluation of predicates.
+
+This package contains the bodies and states of a scene, the terms of predicates with their margins, and the judge.
+"""

@@ -1,4 +1,4 @@
-"""Collision bodies for predicates: preprocessed colliders of each link, and the lookup of arguments by name."""
+"""Collision bodies for predicates, with the preprocessed colliders of each link and the lookup of arguments by name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PredicateError(SimfoundryError, ValueError):
-    """An error raised if a predicate cannot be evaluated in a scene; the message explains why."""
+    """An error raised if a predicate cannot be evaluated in a scene. The message explains the reason."""
 
 
 class NoCavityError(PredicateError):
@@ -27,7 +27,7 @@ class NoCavityError(PredicateError):
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """An object or robot (``item``) with the ``forms`` of its links; the form of a link without a shape is None."""
+    """An object or robot (``item``) with the ``forms`` of its links. The form of a link without a shape is None."""
 
     item: SceneObject
     forms: tuple[Form | None, ...]
@@ -40,13 +40,13 @@ class CollisionBody:
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, Joint]]:
-        """The parent link of each link except the first, and the joint that connects the two, keyed by link index."""
+        """The parent of each link except the first, and the joint that connects the two, keyed by link index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
         return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
 
     @cached_property
     def turns(self) -> dict[int, Turn]:
-        """The rotation about the joint axis for each link except the first, keyed by link index."""
+        """The rotation of each link except the first about its joint axis, keyed by link index."""
         return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
@@ -55,7 +55,10 @@ class CollisionBody:
 
 
 class Entity(NamedTuple):
-    """The links of a body that an argument refers to, as indices. Bounding boxes use the frame of the first link."""
+    """The links of a body that an argument refers to, as indices.
+
+    Bounding boxes use the frame of the first of these links.
+    """
 
     name: str
     owner: str
@@ -64,7 +67,7 @@ class Entity(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """The joints of one object that an argument refers to; all of them have limits."""
+    """The joints of one object that an argument refers to, all of which have limits."""
 
     owner: str
     joints: tuple[Joint, ...]
@@ -96,7 +99,10 @@ class Bodies:
         }
 
     def thing(self, argument: str) -> Entity:
-        """Return the entity that an argument refers to: ``object``, ``object.link``, ``object.joint`` or a robot."""
+        """Return the entity that an argument refers to.
+
+        The argument has the form ``object``, ``object.link`` or ``object.joint``, or is the name of a robot.
+        """
         owner, _, part = argument.partition(".")
         body = self._body(owner)
         links = body.item.links
@@ -133,7 +139,10 @@ class Bodies:
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
-        """Return the joints that an argument refers to: a single joint, or all of an object's limited joints."""
+        """Return the joints that an argument refers to.
+
+        These are either a single joint, or all joints of an object that have limits.
+        """
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
@@ -171,6 +180,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """Return the form of a link. Forms are cached, so scenes that share an object compute its forms only once."""
+    """Return the form of a link. Forms are cached, so they are computed only once for scenes that share an object."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

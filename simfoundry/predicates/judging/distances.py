@@ -1,4 +1,4 @@
-"""Distances between entities in many states: bounds first, and exact values where the bounds are inconclusive."""
+"""Distances between entities in many states. Exact values are computed only where bounds are inconclusive."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ FLATTEST = math.cos(math.radians(80.0))
 class Distances:
     """Distances between the bodies in a scene.
 
-    If ``bounds_first`` is set, thresholds are decided from bounds even for few states, and MuJoCo is only loaded if the
-    bounds are inconclusive. The verdicts are the same, but the reported values are not exact distances.
+    If ``bounds_first`` is set, comparisons with thresholds are decided from bounds even if there are few states, and
+    MuJoCo is loaded only if the bounds are inconclusive. The verdicts are the same, but the reported values are not
+    exact distances.
     """
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
@@ -38,7 +39,7 @@ class Distances:
         return Exact(self._bodies.link_shapes())
 
     def between(self, view: View, a: Entity, b: Entity, threshold: float | None = None) -> Array:
-        """Return the signed distance [m] between two entities, shape (n,).
+        """Return the signed distance [m] between two entities, as an array of shape (n,).
 
         The distance is negative if they overlap, and inf if either entity has no colliders. Distances below :data:`FAR`
         are exact; larger distances are returned as values between :data:`FAR` and the true distance. For more than
@@ -69,12 +70,15 @@ class Distances:
         return np.asarray(out)
 
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
-        """Return the distance [m] from ``b`` to ``a`` and the cosine of the push of ``b`` to the vertical, (n,) each.
+        """Return the distance from ``b`` to ``a``, and the cosine between the push of ``b`` and the vertical.
 
         The cosine is the largest one for any direction from a part of ``b`` to a part of ``a`` that is within ``limit``
         [m] of it, or -1 if no parts are that close. If several parts push together, like the walls of a funnel, it is
         the cosine of their steepest combined direction. For more than :data:`FEW` states, only the comparisons with
         ``limit`` and ``steepest`` are exact.
+
+        Returns:
+            The distance [m] and the cosine, shape (n,) each.
         """
         many = view.n > FEW or self._bounds_first
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
@@ -114,7 +118,7 @@ class Distances:
         return gap, cosine
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
-        """Return bounds on the distances between two links that are on the correct side of a threshold."""
+        """Return bounds on the distances between two links. The bounds are on the correct side of a threshold."""
         found, open_ = distance.bound_distances(pair, threshold, self._bounds_first)
         if len(open_):
             some, most = pair.at(open_), np.full(len(open_), np.nextafter(threshold, np.inf))
@@ -123,9 +127,9 @@ class Distances:
 
 
 def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls], Array]:
-    """Return the bounding balls of two entities' links, and the gaps between them [m], (n, links of a, links of b).
+    """Return the bounding balls of the links of two entities, and the gaps between these balls.
 
-    The gap between a link and itself is infinite.
+    The gaps [m] have the shape (n, links of a, links of b). The gap between a link and itself is infinite.
     """
     first, second = view.balls(a), view.balls(b)
     off = first.center[:, :, None] - second.center[:, None]

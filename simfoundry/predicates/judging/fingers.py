@@ -1,4 +1,4 @@
-"""The fingers of a gripper, and a test of whether they hold an object between them."""
+"""The fingers of a gripper, and a test that determines if they hold an object between them."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ STILL = 0.001
 
 @dataclass(frozen=True, eq=False)
 class Fingers:
-    """The two sides of a gripper as entities.
+    """The two sides of a gripper, represented as entities.
 
-    ``axis`` is a unit vector in the frame of link ``base``. The first side closes along ``axis``, and the second side
-    closes in the opposite direction.
+    ``axis`` is a unit vector in the frame of the ``base`` link. The first side closes along ``axis``, and the second
+    side closes in the opposite direction.
     """
 
     sides: tuple[Entity, Entity]
@@ -35,7 +35,11 @@ class Fingers:
 
 
 def fingers(bodies: Bodies, name: str) -> Fingers | None:
-    """Find a robot's fingers from how its links move when the gripper closes; return None if it has no gripper."""
+    """Find a robot's fingers from the motion of its links when the gripper closes.
+
+    Returns:
+        The fingers, or None if the robot has no gripper.
+    """
     from simfoundry.scene.robot import mujoco_model
 
     body = bodies[name]
@@ -82,7 +86,10 @@ def _carrier(body: CollisionBody, gripper: Gripper) -> int:
 
 
 def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Entity) -> Array:
-    """Return the margin [m] by which any of the hands holds an object, shape (n,); at least -:data:`FAR`."""
+    """Return the margin [m] by which any of the hands holds an object, as an array of shape (n,).
+
+    The margin is at least -:data:`FAR`.
+    """
     best = np.full(view.n, -FAR)
     for hand in hands:
         margin = TOUCH - np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
@@ -94,10 +101,11 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """Return how much closer [m] each gripper side gets to an object when it closes by :data:`PRESS`, shape (n,).
+    """Return how much closer [m] each side of a gripper gets to an object when it closes by :data:`PRESS`.
 
-    Deeper penetration counts as getting closer, and the smaller of the values for the two sides is returned. This value
-    is small for a side that touches the object without holding it, because that side slides along the object.
+    Deeper penetration counts as getting closer. The result is the smaller of the values for the two sides, as an array
+    of shape (n,). This value is small for a side that touches the object without holding it, because that side slides
+    along the object.
     """
     X_WB = view.link(hand.sides[0].owner, hand.base)
     way = X_WB.R @ hand.axis
@@ -109,7 +117,10 @@ def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> 
 
 
 def shifted(view: View, thing: Entity, offset: Array) -> View:
-    """Return the same states with the links of one entity translated by ``offset`` [m], shape (n, 3)."""
+    """Return the same states, except that the links of one entity are translated by ``offset`` [m].
+
+    ``offset`` is an array of shape (n, 3).
+    """
     other = view.at(np.arange(view.n))
     for k in thing.links:
         X_WL = view.link(thing.owner, k)

@@ -1,4 +1,4 @@
-"""Evaluation of conditions in one state or in many states at once, with values, margins and explanations."""
+"""Evaluation of conditions in one state or in many states at once, including values, margins and explanations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Context:
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:
-        """The fingers of all robots that have a gripper, keyed by robot."""
+        """The fingers of all robots that have a gripper, keyed by robot name."""
         found = {name: fingers(self.bodies, name) for name in self.bodies.robots}
         return {name: hand for name, hand in found.items() if hand is not None}
 
@@ -51,7 +51,7 @@ class Context:
 
 
 class Term(NamedTuple):
-    """A quantity that contributes to the decision, with its ``value`` and ``margin``, shape (n,).
+    """A quantity that contributes to the decision, with its ``value`` and its ``margin`` in n states.
 
     Both are NaN in states in which an earlier term was decisive.
     """
@@ -61,7 +61,7 @@ class Term(NamedTuple):
     explain: Explain
 
     def text(self, k: int) -> str:
-        """Return the explanation for the k-th state."""
+        """Return the explanation of the term in the k-th state."""
         return self.explain(float(self.value[k]), bool(self.margin[k] > 0))
 
 
@@ -94,7 +94,7 @@ class Terms:
         self.terms.append(Term(value, margins, explain))
 
     def require_at_rest(self, a: Entity) -> None:
-        """Require that the object of ``a`` moves no faster than :data:`SETTLED`."""
+        """Require that the object of ``a`` does not move faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
         self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
 
@@ -139,7 +139,7 @@ class Judge:
     ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.predicate`.
 
     If ``bounds_first`` is set, the values are the same, but margins and explanations may contain bounds instead of
-    distances, and MuJoCo is only loaded if the bounds are inconclusive.
+    distances, and MuJoCo is loaded only if the bounds are inconclusive.
 
     Raises:
         ExpressionError: If a condition is invalid.
@@ -157,20 +157,20 @@ class Judge:
         return Verdict(bool(value[0]), float(margin[0]), why(0))
 
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
-        """Return the values and margins of a condition in n states, shape (n,) each."""
+        """Return the values and margins of a condition in n states, as arrays of shape (n,)."""
         values, margins = np.zeros(batch.n, bool), np.zeros(batch.n)
         for index, view in self._views(batch):
             values[index], margins[index], _ = self._judged(condition, view)
         return values, margins
 
     def _views(self, batch: StateBatch) -> Iterator[tuple[Index, View]]:
-        """Yield views of :data:`CHUNK` states each, along with the indices of these states."""
+        """Yield views of at most :data:`CHUNK` states, along with the indices of these states."""
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
             yield index, View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))
 
     def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
-        """Return the values of several named conditions in n states, shape (n,) each.
+        """Return the values of several named conditions in n states, as arrays of shape (n,).
 
         This is faster than calling :meth:`batch` for each condition because the conditions share poses and verdicts. A
         part of a condition is only evaluated if the preceding parts are inconclusive in at least one state.
@@ -183,7 +183,10 @@ class Judge:
         return found
 
     def _value(self, condition: Any, view: View, known: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Return the values of a condition; ``known`` caches the values of evaluated predicates by their text."""
+        """Return the values of a condition.
+
+        ``known`` caches the values of predicates that have been evaluated, keyed by text.
+        """
         tag, below = parts(condition)
         if tag == "text":
             if condition not in known:
@@ -230,7 +233,7 @@ class Judge:
             return _Judged(~judged[0].value, -judged[0].margin, judged[0].why)
 
         def why(k: int) -> str:
-            """Explain the conditions that decide the value in the k-th state, or all of them if none decides it."""
+            """Explain the conditions that decide the value in the k-th state, or all of them if none is decisive."""
             deciding = [j for j in judged if bool(j.value[k]) is (tag == "any")]
             return "; ".join(text for j in deciding or judged if (text := j.why(k)))
 

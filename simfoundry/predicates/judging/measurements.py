@@ -1,4 +1,4 @@
-"""Measurements used by single predicates: support from below, depth in a cavity, and intersections of plumb lines."""
+"""Measurements for individual predicates, such as support from below, depth in a cavity, and hits by plumb lines."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from simfoundry.scene.lengths import length
 
 
 class Meeting(NamedTuple):
-    """The depths [m] at which plumb lines through one entity hit parts of another entity over and under it, (n,) each.
+    """The depths [m] at which plumb lines through one entity hit parts of another entity over and under it.
 
-    Each depth is the smaller of two values: the distance from the line to the part's outline, and the length by which
-    the part extends beyond the end of the first entity along the line. The depth is negative if nothing is hit.
+    The depths are arrays of shape (n,). Each depth is the smaller of two values: the distance from the line to the
+    part's outline, and the length by which the part extends beyond the end of the first entity along the line. The
+    depth is negative if nothing is hit.
     """
 
     over: Array
@@ -54,9 +55,9 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
 
 
 def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
-    """Return the ends of plumb lines within the entity itself, relative to the given points [m], shape (n,).
+    """Return the ends of plumb lines within the entity itself, relative to the given points.
 
-    Both ends are 0 if the line does not hit the entity.
+    The ends [m] have the shape (n,). Both ends are 0 if the line does not hit the entity.
     """
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
@@ -81,8 +82,8 @@ SAMPLES = 64
 def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
     """Return the cavities of an entity's links in their current orientations.
 
-    Each cavity comes with its link index and the indices of the states in which the link has this orientation. The up
-    axis of a cavity is the link axis closest to the vertical.
+    Each cavity is accompanied by its link index and by the indices of the states in which the link has this
+    orientation. The up axis of a cavity is the link axis closest to the vertical.
     """
     found = []
     for k in view.bodies.hollow_links(b):
@@ -98,9 +99,9 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 
 
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
-    """Return the depth [m] in a cavity of ``b`` that the fraction :data:`ENCLOSED` of ``a`` reaches, shape (n,).
+    """Return the depth [m] in a cavity of ``b`` that the fraction :data:`ENCLOSED` of ``a`` reaches.
 
-    The depth is -inf if ``b`` is tilted too far to contain anything.
+    The depth is an array of shape (n,). It is -inf if ``b`` is tilted too far to contain anything.
     """
     out = np.full(view.n, -np.inf)
     for k, hole, states in held_upward(view, b):
@@ -113,9 +114,10 @@ def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
 
 
 def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
-    """Return the depth [m] that the fraction :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity, shape (n,).
+    """Return the depth [m] that the fraction :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity.
 
-    Outside the cavity, the depth is the negative distance, or a bound on it if all of ``a`` is far outside.
+    The depth is an array of shape (n,). Outside the cavity, it is the negative distance, or a bound on this value if
+    all of ``a`` is far outside.
     """
     X_WB = view.link(owner, k)
     out = np.full(view.n, np.inf)
@@ -144,7 +146,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """Return the number of samples for each link, which is proportional to the link's mass."""
+    """Return the number of samples for each link, which is proportional to the mass of the link."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -154,7 +156,7 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """Return the margin [m] that remains before the opening of a cavity faces too far down, shape (n,).
+    """Return the margin [m] that remains before the opening of a cavity faces too far down, as an array of shape (n,).
 
     The margin is scaled by the depth of the cavity.
     """
@@ -164,7 +166,10 @@ def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def least_cosine(context: Context, a: Entity, b: Entity) -> float:
-    """Return the minimum cosine between the vertical and the normal of a contact through which ``b`` supports ``a``."""
+    """Return the smallest cosine for which a contact supports ``a``.
+
+    This is the cosine of the angle between the vertical and the normal of the contact between ``a`` and ``b``.
+    """
     friction = math.sqrt(_friction(context, a) * _friction(context, b))
     return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
 
@@ -177,7 +182,7 @@ def _friction(context: Context, thing: Entity) -> float:
 
 
 class SupportContact:
-    """The distance and push between two entities, measured together in states that are still undecided."""
+    """The distance and the push between two entities, measured together in states that are still undecided."""
 
     def __init__(self, context: Context, a: Entity, b: Entity) -> None:
         self.context, self.a, self.b = context, a, b
@@ -186,7 +191,7 @@ class SupportContact:
         self._rival: NDArray[np.bool_] = np.zeros(0, bool)
 
     def gap(self, view: View) -> Array:
-        """Return the distance [m], shape (n,).
+        """Return the distance [m] between the entities, as an array of shape (n,).
 
         The push and the states in which a closer object supports ``a`` are stored.
         """
@@ -204,19 +209,19 @@ class SupportContact:
         return gap
 
     def margin(self, gap: Array) -> Array:
-        """Return the margin [m] for distances returned by :meth:`gap`, shape (n,)."""
+        """Return the margin [m] for distances returned by :meth:`gap`, as an array of shape (n,)."""
         return np.asarray(np.where(self._rival, CLOSE, TOUCH) - gap)
 
     def push(self, _: View) -> Array:
-        """Return the cosine between the vertical and the push in the states with a positive margin."""
+        """Return the cosine of the angle between the push and the vertical in the states with a positive margin."""
         return self._up
 
 
 def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
-    """Return the distance [m] of the center of mass of ``a`` from the edge of the outline of ``b``, shape (n,).
+    """Return the distance [m] between the center of mass of ``a`` and the edge of the outline of ``b``.
 
-    The distance is positive inside the outline. If the center of mass is outside and another object also touches
-    ``a``, the margin of that contact is returned instead.
+    The distance is an array of shape (n,), which is positive inside the outline. If the center of mass is outside and
+    another object also touches ``a``, the margin of that contact is returned instead.
     """
     within = over(center_of_mass(view, a), view.boxes(b))
     for other in context.others(a, b):
@@ -228,7 +233,10 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
 
 
 def center_of_mass(view: View, a: Entity) -> Array:
-    """Return the center of mass of an entity [m], shape (n, 3), or the middle of its bounding box if it has no mass."""
+    """Return an entity's center of mass [m], or the middle of its bounding box if it has no mass.
+
+    The result is an array of shape (n, 3).
+    """
     links = view.bodies[a.owner].item.links
     mass = sum(links[k].mass for k in a.links)
     if mass <= 0:
@@ -256,7 +264,10 @@ def push_text(a: Entity, b: Entity, cosine: float) -> str:
 
 
 def gap_to_others(context: Context, a: Entity, view: View) -> Array:
-    """Return the distance [m] between ``a`` and the nearest object that it does not support, shape (n,)."""
+    """Return the distance [m] between ``a`` and the nearest object that it does not support.
+
+    The distance is an array of shape (n,).
+    """
     gaps = {b: context.distances.between(view, a, b, TOUCH) for b in context.others(a)}
     load = supported_by(context, view, a, gaps)
     found = [np.where(load[b], np.inf, gap) for b, gap in gaps.items()]
@@ -264,7 +275,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Return a mask for each object, shape (n,), of the states in which ``a`` supports it directly or indirectly.
+    """Return, for each object, a mask of the states in which ``a`` supports it directly or indirectly.
 
     ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
     something touches ``a``.
@@ -294,7 +305,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """Return a mask of the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up, shape (n,)."""
+    """Return a mask of the states in which ``a`` is within ``limit`` [m] of ``b`` and pushes it up."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

@@ -1,4 +1,7 @@
-"""Thresholds shared by multiple predicates; thresholds used by a single predicate are in its module."""
+"""Thresholds shared by several predicates.
+
+A threshold used by only one predicate is in the module of that predicate.
+"""
 
 from __future__ import annotations
 

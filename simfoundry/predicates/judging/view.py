@@ -1,4 +1,4 @@
-"""Many states of the bodies in a scene as arrays; poses, bounding boxes and extents are computed on demand."""
+"""Many states of the bodies in a scene, stored as arrays. Poses, bounding boxes and extents are computed on demand."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class StateBatch:
 
     @classmethod
     def of(cls, scene: Scene, states: Sequence[SceneState]) -> StateBatch:
-        """Combine states in order; values that are missing in a state are taken from the scene."""
+        """Combine states in the given order. Values that are missing in a state are taken from the scene."""
         initial = SceneState.initial(scene)
         arms = {f"{r}.{j}": (r, j) for s in states for r, joints in s.robots.items() for j in joints}
         if any(r not in s.robots for r in (states[0].robots if states else ()) for s in states):
@@ -79,14 +79,14 @@ BOX_BASES = TURNED[BOX_AXES].transpose(0, 2, 1)
 
 
 class Boxes(NamedTuple):
-    """The bounding box of an entity in its own frame, and a second one rotated by 45 degrees about the z axis.
+    """The bounding box of an entity in its own frame, and a second box that is rotated by 45 degrees about the z axis.
 
     All arrays contain one row for each of the two boxes.
 
     Attributes:
-        center: The centers in the world [m], (2, n, 3).
-        half: The half extents [m], (2, n, 3).
-        R: The axes as rotation matrices, (2, n, 3, 3).
+        center: The centers in the world [m], shape (2, n, 3).
+        half: The half extents [m], shape (2, n, 3).
+        R: The axes as rotation matrices, shape (2, n, 3, 3).
     """
 
     center: Array
@@ -95,17 +95,17 @@ class Boxes(NamedTuple):
 
     @property
     def middle(self) -> Array:
-        """The middle of the first box in the world [m], shape (n, 3)."""
+        """The middle of the first box in the world [m], as an array of shape (n, 3)."""
         return np.asarray(self.center[0])
 
     @property
     def reach(self) -> Array:
-        """The distance between the middle of the first box and its corners [m], shape (n,)."""
+        """The distance between the middle of the first box and its corners [m], as an array of shape (n,)."""
         return np.asarray(np.linalg.norm(self.half[0], axis=1))
 
     @property
     def size(self) -> Array:
-        """The mean extent of the first box [m], shape (n,)."""
+        """The mean extent of the first box [m], as an array of shape (n,)."""
         return np.asarray(2 * self.half[0].mean(axis=1))
 
 
@@ -113,9 +113,9 @@ class Balls(NamedTuple):
     """The bounding balls of links in n states.
 
     Attributes:
-        links: The index and form of each link.
-        center: The centers in the world [m], (n, links, 3).
-        radius: The radii [m], (links,).
+        links: The index and the form of each link.
+        center: The centers in the world [m], shape (n, links, 3).
+        radius: The radii [m], shape (links,).
     """
 
     links: list[tuple[int, Form]]
@@ -171,7 +171,7 @@ class View:
         return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
-        """Return the position of a joint [rad or m], shape (n,)."""
+        """Return the position of a joint [rad or m], as an array of shape (n,)."""
         given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
         at = given.get(f"{owner}.{joint.name}")
         return np.full(self.n, joint.position) if at is None else at
@@ -181,7 +181,7 @@ class View:
         return self.link(thing.owner, thing.links[0])
 
     def forms(self, thing: Entity) -> list[tuple[int, Form]]:
-        """Return the index and form of each link of an entity that has a shape."""
+        """Return the index and the form of each link of an entity that has a shape."""
         forms = self.bodies[thing.owner].forms
         return [(k, form) for k in thing.links if (form := forms[k]) is not None]
 
@@ -198,7 +198,7 @@ class View:
     # -- extents ----------------------------------------------------------------------------------------------------
 
     def span(self, thing: Entity, axis: Array) -> tuple[Array, Array]:
-        """Return the minimum and maximum coordinates [m] of an entity along an axis, shape (n,) each.
+        """Return the minimum and maximum coordinates [m] of an entity along an axis, as arrays of shape (n,).
 
         ``axis`` is a unit vector with shape (3,), or one unit vector per state with shape (n, 3). For several axes at
         once, shape (m, n, 3), the results have the shape (m, n).
@@ -217,13 +217,13 @@ class View:
         return low, high
 
     def heights(self, thing: Entity) -> tuple[Array, Array]:
-        """Return the heights of the lowest and highest points above the ground [m], shape (n,) each."""
+        """Return the heights [m] of the lowest and highest points above the ground, as arrays of shape (n,)."""
         if thing not in self._heights:
             self._heights[thing] = self.span(thing, UP)
         return self._heights[thing]
 
     def aabb_middle(self, thing: Entity) -> Array:
-        """Return the middle [m] of an entity's bounding box along the world axes, shape (n, 3)."""
+        """Return the middle [m] of an entity's bounding box along the world axes, as an array of shape (n, 3)."""
         spans = [self.span(thing, axis) for axis in np.eye(2, 3)] + [self.heights(thing)]
         return np.stack([(low + high) / 2 for low, high in spans], axis=1)
 
@@ -245,10 +245,10 @@ class View:
 
 
 def over(points: Array, boxes: Boxes) -> Array:
-    """Return the horizontal distance [m] of points from the edge of the outline of both boxes, shape (n,).
+    """Return the horizontal distance [m] between points and the edge of the outline of both boxes.
 
-    The outline of a box is its silhouette as seen from above, a hexagon whose sides are edges of the box. The distance
-    is negative outside the outline of either box.
+    The outline of a box is its silhouette as seen from above, a hexagon whose sides are edges of the box. The distance,
+    an array of shape (n,), is negative outside the outline of either box.
     """
     edges = boxes.half[..., None] * boxes.R[:, :, :2, :].swapaxes(2, 3)  # (box, n, edge, xy)
     length = np.linalg.norm(edges, axis=3)
@@ -260,9 +260,10 @@ def over(points: Array, boxes: Boxes) -> Array:
 
 
 def ground_gap(view: View, a: Entity, b: Entity) -> Array:
-    """Return the horizontal distance [m] between two entities, shape (n,); it is negative if they overlap.
+    """Return the horizontal distance [m] between two entities, as an array of shape (n,).
 
-    This is the largest of the gaps across the edges of their boxes and along the line between their middles.
+    The distance is negative if the entities overlap. It is the largest of the gaps across the edges of their boxes and
+    along the line between their middles.
     """
     boxes = view.boxes(a), view.boxes(b)
     ways = np.zeros((7, view.n, 2))

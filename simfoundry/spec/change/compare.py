@@ -48,7 +48,10 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """A comparison of two states of a document; ``old`` or ``new`` is None if the document did not exist."""
+    """A comparison of two states of a document.
+
+    ``old`` or ``new`` is None if the document did not exist in that state.
+    """
 
     name: str
     old: Side | None
@@ -56,7 +59,7 @@ class DocumentComparison:
     changes: tuple[Change, ...]
     entries: tuple[MemberChange, ...]
     obstacle: str = ""
-    """The reason why the two states cannot be compared; empty if they can be."""
+    """The reason the two states cannot be compared, or an empty string if they can be compared."""
 
     @property
     def differs(self) -> bool:
@@ -105,7 +108,10 @@ def _anchors(place: Place) -> set[str]:
 
 
 def side(path: Path, label: str, root: Path | None = None) -> Side:
-    """Read one state of a document from a file; findings refer to the file by the display name ``label``."""
+    """Read one state of a document from a file.
+
+    Findings refer to the file by the display name ``label``.
+    """
     loaded = load(path, root)
     spec = loaded.spec or _sound(loaded)
     text_ = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
@@ -116,7 +122,10 @@ def side(path: Path, label: str, root: Path | None = None) -> Side:
 def compare(
     name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True
 ) -> DocumentComparison:
-    """Compare two states of a document and, unless ``files`` is False, the files that both states refer to."""
+    """Compare two states of a document.
+
+    The files that both states refer to are also compared, unless ``files`` is False.
+    """
     unsound = [s.label for s in (old, new) if s is not None and s.spec is None]
     if unsound:
         return DocumentComparison(name, old, new, (), (), f"no part of {' or '.join(unsound)} is valid")
@@ -147,7 +156,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a finding that refers to its file by the display name."""
+    """Return a copy of the finding that refers to its file by the display name."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -158,7 +167,7 @@ def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
 
 
 def _content(side: Side | None) -> str:
-    """Summarize a document in one line: ``7 objects (desk, cereal, …), 1 camera (view)``."""
+    """Summarize a document in one line, as in ``7 objects (desk, cereal, …), 1 camera (view)``."""
     parts = []
     for section, members in (side.data if side is not None else {}).items():
         if isinstance(members, dict) and members and all(isinstance(m, dict) for m in members.values()):
@@ -181,7 +190,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
 
 
 def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
-    """Return an entry for each object that refers to a file with the same name but different content."""
+    """Return an entry for each object whose file has the same name in both states but different content."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
     entries = []

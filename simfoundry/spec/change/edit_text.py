@@ -8,8 +8,9 @@ rewritten in canonical form, and its comments are kept.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property, reduce
 from typing import Any
 
 import yaml
@@ -30,7 +31,10 @@ _BOM = "\ufeff"
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
     """Edit ``text`` so that it contains ``data``, leaving all unaffected bytes unchanged.
 
-    The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` could not be parsed.
+    The order of keys in ``data`` is ignored.
+
+    Raises:
+        YamlError: If ``text`` could not be parsed.
     """
     body = text.removeprefix(_BOM)
     mark = text.removesuffix(body)
@@ -39,7 +43,7 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
         if _same_content(document.data, data):
             return mark + body
         splices = _Round(document, data, model).splices()
-        for start, end, new in sorted(splices, reverse=True):
+        for start, end, new in reversed(splices):
             body = body[:start] + new + body[end:]
         try:
             document = parse(body)
@@ -48,31 +52,6 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
         if not splices:
             break
     return write_tree(with_data(read_tree(parse(text)), data), model)
-
-
-def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
-    """Return the data that a document must contain for its merged content to change from ``before`` to ``after``.
-
-    Members of the base document that ``after`` does not contain are set to null, which removes them.
-
-    Args:
-        own: The document's current data, or :data:`ABSENT`.
-        before: The current data after merging with the base document.
-        after: The desired data after merging with the base document.
-        base: The data of the base document, or :data:`ABSENT`.
-    """
-    if before is not ABSENT and after is not ABSENT and same(before, after):
-        return own
-    if after is ABSENT:
-        return ABSENT if base is ABSENT else None
-    if isinstance(before, dict) and isinstance(after, dict) and (isinstance(own, dict) or isinstance(base, dict)):
-        mine = own if isinstance(own, dict) else {}
-        sides = (mine, before, after, base if isinstance(base, dict) else {})
-        keys = dict.fromkeys((*mine, *before, *after))
-        pairs = {key: own_data(*(side.get(key, ABSENT) for side in sides)) for key in keys}
-        kept = {key: value for key, value in pairs.items() if value is not ABSENT}
-        return kept if kept or not mine else ABSENT
-    return after
 
 
 def _same_content(a: Any, b: Any) -> bool:
@@ -149,7 +128,7 @@ Splice = tuple[int, int, str]
 
 
 class _Round:
-    """One pass over a text, which applies renames, value changes, or the removal or addition of one member."""
+    """One pass over a text, which applies renames, value changes, removals, or additions."""
 
     def __init__(self, document: Document, data: Any, model: type[Model] | None) -> None:
         self.document, self.data, self.model = document, data, model
@@ -157,28 +136,35 @@ class _Round:
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
     def splices(self) -> list[Splice]:
-        """Return the next edits, or an empty list if the changes cannot be applied in place."""
+        """Return the next edits in the order of the text, or an empty list if no change can be applied in place."""
         changes = diff(self.document.data, self.data)
         renames = [c for c in changes if isinstance(c, Rename)]
         values = {self._place(c.path) for c in changes if isinstance(c, Set)}
-        removed = [c for c in changes if isinstance(c, Remove)]
-        added = [c for c in changes if isinstance(c, Add)]
+        removed, added = dict[Path_, list[str]](), dict[Path_, dict[str, Any]]()
+        for change in changes:
+            if isinstance(change, Remove):
+                removed.setdefault(change.path[:-1], []).append(change.path[-1])
+            elif isinstance(change, Add):
+                added.setdefault(change.path[:-1], {})[change.path[-1]] = change.value
         found: list[Splice | None]
         if renames:
             found = [self._key(rename) for rename in renames]
         elif values:
             found = [self._value(path) for path in values]
         elif removed:
-            found = [self._removal(removed[0].path)]
+            found = [splice for section, names in removed.items() for splice in self._removals(section, names)]
         elif added:
-            found = [self._addition(added[0].path, added[0].value)]
+            found = [splice for section, values_ in added.items() for splice in self._additions(section, values_)]
         else:
             orders = [c.section for c in changes if isinstance(c, Reorder)]
             lists = [path for path in orders if not isinstance(self._wanted(path), dict)]
             found = [self._value(self._place(path)) for path in lists]
-        splices = [splice for splice in found if splice is not None]
-        # A splice inside another splice is already covered by the outer one.
-        return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
+        splices: list[Splice] = []
+        for splice in sorted((s for s in found if s is not None), key=lambda s: (s[0], -s[1])):
+            # A splice inside the previous splice is already covered by it, or is found again in the next round.
+            if not splices or splice[0] > splices[-1][1]:
+                splices.append(splice)
+        return splices
 
     # -- positions --------------------------------------------------------------------------------------------------
 
@@ -202,8 +188,12 @@ class _Round:
         """Return the longest prefix of a path that exists in the text."""
         return path[: len(self._steps(path)) - 1]
 
+    @cached_property
+    def _whole_tree(self) -> YamlTree:
+        return read_tree(self.document)
+
     def _tree(self, path: Path_) -> YamlTree:
-        tree = read_tree(self.document)
+        tree = self._whole_tree
         for k, part in enumerate(path):
             if isinstance(tree.value, tuple):
                 tree = tree.value[list(members(tree.data, path[:k]) or ()).index(part)]
@@ -273,9 +263,9 @@ class _Round:
         return self._entry(path)
 
     def _entry(self, path: Path_) -> Splice | None:
-        """Return the edit that rewrites the nearest block mapping entry at or above a path in canonical form.
+        """Return the edit that rewrites a block mapping entry in canonical form, keeping the comments of the entry.
 
-        The comments of the entry are kept.
+        If ``path`` does not refer to such an entry, the nearest entry above it is rewritten.
         """
         while path:
             steps = self._steps(path)
@@ -289,56 +279,76 @@ class _Round:
             path = path[:-1]
         return None
 
-    def _removal(self, path: Path_) -> Splice | None:
-        steps = self._steps(path)
-        if len(steps) <= len(path):  # inside a value that is replaced as a whole
-            return self._value(self._place(path))
-        span, parent = steps[-1], steps[-2]
+    def _removals(self, section: Path_, names: list[str]) -> list[Splice | None]:
+        """Return the edits that remove members of a mapping or list."""
+        steps = self._steps((*section, names[0]))
+        if len(steps) <= len(section) + 1:  # inside a value that is replaced as a whole
+            return [self._value(self._place((*section, names[0])))]
+        parent = steps[-2]
         siblings = list(parent.children.values() if isinstance(parent.children, dict) else parent.children or ())
-        if len(siblings) < 2:
-            return self._entry(path[:-1])
+        if len(siblings) == len(names):
+            return [self._entry(section)]
         if parent.flow:
-            k = siblings.index(span)
+            k = siblings.index(steps[-1])
             if k + 1 < len(siblings):
-                return span.key, siblings[k + 1].key, ""
-            return siblings[k - 1].end, span.end, ""
-        start = self._line(span.key if span.key >= 0 else span.start)
-        before = self.text[start : span.key if span.key >= 0 else span.start]
-        if before.strip() not in ("", "-") or (before.strip() and span.key >= 0):
-            return self._entry(path[:-1])
-        start = self._above(path, start)
-        end = self.text.find("\n", self._entry_end(span)) + 1 or len(self.text)
+                return [(steps[-1].key, siblings[k + 1].key, "")]
+            return [(siblings[k - 1].end, steps[-1].end, "")]
+        removed: list[tuple[int, int]] = []
+        for name in names:
+            span = self._steps((*section, name))[-1]
+            column = span.key if span.key >= 0 else span.start
+            start = self._line(column)
+            if self.text[start:column].strip() not in ("", "-" if span.key < 0 else ""):
+                return [self._entry(section)]
+            start = self._above((*section, name), start)
+            if removed and removed[-1][1] == start:
+                start = removed.pop()[0]
+            removed.append((start, self.text.find("\n", self._entry_end(span)) + 1 or len(self.text)))
+        return [self._without_lines(*lines) for lines in removed]
+
+    def _without_lines(self, start: int, end: int) -> Splice:
+        """Return the edit that removes lines, including the blank line above them if another one follows."""
         blank_after = not self.text[end : self._line_end(end)].strip()
         if start > 0 and blank_after and not self.text[self._line(start - 1) : start].strip():
             start = self._line(start - 1)
         return start, end, ""
 
-    def _addition(self, path: Path_, value: Any) -> Splice | None:
-        steps = self._steps(path[:-1])
+    def _additions(self, section: Path_, added: dict[str, Any]) -> list[Splice | None]:
+        """Return the edits that add members to a mapping or list; in a mapping in braces, only the first one."""
+        steps = self._steps(section)
         parent = steps[-1]
-        if len(steps) < len(path) or not parent.children:
-            return self._value(self._place(path[:-1]))
+        if len(steps) <= len(section) or not parent.children:
+            return [self._value(self._place(section))]
         if isinstance(parent.children, list):
             last = parent.children[-1]
             indent = self.text[self._line(last.start) : last.start]
-            if indent.strip() != "-":
-                return self._entry(path[:-1])
-            new = inline_text(value, path, self.model, False)
+            items = [inline_text(value, (*section, key), self.model, False) for key, value in added.items()]
+            if indent.strip() != "-" or None in items:
+                return [self._entry(section)]
             end = self._line_end(last.end)
-            return (end, end, self.newline + indent + new) if new is not None else self._entry(path[:-1])
-        before = self._neighbor(path, parent.children)
+            return [(end, end, "".join(f"{self.newline}{indent}{item}" for item in items))]
+        placed = self._neighbors(section, parent.children, added)
         if parent.flow:
-            new = inline_text(value, path, self.model, True)
-            first = next(iter(parent.children.values()))
-            if new is None or "\n" in self.text[parent.start : parent.end]:
-                return self._entry(path[:-1])
-            if before is None:
-                return first.key, first.key, f"{path[-1]}: {new}, "
-            fits = self._line_end(before.end) - self._line(before.end) + len(path[-1]) + len(new) + 4 <= WIDTH
-            return (before.end, before.end, f", {path[-1]}: {new}") if fits else self._entry(path[:-1])
-        return self._new_entry(path, value, parent.children, before)
+            name, before = placed[0]
+            return [self._flow_addition((*section, name), added[name], parent, before)]
+        found: dict[tuple[int, int], str] = {}
+        for name, before in placed:
+            start, end, new = self._new_entry((*section, name), added[name], parent.children, before)
+            found[start, end] = found.get((start, end), "") + new
+        return [(start, end, new) for (start, end), new in found.items()]
 
-    def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice | None:
+    def _flow_addition(self, path: Path_, value: Any, parent: _Span, before: _Span | None) -> Splice | None:
+        """Return the edit that adds a member to a mapping in braces, after its neighbor."""
+        new = inline_text(value, path, self.model, True)
+        if new is None or not isinstance(parent.children, dict) or "\n" in self.text[parent.start : parent.end]:
+            return self._entry(path[:-1])
+        if before is None:
+            first = next(iter(parent.children.values()))
+            return first.key, first.key, f"{path[-1]}: {new}, "
+        fits = self._line_end(before.end) - self._line(before.end) + len(path[-1]) + len(new) + 4 <= WIDTH
+        return (before.end, before.end, f", {path[-1]}: {new}") if fits else self._entry(path[:-1])
+
+    def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice:
         """Insert a new entry into a block mapping, after its neighbor."""
         anchor = before or next(iter(siblings.values()))
         column = anchor.key - self._line(anchor.key)
@@ -356,12 +366,16 @@ class _Round:
         end = self._entry_end(before)
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
-    def _neighbor(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
-        """Return the entry that precedes a new entry in canonical order, or None if the new entry comes first."""
-        slot: KeyOrder = key_order(self.model)
-        for part in path[:-1]:
-            slot = slot.member(part)
-        order = slot.ordered([*siblings, path[-1]])
-        earlier = set(order[: order.index(path[-1])])
-        found = [span for key, span in siblings.items() if key in earlier]
-        return found[-1] if found else None
+    def _neighbors(
+        self, section: Path_, siblings: Mapping[str, _Span], names: Iterable[str]
+    ) -> list[tuple[str, _Span | None]]:
+        """Return new names in canonical order with the entry that precedes each, or None if the new entry is first."""
+        slot: KeyOrder = reduce(KeyOrder.member, section, key_order(self.model))
+        spans, places = list(siblings.values()), {key: k for k, key in enumerate(siblings)}
+        found, last = list[tuple[str, _Span | None]](), -1
+        for key in slot.ordered([*siblings, *names]):
+            if key in places:
+                last = max(last, places[key])
+            else:
+                found.append((key, spans[last] if last >= 0 else None))
+        return found

@@ -1,4 +1,7 @@
-"""Flatten documents: merge a document with the documents that it extends, and write out all default values."""
+"""Flatten documents: merge a document with the documents that it extends, and write out all default values.
+
+The inverse, :func:`own_data`, determines what a document must contain if its merged content is edited.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import copied
+from simfoundry.spec.change.diff.changes import copied, same
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.types import RIVALS, Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
@@ -42,7 +46,7 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 hex digest of a flattened text, which does not depend on the document's formatting."""
+    """Return the SHA-256 hex digest of a flattened text. The digest does not depend on the document's formatting."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -59,8 +63,37 @@ def full(spec: Model) -> dict[str, Any]:
     return out
 
 
+def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
+    """Return the data that a document must contain for its merged content to change from ``before`` to ``after``.
+
+    Members of the base document that ``after`` does not contain are set to null, which removes them.
+
+    Args:
+        own: The document's current data, or :data:`ABSENT`.
+        before: The current data after merging with the base document.
+        after: The desired data after merging with the base document.
+        base: The data of the base document, or :data:`ABSENT`.
+    """
+    if same(before, after):
+        return own
+    if after is ABSENT:
+        return ABSENT if base is ABSENT else None
+    if not isinstance(after, dict) or not (isinstance(own, dict) or isinstance(base, dict)):
+        return after
+    mine, inherited = (side if isinstance(side, dict) else {} for side in (own, base))
+    current = before if isinstance(before, dict) else inherited
+    kept = {}
+    for key in dict.fromkeys((*mine, *current, *after, *inherited)):
+        value = own_data(*(side.get(key, ABSENT) for side in (mine, current, after, inherited)))
+        if value is ABSENT and key in inherited.keys() - after.keys() and not RIVALS.get(key, set()) & after.keys():
+            value = None  # a key of this document that excluded `key` was removed, so `key` would be inherited again
+        if value is not ABSENT:
+            kept[key] = value
+    return kept if kept or not isinstance(base, dict) else ABSENT
+
+
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """Return the data with the file references at ``pattern`` relative to another folder."""
+    """Return the data with the file references at ``pattern`` rewritten relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)

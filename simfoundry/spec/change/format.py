@@ -36,21 +36,27 @@ class Formatted:
 
 
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
-    """Return the canonical form of a document; raises :class:`SpecError` if the text could not be parsed.
+    """Return the canonical form of a document.
 
     If ``schema`` (a relative path or a URL) is specified, the first line of the result points editors to this schema.
     Otherwise, an existing schema line is kept.
+
+    Raises:
+        SpecError: If the text could not be parsed.
     """
     document = _parsed(file, text)
     return _formatted(document, _model(document), schema)
 
 
 def format_file(path: Path) -> Formatted:
-    """Format a document without writing the result; raises :class:`SpecError` if the document could not be read.
+    """Format a document without writing the result.
 
     If a parent folder within the project contains the schema for the document's kind in ``schemas/`` or
     ``.simfoundry/schemas/``, the first line of the result points editors to that schema. An existing reference to a
     different schema is kept if that schema exists or is a URL.
+
+    Raises:
+        SpecError: If the document could not be read.
     """
     document = _parsed(str(path))
     model = _model(document)
@@ -102,7 +108,7 @@ def _formatted(document: Document, model: type[Model], schema: str | None) -> st
 
 @dataclass(frozen=True)
 class Migration:
-    """A migration step: ``change`` converts a document from an older version to version ``to``."""
+    """A migration step. ``change`` converts a document from an older version to version ``to``."""
 
     to: str
     change: Callable[[YamlTree], YamlTree]
@@ -122,7 +128,10 @@ def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> st
     """Return the text of a document in the latest version of its kind, with current key names.
 
     If the text is already up to date, it is returned unchanged. If the version changes, the result is in canonical
-    form. Raises :class:`SpecError` if the kind is unknown.
+    form.
+
+    Raises:
+        SpecError: If the kind is unknown.
     """
     document = _parsed(file, text)
     kind = _kind(document, steps)
@@ -149,7 +158,11 @@ def _parsed(file: str, text: str | None = None) -> Document:
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """Return the kind and version of a document; raises :class:`SpecError` if no such version ever existed."""
+    """Return the kind and version of a document.
+
+    Raises:
+        SpecError: If no such version ever existed.
+    """
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):

@@ -107,7 +107,10 @@ def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
 
 
 def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
-    """Check the joint positions ``given`` at ``path``; if ``resting`` is set, missing positions are checked as 0."""
+    """Check the joint positions ``given`` at ``path``.
+
+    If ``resting`` is set, missing positions are checked as 0.
+    """
     for name in given:
         c.name(name, asset.joints, (*path, name), "joint")
     for name, joint in asset.joints.items():

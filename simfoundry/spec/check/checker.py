@@ -35,9 +35,9 @@ Use = Callable[[Path, tuple[str, ...]], Loaded | None]
 
 
 class Checker:
-    """Collects the findings of one document, except for type errors.
+    """A collector of all findings in a document except type errors.
 
-    If ``whole`` is False, the spec contains only the valid members; the names of invalid members still count as
+    If ``whole`` is False, the spec contains only the valid members. The names of invalid members still count as
     defined.
     """
 
@@ -79,7 +79,7 @@ class Checker:
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, for example to `{WORLD}_{what}`")
 
     def file(self, reference: str | None, path: Path_, suffixes: tuple[str, ...]) -> bool:
-        """Check that ``reference``, if given, is a file with one of the suffixes in the project or in a package."""
+        """Check that ``reference``, if given, is a file in the project or in a package and has one of the suffixes."""
         if reference is None:
             return True
         try:
@@ -90,7 +90,10 @@ class Checker:
         return True
 
     def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
-        """Return the document at ``reference``; if its kind is not in ``kinds``, report a finding and return None."""
+        """Return the document at ``reference``.
+
+        If the kind of the document is not in ``kinds``, report a finding and return None.
+        """
         if not self.file(reference, path, suffixes):
             return None
         target = str(self.loaded.file(reference))
@@ -123,7 +126,10 @@ class Checker:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
     def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
-        """Check that a body's density is plausible; by default, this is its mass over its ``solid`` volume [m^3]."""
+        """Check that a body's density is plausible.
+
+        By default, the density is the body's mass divided by its ``solid`` volume [m^3].
+        """
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:
             self.plausible(str(path[-1]), given, (*path, "density"))
@@ -155,7 +161,7 @@ def implausible(density: float) -> str:
 
 
 def volume(shape: Shape) -> float:
-    """Return the volume of a primitive [m^3], or infinity if the computation overflows."""
+    """Return the volume [m^3] of a primitive, or infinity if the computation overflows."""
     try:
         value = _volume(shape)
     except OverflowError:

@@ -1,4 +1,4 @@
-"""Run the checks that go beyond types, which differ between document kinds, and apply ``allow``."""
+"""Run the checks that go beyond types for each kind of document, and apply ``allow``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 _MODULES = {**{kind: kind for kind in ("scene", "asset", "task")}, "cousins": "task"}
 _MODULES |= dict.fromkeys(("capture", "policy"), "documents")
-"""Module that checks each document kind; imported on first use, so that checking a scene loads only scene models."""
+"""The module that checks each document kind.
+
+Each module is imported on first use, so that checking a scene loads only scene models.
+"""
 
 
 def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> list[Diagnostic]:
@@ -81,7 +84,7 @@ def sift(findings: Iterable[Diagnostic], allow: Allow) -> tuple[list[Diagnostic]
 
 
 def unused(document: Document, allow: Allow, silenced: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
-    """Yield a warning for each unused entry of ``allow``; call this after all lints."""
+    """Yield a warning for each unused entry in ``allow``. Call this function after all lints have run."""
     heard = list(silenced)
     for code, entry in allow.items():
         of_code = [d for d in heard if d.code == code]

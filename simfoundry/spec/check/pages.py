@@ -35,7 +35,7 @@ class Snippet:
 
 @dataclass(frozen=True)
 class Page:
-    """The explanation of one diagnostic code; ``body`` is Markdown without the title."""
+    """The explanation of one diagnostic code. ``body`` is Markdown without the title."""
 
     code: str
     title: str
@@ -58,7 +58,11 @@ class Page:
 
 
 def page(code: str) -> Page:
-    """Return the page for a code; raises ``FileNotFoundError`` if the code is unknown."""
+    """Return the page for a code.
+
+    Raises:
+        FileNotFoundError: If the code is unknown.
+    """
     title, _, body = (FOLDER / f"{code}.md").read_text(encoding="utf-8").partition("\n\n")
     return Page(code, title.removeprefix(f"# {code} "), body)
 
@@ -75,14 +79,14 @@ def titles() -> dict[str, str]:
 
 
 def code_of(text: str) -> str | None:
-    """Parse a code from ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; return None if the code is unknown."""
+    """Parse a code from ``SF201``, ``sf201``, ``201`` or ``error[SF201]``, or return None if the code is unknown."""
     match = _CODE.fullmatch(text.strip())
     code = f"SF{int(match[1]):03}" if match else ""
     return code if code in titles() else None
 
 
 def grouped() -> dict[str, dict[str, str]]:
-    """Return the codes and their titles by group title."""
+    """Return the codes and their titles, keyed by the title of their group."""
     return {title: {c: t for c, t in titles().items() if c.startswith(start)} for start, title in GROUPS.items()}
 
 
@@ -98,7 +102,7 @@ which can be silenced with a reason; all others are errors. `simfoundry explain 
 
 
 def findings_page() -> str:
-    """Return ``docs/findings.md``: all pages in one, with a table of contents."""
+    """Return the text of ``docs/findings.md``, which contains all pages and a table of contents."""
     lines = [_INTRODUCTION]
     for title, codes in grouped().items():
         lines += [f"{title}:\n", *(f"- [{c} {t}](#{_slug(f'{c} {t}')})" for c, t in codes.items()), ""]

@@ -48,7 +48,7 @@ class CheckReport:
 
 
 def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
-    """Combine the results of individual documents; shared documents and findings are counted only once."""
+    """Combine the results of individual documents. Shared documents and findings are counted only once."""
     files, checked = tuple(files), tuple(checked)
     seen: dict[Path, str] = {}
     for name in (*files, *(use for each in checked for use in each.uses)):
@@ -62,7 +62,10 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
 
 
 def absolute(file: str) -> Path:
-    """Return the normalized absolute path; symbolic links are not resolved because the folder of the link matters."""
+    """Return the normalized absolute path.
+
+    Symbolic links are not resolved, because the folder that contains the link matters.
+    """
     return Path(os.path.normpath(Path(file).absolute()))
 
 
@@ -77,7 +80,7 @@ def renderer(form: str) -> Callable[[CheckReport], str]:
 
 
 def findings_text(found: Iterable[Diagnostic], color: bool = False) -> str:
-    """Format all findings with their source lines; file names are relative to the current folder."""
+    """Format all findings with their source lines. File names are relative to the current folder."""
     return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), color)
 
 
@@ -106,7 +109,7 @@ def _count(number: int, what: str) -> str:
 
 
 def render_json(report: CheckReport) -> str:
-    """Return the report as one JSON object for scripts. The format is stable: keys are added but never removed.
+    """Return the report as one JSON object for scripts. The format is stable: keys may be added but are never removed.
 
     ``files`` lists the requested documents. ``documents`` is the number of documents read, including the ones that
     these documents use. ``errors`` and ``warnings`` are counts. Each entry in ``findings`` contains ``code``,
@@ -206,5 +209,5 @@ def _artifact(file: str, folder: Path) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Escape a text so that it does not contain links, which SARIF messages write as ``[text](target)``."""
+    """Escape a text so that it contains no links, which have the form ``[text](target)`` in SARIF messages."""
     return text.replace("](", "] (")

@@ -89,7 +89,7 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
 
 
 def _variants(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec) -> None:
-    """Check each variant as a separate object; errors of the base object are reported only once."""
+    """Check each variant as a separate object. Errors of the base object are reported only once."""
     if item.variant is not None and item.variant != DEFAULT_VARIANT:
         c.name(item.variant, item.variants, ("objects", name, "variant"), f"variant of `{name}`")
     said = {(d.code, d.message) for d in c.findings}
@@ -241,7 +241,10 @@ class SceneNames:
                     self.check_part(c, argument, path)
 
     def _overlap(self, a: str, b: str) -> bool:
-        """Return True if two arguments share a link, because one contains the other or is a joint that moves it."""
+        """Return True if two arguments share a link.
+
+        This is the case if one of them contains the other, or is a joint that moves the other.
+        """
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
@@ -254,7 +257,7 @@ class SceneNames:
             self.check_call(c, text, (*path, *below))
 
     def check_part(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object, a link, or a joint, which stands for the link that it moves."""
+        """Check the name of an object, a link, or a joint. A joint stands for the link that it moves."""
         name, _, part = argument.partition(".")
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)

@@ -44,7 +44,10 @@ def scene_names(scene: Loaded | None) -> SceneNames | None:
 
 
 def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
-    """Check the names in a goal, and that the goal is not empty: an empty goal succeeds immediately."""
+    """Check that the names in a goal are valid, and that the goal is not empty.
+
+    An empty goal would succeed immediately.
+    """
     if names is not None:
         names.check_condition(c, goal, path)
     empty = [*_empty_groups(goal, path)]

@@ -17,7 +17,7 @@ MAX_FINDINGS = 200
 
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
-    """Return the typed document and the findings; the document is None if there are errors."""
+    """Return the typed document and the findings. The document is None if there are errors."""
     findings = [*document.duplicates, *_without_value(model, document)]
     try:
         spec = model.model_validate(document.data)
@@ -29,7 +29,7 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
-    """Return a finding for each key or item without a value; null is allowed only to remove a value from the base."""
+    """Return a finding for each key or item without a value. Null is allowed only to remove a value from the base."""
     found: list[Path_] = []
     todo: list[tuple[Path_, Any]] = [((), document.data)] if isinstance(document.data, dict) else []
     while todo:

@@ -1,4 +1,7 @@
-"""Convert pydantic's errors to findings; imported only for documents with errors, to keep `check` fast."""
+"""Convert pydantic's errors to findings.
+
+To keep `check` fast, this module is imported only for documents with errors.
+"""
 
 from __future__ import annotations
 

@@ -31,12 +31,12 @@ REGION = 0.05
 
 
 class NewError(SimfoundryError):
-    """Raised if a file cannot be created; the message states the reason."""
+    """Raised if a file cannot be created. The message states the reason."""
 
 
 @dataclass(frozen=True)
 class New:
-    """A new file, with the schemas and the marker file that must also be written because the project lacks them."""
+    """A new file, along with the schemas and marker file that must also be written if the project lacks them."""
 
     path: Path
     text: str
@@ -67,7 +67,12 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
-    """Return a new file; raises :class:`NewError`, or :class:`SpecError` if a document that it refers to is invalid."""
+    """Return a new file.
+
+    Raises:
+        NewError: If the file cannot be created.
+        SpecError: If a document that the file refers to is invalid.
+    """
     try:
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
@@ -112,7 +117,7 @@ def _relative(target: Path, path: Path) -> str:
 
 
 def _named(source: Path, path: Path) -> dict[str, str]:
-    """Return the relative path of another document as a YAML value and as the text of a comment."""
+    """Return the relative path of another document, both as a YAML value and as the text of a comment."""
     relative = _relative(source, path)
     return {"quoted": json.dumps(relative), "source": _comment(relative)}
 
@@ -135,7 +140,11 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Pa
 
 
 def _valid(path: Path, root: Path) -> Loaded:
-    """Load a document; raises :class:`SpecError` if it has errors."""
+    """Load a document.
+
+    Raises:
+        SpecError: If the document has errors.
+    """
     loaded = load(path, root)
     if loaded.errors:
         raise SpecError(loaded.errors)
@@ -163,7 +172,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Return the template variables for a task: putting one object onto another, or lifting the only object."""
+    """Return the template variables for a task: placing one object on another, or lifting the only object."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}

@@ -1,4 +1,4 @@
-"""Generate ``docs/reference.md`` from the models; the page lists all keys, with an example for each document kind."""
+"""Generate ``docs/reference.md`` from the models. The page lists all keys, with an example for each document kind."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ def reference() -> str:
 
 
 def _sections(parts: dict[str, Schema]) -> Iterator[str]:
-    """Yield a heading and a table for each part, sorted by title; shapes share a table because each has one key."""
+    """Yield a heading and a table for each part, sorted by title.
+
+    Shapes share a table because each shape has only one key.
+    """
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)

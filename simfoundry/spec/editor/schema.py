@@ -56,7 +56,10 @@ _BY_NAME = ("$defs", "patternProperties", "properties")
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """Return the name and content of every file in ``schemas/``; ``standard`` omits editor-specific keywords."""
+    """Return the name and content of every file in ``schemas/``.
+
+    If ``standard`` is set, editor-specific keywords are omitted.
+    """
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
@@ -101,7 +104,7 @@ class _Parts:
     joined: dict[str, Schema] = field(default_factory=dict)
 
     def all(self) -> dict[str, Schema]:
-        """Return all parts by name; the part for the entire document is named ``Document``."""
+        """Return all parts by name. The part for the entire document is named ``Document``."""
         title = self.raw["title"]
         apart = set().union(*UNIONS.values())
         parts = {name: self.model(name, body) for name, body in self.raw["$defs"].items() if name not in apart}
@@ -242,7 +245,7 @@ def _options(body: Schema) -> list[Schema]:
 
 
 def _special(union: str) -> Schema:
-    """Return schema keywords for a union that cannot be derived from the models."""
+    """Return the additional schema keywords for a union that cannot be derived from its models."""
     if union == "Condition":
         message = f"expected a predicate such as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
@@ -319,7 +322,7 @@ NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultS
 
 
 def loose(part: Any) -> Any:
-    """Return a schema without required keys that allows null for any member; lists are replaced as a whole."""
+    """Return a schema that has no required keys and allows null for any member. Lists are replaced as a whole."""
     if isinstance(part, list):
         return [loose(item) for item in part]
     if not isinstance(part, dict):
@@ -336,7 +339,7 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """Return a schema that also allows null; descriptions for editors stay on the outer level."""
+    """Return a schema that also allows null. Descriptions for editors stay on the outer level."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
     core = dict(item)
     words = {key: core.pop(key) for key in kept if key in item}

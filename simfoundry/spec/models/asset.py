@@ -89,7 +89,7 @@ def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: floa
 
 
 class LinkSpec(BodySpec):
-    """A rigid body of the asset, made of parts; a link without parts needs an `inertial`."""
+    """A rigid body of the asset, made of parts. A link without parts needs an `inertial`."""
 
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
@@ -104,7 +104,10 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """Return True if the mass, center of mass and inertia are specified, so the parts do not need a mass."""
+        """Return True if the mass, center of mass and inertia are specified.
+
+        In this case, the parts do not need a mass.
+        """
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -112,7 +115,7 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """Coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
+    """The coupling of a joint to a leader joint: position = ``multiplier`` × leader position + ``offset``."""
 
     joint: Name = Field(description="The leader joint.")
     multiplier: Number = Field(1.0, description="Ratio of this joint's motion to the leader's motion.")

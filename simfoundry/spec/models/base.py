@@ -28,7 +28,7 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """Texts that describe a string pattern to users.
+    """Descriptions of a string pattern for users.
 
     ``placeholder`` is shown in editors, ``title`` in the reference, and ``rule`` in error messages.
     """
@@ -83,7 +83,10 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a string as a file path relative to its document, so that overlays in other folders can adjust it."""
+    """A marker for strings that are file paths relative to their document.
+
+    If a document in a different folder extends the document, such paths are adjusted.
+    """
 
 
 FileName = Annotated[str, Reference()]
@@ -91,13 +94,13 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Records the former key of a field; `check` suggests the current key, and `migrate` renames the former one."""
+    """A record of the former key of a field. `check` suggests the current key, and `migrate` renames the former one."""
 
     key: str
 
 
 def consistent(check: Callable[[Any], None]) -> Any:
-    """Declare a method that raises :func:`fault` if the fields of its model contradict each other."""
+    """Mark a method as a check that raises :func:`fault` if the fields of its model contradict each other."""
 
     def checked(model: Any) -> Any:
         check(model)
@@ -111,7 +114,7 @@ Agent = Annotated[str, FormerKey("by"), StringConstraints(max_length=64)]
 
 
 class Model(BaseModel):
-    """Base class for all parts of a document: immutable and strictly typed, with no unknown keys.
+    """The base class for all parts of a document, which are immutable, strictly typed, and without unknown keys.
 
     If the default of a field is a model, create it with ``model_construct()``, because validating it would compile the
     model's schema at import time.
@@ -121,7 +124,7 @@ class Model(BaseModel):
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error that is reported as finding ``code`` at the model's key ``at``."""
+    """Return a validation error, which is reported as a finding with the code ``code`` at the model's key ``at``."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 
@@ -158,7 +161,7 @@ Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_un
 
 
 class PoseSpec(Model):
-    """Pose of a frame in its parent frame; at most one of the three rotation keys may be set."""
+    """The pose of a frame in its parent frame. At most one of the three rotation keys may be set."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
@@ -173,7 +176,7 @@ class PoseSpec(Model):
 
 
 class CameraPose(Model):
-    """Pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
+    """The pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
@@ -213,7 +216,7 @@ def quantity_value(quantity: float | Estimate | None) -> float | None:
 
 
 class Round(Model):
-    """Radius and height of a cylinder or capsule along z."""
+    """The radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
     height: Length = Field(
@@ -272,7 +275,7 @@ class PrismShape(Model):
 
 
 class LatheShape(Model):
-    """A solid of revolution about z; its frame is at height zero of the profile."""
+    """A solid of revolution about z. Its frame is at height zero of the profile."""
 
     lathe: Lathe
 
@@ -297,7 +300,7 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Origin of a cousin, which can be reproduced from the recipe, the seed and the index."""
+    """The origin of a cousin, which can be reproduced from the recipe, the seed and the index."""
 
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
@@ -318,7 +321,7 @@ class Origin(Model):
 
 
 class Material(Model):
-    """Physical properties and color of a material."""
+    """The physical properties and color of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(
@@ -367,7 +370,7 @@ class BodySpec(Model):
 
 
 class Conflict(Model):
-    """Two conflicting edits to a value; the document keeps our version until the conflict is resolved."""
+    """Two conflicting edits to a value. The document keeps our version until the conflict is resolved."""
 
     base: Any = Field(None, description="Value before either edit.")
     ours: Any = Field(None, description="Value on our side, which the document contains.")

@@ -20,7 +20,7 @@ from simfoundry.spec.models.base import (
 
 
 class Intrinsics(Model):
-    """Intrinsics of an undistorted pinhole camera [px]."""
+    """The intrinsics of an undistorted pinhole camera [px]."""
 
     fx: Positive = Field(description="Focal length in x [px].")
     fy: Positive = Field(description="Focal length in y [px].")

@@ -31,7 +31,7 @@ ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class ValueRange(Model):
-    """A range with optional bounds; an omitted bound means no limit."""
+    """A range with optional bounds. An omitted bound means no limit."""
 
     min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Minimum.")
     max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Maximum.")
@@ -76,7 +76,7 @@ class ObjectVariants(Model):
 
 
 class ObjectModels(Model):
-    """Models that generate variants if a source is `model`; URLs and API keys are read from environment variables."""
+    """Models that generate variants if a source is `model`. URLs and API keys are read from environment variables."""
 
     vlm: ModelName | None = Field(
         None,

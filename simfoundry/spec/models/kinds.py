@@ -1,4 +1,4 @@
-"""Document kinds; each kind's model is imported on first use."""
+"""Document kinds, whose models are imported on first use."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 
 
 def _variable(text: str) -> str:
-    """Reject a text that is not a variable name, without echoing it, because it may be a secret key."""
+    """Reject a text that is not a variable name. The error does not quote the text, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
         raise fault("sf104", "expected the name of an environment variable (uppercase), not the key itself")
     return text
@@ -103,7 +103,7 @@ def address_uri(protocol: str, address: str) -> str:
     """Return the full form of an address, such as ``ws://localhost:8000`` for ``localhost``.
 
     Raises:
-        ValueError: The address is not valid for the protocol.
+        ValueError: If the address is not valid for the protocol.
     """
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
@@ -124,7 +124,7 @@ def address_uri(protocol: str, address: str) -> str:
 
 
 class CameraView(Model):
-    """An image that the policy receives from a camera in the scene, resized without distortion and padded in black."""
+    """An image that the policy gets from a camera in the scene, resized without distortion and padded with black."""
 
     camera: Name = Field(description="A camera in the scene.")
     size: ImageSize = Field(description="Width and height that the policy expects [px].")

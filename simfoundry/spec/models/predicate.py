@@ -21,7 +21,7 @@ from simfoundry.spec.models.base import Model
 
 
 class Effect(StrEnum):
-    """Change that a robot must make for a predicate to become true."""
+    """The change that a robot must make for a predicate to become true."""
 
     NONE = "none"
     """The robot does not need to reach any object."""
@@ -47,7 +47,7 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class Predicate:
-    """Declaration of a predicate and the rule that evaluates it.
+    """The declaration of a predicate, and the rule that evaluates it.
 
     Attributes:
         name: Name of the predicate in expressions.
@@ -65,8 +65,8 @@ class Predicate:
         aliases: Names of the predicate in other formats.
         robot_first: Aliases whose arguments list the robot before the object.
         before_motion: Value before any robot has moved, or None if it depends on the scene.
-        contact: True if the predicate is false unless its two objects, or its object and the robot, touch or overlap.
-            Rollouts then skip the rule while they are far apart.
+        contact: True if the predicate can hold only when its two objects, or its object and the robot, touch or
+            overlap. Rollouts then skip the rule while the two are far apart.
     """
 
     name: str
@@ -119,13 +119,13 @@ PREDICATES = Registry(
 def built_in_predicates() -> dict[str, Predicate]:
     """Return the built-in predicates by name.
 
-    Schemas and documentation use these, because they must not depend on the installed plug-ins.
+    Schemas and documentation use these predicates because they must not depend on the installed plug-ins.
     """
     return {name: PREDICATES.load(name) for name in PREDICATES.built_in}
 
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    """Resolve aliases and return the canonical name and arguments; unknown names are returned unchanged."""
+    """Resolve aliases, and return the canonical name and arguments. Unknown names are returned unchanged."""
     if name in PREDICATES.built_in:
         return name, arguments
     found = _by_alias(tuple(PREDICATES.built_in)).get(name)
@@ -159,7 +159,10 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 
 
 class ExpressionError(ValueError):
-    """Raised if a text is not a valid predicate; ``word`` is the invalid part, and ``choices`` are the valid values."""
+    """Raised if a text is not a valid predicate.
+
+    ``word`` is the invalid part of the text, and ``choices`` are the valid values.
+    """
 
     def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -192,7 +195,7 @@ def parse_call(text: str) -> Call:
     """Parse a predicate given by its name or an alias.
 
     Raises:
-        ExpressionError: The text is not a valid predicate.
+        ExpressionError: If the text is not a valid predicate.
     """
     match = _CALL.match(text)
     if match is None:
@@ -258,7 +261,10 @@ else:
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """Split a condition (a model or plain data) into its kind, ``text``, ``all``, ``any`` or ``not``, and operands."""
+    """Split a condition (a model or plain data) into its kind and its operands.
+
+    The kind is ``text``, ``all``, ``any`` or ``not``.
+    """
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)

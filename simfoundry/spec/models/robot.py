@@ -33,7 +33,7 @@ class KnownRobot:
 
 
 class RobotFiles(Model):
-    """A custom robot, with its model in one or more formats; each target prefers its native format.
+    """A custom robot, with its model in one or more formats. Each target prefers its native format.
 
     Rollouts require the definitions of the hand and the gripper (if any), which only a robot ``file`` can contain.
     """
@@ -78,7 +78,7 @@ class RobotSpec(Model):
     def known(self) -> KnownRobot | None:
         """Return the known robot with this name.
 
-        Returns None if the robot is unknown or its file is invalid; `check` reports invalid files.
+        Returns None if the robot is unknown or its file is invalid. `check` reports invalid files.
         """
         from simfoundry.spec.models.robot_file import find_robot
 

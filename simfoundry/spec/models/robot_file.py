@@ -38,7 +38,10 @@ class FrameSpec(Model):
 
 
 class FollowSpec(Model):
-    """Coupling of a joint to a leader ``joint``: its position is ``multiplier`` times the leader's plus ``offset``."""
+    """The coupling of a joint to a leader ``joint``.
+
+    The position is ``multiplier`` times the leader's position plus ``offset``.
+    """
 
     joint: JointName
     multiplier: Number = 1.0
@@ -46,7 +49,7 @@ class FollowSpec(Model):
 
 
 class GripperSpec(Model):
-    """Commands and joint travel of a gripper."""
+    """The commands and joint travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Actuator commands; default: the joint positions.")
     joints: dict[JointName, Travel] = Field(
@@ -124,7 +127,7 @@ def read_robot_file(file: Path) -> RobotFileSpec:
     """Read a robot file.
 
     Raises:
-        SimfoundryError: The file cannot be read or is invalid.
+        SimfoundryError: If the file cannot be read or is invalid.
     """
     try:
         data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -156,7 +159,8 @@ BUILT_IN = Path(__file__).parents[2] / "robots"
 def own_folder(must_exist: bool = False) -> Path | None:
     """Return the user's robot folder, or None if it is not set or does not exist.
 
-    Raises :class:`SimfoundryError` if ``must_exist`` is True and the configured folder does not exist.
+    Raises:
+        SimfoundryError: If ``must_exist`` is True and the configured folder does not exist.
     """
     named = os.environ.get(OWN_ROBOTS)
     folder = Path(named).expanduser().resolve() if named else None
@@ -174,13 +178,13 @@ def robot_names() -> list[str]:
 
 
 def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
-    """Look up a robot file by robot name; a file in the user folder overrides fields of a built-in robot.
+    """Look up a robot file by robot name. A file in the user folder overrides fields of a built-in robot.
 
     Returns:
         The robot file and the path of the file that its paths are relative to, or None if the robot is unknown.
 
     Raises:
-        SimfoundryError: The file is invalid.
+        SimfoundryError: If the file is invalid.
     """
     folder = own_folder()
     own = folder / f"{name}.yaml" if folder is not None else None
@@ -199,7 +203,7 @@ def find_robot(name: str) -> KnownRobot | None:
     """Return the robot with this name, or None if the robot is unknown.
 
     Raises:
-        SimfoundryError: The robot file is invalid, or lacks fields that scenes require.
+        SimfoundryError: If the robot file is invalid or lacks fields that scenes require.
     """
     found = known_robot_file(name)
     if found is None:

@@ -45,7 +45,7 @@ PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
 
 
 class Place(Model):
-    """A placement on or inside a support; the pose is computed by lowering the object onto the shapes below it.
+    """A placement on or inside a support. The pose is computed by lowering the object onto the shapes below it.
 
     Left, right, front and behind are relative to the scene's viewpoint. If no horizontal position is specified, the
     object is placed at the center of its support. If only one of `left_of`, `right_of`, `in_front_of` and `behind` is
@@ -110,7 +110,7 @@ DEFAULT_VARIANT = "default"
 
 
 class GeometrySpec(BodySpec):
-    """Geometry of an object or of one of its variants."""
+    """The geometry of an object or of one of its variants."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     asset: FileName | None = Field(
@@ -120,7 +120,7 @@ class GeometrySpec(BodySpec):
 
 
 class VariantSpec(GeometrySpec):
-    """Overrides for one variant of an object; all other properties are inherited from the object.
+    """Overrides for one variant of an object. All other properties are inherited from the object.
 
     A new `shape` or `asset` also removes the object's `scale` and `visual`.
     """
@@ -208,7 +208,7 @@ class LightSpec(Model):
 
 
 class BackgroundSpec(Model):
-    """Visual surroundings of the scene; nothing collides with them."""
+    """The visual surroundings of the scene. Nothing collides with them."""
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
@@ -248,7 +248,7 @@ Written = float | Degrees | PoseSpec
 
 
 def number(position: Written) -> float:
-    """Convert a joint position as written to a number [m or rad]; a pose is converted to 0."""
+    """Convert a joint position in a document to a number [m or rad]. A pose is converted to 0."""
     if isinstance(position, Degrees):
         return math.radians(position.deg)
     return position if isinstance(position, float | int) else 0.0
@@ -279,8 +279,11 @@ OF_GEOMETRY = ("scale", "visual")
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
     """Return the variant ``name`` of an object as an object without variants.
 
-    ``default`` is the object without any overrides. Raises :class:`pydantic.ValidationError` if the object and the
-    variant are incompatible, for example if the variant sets `scale` for a primitive.
+    ``default`` is the object without any overrides.
+
+    Raises:
+        pydantic.ValidationError: If the object and the variant are incompatible, for example if the variant sets
+            `scale` for a primitive.
     """
     from simfoundry.spec.models.types import RIVALS  # reads a file, which checking a scene without variants can skip
 
@@ -298,5 +301,8 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
 
 
 def variant_names(item: ObjectSpec) -> list[str]:
-    """Return the names of an object's variants, starting with ``default``; the list is empty if it has no variants."""
+    """Return the names of an object's variants, starting with ``default``.
+
+    The list is empty if the object has no variants.
+    """
     return [DEFAULT_VARIANT, *item.variants] if item.variants else []

@@ -29,7 +29,7 @@ Cells = Annotated[int, Field(ge=1, le=100)]
 
 
 class Start(Model):
-    """Differences between the initial state and the scene."""
+    """The differences between the initial state and the scene."""
 
     place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
     pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")
@@ -43,7 +43,7 @@ class Start(Model):
 
 
 class Subtask(Model):
-    """A step of the task; it is complete once its goal has been satisfied."""
+    """A step of the task. It is complete once its goal has been satisfied."""
 
     goal: Condition = Field(
         description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
@@ -57,7 +57,7 @@ class Subtask(Model):
 
 
 class ResetRegion(Model):
-    """Region for the initial position of an object; the height of the object is unchanged."""
+    """A region for the initial position of an object. The height of the object is unchanged."""
 
     x: Annotated[Point2, Ordered] = Field(description="Minimum and maximum x in the world [m].")
     y: Annotated[Point2, Ordered] = Field(description="Minimum and maximum y in the world [m].")
@@ -67,7 +67,7 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """Variation of the initial state: in each rollout, an object starts in a different cell of its region's grid."""
+    """A variation of the initial state. In each rollout, an object starts in a different cell of its region's grid."""
 
     grid: tuple[Cells, Cells] = Field((5, 5), description="Number of cells in each region along x and y.")
     objects: dict[Name, ResetRegion] = Field({}, description="Initial regions by object name.")
@@ -99,7 +99,7 @@ class TaskSpec(DocumentSpec):
 
 
 def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
-    """Return the scene with the initial states in ``starts`` applied; later entries override earlier ones."""
+    """Return the scene with the initial states in ``starts`` applied. Later entries override earlier ones."""
     objects = dict(spec.objects)
     for start in starts:
         for name, place in start.place.items():

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, Tag
+from pydantic import BaseModel, Tag, TypeAdapter
 
 from simfoundry.spec.models.base import BodySpec, DocumentSpec, FormerKey, Model, Reference
 from simfoundry.spec.yaml.text import read
@@ -43,7 +43,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """Yield the types that a member of a type can have; ``part`` is the key or index of the member."""
+    """Yield the types that a member of a type can have. ``part`` is the key or index of the member."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             yield field_type(kind, part)
@@ -57,6 +57,12 @@ def field_type(model: type[BaseModel], name: str) -> Any:
     """Return the type of a field, annotated with its constraints."""
     info = model.model_fields[name]
     return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+
+
+@functools.cache
+def field_adapter(model: type[BaseModel], name: str) -> TypeAdapter[Any]:
+    """Return the validator for the value of a field."""
+    return TypeAdapter(field_type(model, name))
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
@@ -153,7 +159,7 @@ def field_order(model: type[Model]) -> list[str]:
 
 
 class KeyOrder:
-    """Canonical order of the keys at a path in a document and below it."""
+    """The canonical order of the keys at a path in a document and below it."""
 
     def __init__(self, *types_: Any) -> None:
         kinds = [kind for type_ in types_ for _, kind in flat(type_)]

@@ -33,7 +33,7 @@ class Notes:
     inside: dict[str | int, Notes] = field(default_factory=dict)
 
     def at(self, part: str | int) -> Notes:
-        """Return the comments attached to a member, given by key or index."""
+        """Return the comments attached to the member with this key or index."""
         return self.inside.setdefault(part, Notes())
 
 
@@ -47,7 +47,7 @@ def read_notes(text: str, root: Node, first: str) -> Notes:
 
 @dataclass(slots=True)
 class _Frame:
-    """A mapping or list that is not closed yet; ``indent`` is its column, or -1 inside brackets."""
+    """A mapping or list that is not closed yet. ``indent`` is its column, or -1 inside brackets."""
 
     node: Node
     path: Path_
@@ -63,7 +63,10 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Pending:
-    """A comment whose owner depends on the next event; ``alone`` is True if it is on its own line or after a dash."""
+    """A comment that is assigned to a value once the next event is known.
+
+    ``alone`` is True if the comment is on its own line or after a dash.
+    """
 
     start: int
     column: int
@@ -72,7 +75,7 @@ class _Pending:
 
 
 class _Reader:
-    """Reads the parser events of a text and assigns the comments between them.
+    """A reader of parser events that assigns the comments between the events to values.
 
     A comment on its own line belongs to the next value, or to the end of the mapping or list that ends next if it is
     indented deeper than the parent of that collection. A comment after a value on the same line belongs to that value.
@@ -207,7 +210,7 @@ class _Reader:
     # -- comments -------------------------------------------------------------------------------------------------
 
     def _gap(self, end: int) -> None:
-        """Collect the comments before ``end``; the text up to ``end`` must contain only comments."""
+        """Collect the comments before ``end``. The text up to ``end`` must contain only comments."""
         while 0 <= self.next < end:
             match = _COMMENT.match(self.text, self.next)
             assert match is not None
@@ -254,7 +257,7 @@ class _Reader:
         return reduce(Notes.at, path, self.root)
 
     def _start(self, event: Any) -> int:
-        """Return the start of the value itself, after its anchor."""
+        """Return the start of the value, after its anchor if it has one."""
         start: int = event.start_mark.index
         anchor = _ANCHOR.match(self.text, start) if event.anchor is not None else None
         if anchor is None:

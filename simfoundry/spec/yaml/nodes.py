@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
 # Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000.
@@ -65,7 +66,7 @@ class Node:
         return self.line, self.column
 
 
-class YamlError(Exception):
+class YamlError(PicklableError):
     """Raised if a YAML text could not be read."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
@@ -91,7 +92,7 @@ class _Open:
 
 
 class Composer:
-    """Builds :class:`Node` trees from parser events without recursion, so that nesting cannot exhaust the stack."""
+    """A builder of :class:`Node` trees from parser events. It is not recursive, so nesting cannot exhaust the stack."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -112,7 +113,7 @@ class Composer:
             self._add(Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain), event.anchor)
 
     def _key(self, top: _Open, event: Any, line: int, column: int, plain: str) -> None:
-        """Start a key of the mapping on top of the stack; keys count as values."""
+        """Start a key of the mapping on top of the stack. Keys count as values."""
         if event.tag is not None:
             raise _tag_error(event)
         if plain == "<<":
@@ -200,7 +201,7 @@ class Composer:
 def _rejoined(items: list[Node]) -> list[Node]:
     """Rejoin strings that YAML splits inside parentheses in bracketed lists, as in ``[OnTop(cup, desk), Closed(box)]``.
 
-    YAML splits such strings at the comma. Only unquoted scalars have ``plain`` set; quoted scalars are not changed.
+    YAML splits such strings at the comma. Only unquoted scalars have ``plain`` set. Quoted scalars are not changed.
     """
     if not any("(" in item.plain for item in items):
         return items

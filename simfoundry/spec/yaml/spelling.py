@@ -44,7 +44,7 @@ def number(value: float) -> str:
 
 
 def rounded(value: float) -> float:
-    """Round a number to six decimals; tiny numbers keep four significant digits, which is more precise."""
+    """Round a number to six decimals, or a tiny number to four significant digits, which is more precise."""
     if value == 0 or not math.isfinite(value) or abs(value) >= LARGE:
         return value
     return float(f"{value:.3e}" if abs(value) < 10 ** (2 - DIGITS) else f"{value:.{DIGITS}f}")
@@ -69,7 +69,7 @@ def exact(value: float) -> str:
 
 
 def call(text: str) -> str:
-    """Format a predicate in canonical form, ``OnTop(cup, desk)``; other strings are returned unchanged."""
+    """Format a predicate in canonical form, as in ``OnTop(cup, desk)``. Other strings are returned unchanged."""
     match = _CALL.match(text)
     if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
         return text
@@ -101,7 +101,7 @@ def string(text: str, where: Where) -> str:
 
 
 def key_text(key: str) -> str:
-    """Format a key: unquoted if it is an unambiguous word."""
+    """Format a key, without quotes if it is an unambiguous word."""
     return key if _is_word(key) else quoted(key)
 
 
@@ -110,7 +110,7 @@ def _is_word(text: str) -> bool:
 
 
 def quoted(text: str) -> str:
-    """Format a string in double quotes; characters that YAML forbids or treats as line breaks are escaped."""
+    """Format a string in double quotes. Characters that YAML forbids or treats as line breaks are escaped."""
     escaped = f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}"
     return re.sub(escaped, lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
 
@@ -141,7 +141,7 @@ def _block(head: str, lines: tuple[str, ...], text: str) -> tuple[str, ...] | No
 
 
 def filled(words: list[str], width: int, indent: str = "") -> Iterator[str]:
-    """Yield lines, each with as many words as fit; all lines except the first are indented."""
+    """Yield lines that each contain as many words as fit. All lines except the first are indented."""
     line = words[0]
     for word in words[1:]:
         if len(line) + 1 + len(word) > width:

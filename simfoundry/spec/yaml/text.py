@@ -29,7 +29,7 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Document:
-    """A parsed text: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
+    """A parsed text, which consists of plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
 
     file: str
     text: str
@@ -37,10 +37,10 @@ class Document:
     root: Node
     duplicates: tuple[Diagnostic, ...]
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
-    """Members that this document adds to its base, keyed by path, each with the names of the members in the base."""
+    """Members that this document adds to its base, as a mapping from their paths to the names of the base's members."""
 
     def section(self, name: str) -> dict[str, Any]:
-        """Return the data of a section by name; the result is empty if it is missing or not a mapping."""
+        """Return the data of a section by name. The result is empty if the section is missing or is not a mapping."""
         members = self.data.get(name) if isinstance(self.data, dict) else None
         return members if isinstance(members, dict) else {}
 
@@ -91,7 +91,11 @@ class Document:
 
 
 def read(path: Path) -> Document:
-    """Read a file; raises :class:`YamlError` with a position if the file could not be read."""
+    """Read a file.
+
+    Raises:
+        YamlError: If the file could not be read; the error contains the position.
+    """
     try:
         if path.exists() and not path.is_file():
             raise YamlError("SF001", "this is not a file")
@@ -113,7 +117,7 @@ def read(path: Path) -> Document:
 
 
 def _position(before: str) -> tuple[int, int]:
-    """Return the line and column (from 1) of the character that follows the text ``before``."""
+    """Return the line and column, counted from 1, of the character that follows the text ``before``."""
     lines = f"{before}.".splitlines()
     return len(lines), len(lines[-1])
 
@@ -123,7 +127,7 @@ _MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$",
 
 
 def _conflict(text: str) -> int:
-    """Return the line (from 1) at which a git conflict starts, or 0 if the text does not contain a conflict."""
+    """Return the line, counted from 1, at which a git conflict starts, or 0 if the text does not contain a conflict."""
     start, wanted = 0, 0
     for number, line in enumerate(text.splitlines() if "<<<<<<<" in text else (), 1):
         if _MARKERS[wanted].match(line):
@@ -134,7 +138,11 @@ def _conflict(text: str) -> int:
 
 
 def parse(text: str, file: str = "<text>") -> Document:
-    """Read a text; raises :class:`YamlError` with a position if it could not be parsed."""
+    """Parse a text.
+
+    Raises:
+        YamlError: If the text could not be parsed; the error contains the position.
+    """
     conflict = _conflict(text)
     if conflict:
         hint = "choose the lines to keep and remove the markers, or merge semantically: `simfoundry git install`, then "

@@ -18,7 +18,7 @@ KIND = "simfoundry"
 
 @dataclass(frozen=True, slots=True)
 class YamlTree:
-    """A value with the comments around it; each comment is the text from ``#`` to the end of the line.
+    """A value with the comments around it. Each comment is the text from ``#`` to the end of the line.
 
     Attributes:
         value: A scalar, a mapping of trees, or a tuple of trees.
@@ -60,7 +60,7 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Return a tree of the plain ``data``, in the order of the data, with the comments from ``tree``.
+    """Return a tree of the plain ``data``, with the comments from ``tree``. Keys are in the order of ``data``.
 
     Comments of removed values are dropped. A mapping entry keeps its comments if its key still exists, even if its
     value changes. A list item keeps its comments if an equal item exists, or if it was changed but has the same
@@ -89,9 +89,10 @@ def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, .
 
 
 def read_tree(document: Document) -> YamlTree:
-    """Return the tree of a document (without its bases) with all comments; aliases are expanded.
+    """Return the tree of a document, without its bases but with all comments. Aliases are expanded.
 
-    Raises :class:`SpecError` for duplicate keys, because one of the values would be lost.
+    Raises:
+        SpecError: If a key occurs twice, because one of the values would be lost.
     """
     if document.duplicates:
         raise SpecError(document.duplicates)

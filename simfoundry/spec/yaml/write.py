@@ -38,7 +38,10 @@ Line = tuple[str, str]
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:
-    """Return the canonical text of a document, with ordered fields, no default values, and six decimals."""
+    """Return the canonical text of a document.
+
+    Fields are ordered, default values are omitted, and numbers are rounded to six decimals.
+    """
     above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
     return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
 
@@ -58,7 +61,7 @@ def _rounded(data: Any) -> Any:
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     """Return the canonical text of a document with its comments.
 
-    Keys of ``model`` are written in its order, followed by other keys; names keep their order. Numbers are exact:
+    Keys of ``model`` are written in its order, followed by other keys. Names keep their order. Numbers are exact, so
     reading the text returns the tree's data, except for the spelling of predicates.
     """
     tree = _spelled(tree, False)
@@ -76,7 +79,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
 def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
     """Return the lines of one entry of a block mapping, indented by ``indent`` columns.
 
-    Comments above the entry are omitted; trailing comments and comments inside the entry are included.
+    Comments above the entry are omitted. Trailing comments and comments inside the entry are included.
     """
     spelled = _spelled(tree, path[-1] in _PREDICATES)
     depth = 2 * (len(path) - 1)
@@ -110,11 +113,11 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 
 
 class _Writer:
-    """Writes mappings and lists.
+    """A writer of mappings and lists.
 
     ``blocks`` contains the identities of trees that cannot be written on one line because they contain a comment, a
-    long text, or a predicate. Predicates are included because editors and other YAML readers split
-    ``OnTop(cup, desk)`` at the comma inside brackets.
+    long text, or a predicate. Predicates are included because editors and other YAML readers split ``OnTop(cup, desk)``
+    at the comma inside brackets.
     """
 
     def __init__(self, tree: YamlTree) -> None:
@@ -122,7 +125,7 @@ class _Writer:
         self.needs_lines = self._collect(tree)
 
     def _collect(self, tree: YamlTree) -> bool:
-        """Collect blocks; return True if the tree prevents its parent from being written on one line."""
+        """Collect blocks, and return True if the tree prevents its parent from being written on one line."""
         value = tree.value
         inside = bool(value) and bool(tree.end)
         if isinstance(value, str):
@@ -200,7 +203,7 @@ class _Writer:
         yield from self.short(head, tree, slot, indent, beside)
 
     def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
-        """Yield the lines of a value that is not a block; this is a single line except for long lists or texts."""
+        """Yield the lines of a value that is not a block. This is a single line, except for long lists and texts."""
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
             return
@@ -215,7 +218,7 @@ class _Writer:
             yield f"{head} {flow}", beside
 
     def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
-        """Yield the lines of a text, which has several lines if it contains line breaks or is too long."""
+        """Yield the lines of a text. There are several if the text contains line breaks or is too long for one line."""
         lines = literal(text)
         line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
@@ -232,7 +235,10 @@ class _Writer:
         return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
     def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, indent: int) -> bool:
-        """Return True if each item of a list gets its own line: predicates, and items too long for one line."""
+        """Return True if each item of a list gets its own line.
+
+        This is the case if the list contains predicates, comments or items that are too long for one line.
+        """
         if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
@@ -266,7 +272,7 @@ def _spaced(comment: str) -> str:
 
 
 def _joined(lines: list[Line]) -> Iterator[str]:
-    """Yield lines with their comments, which are aligned for neighboring lines of similar length."""
+    """Yield lines with their comments. The comments of neighboring lines of similar length are aligned."""
     for commented, run in groupby(lines, key=lambda line: bool(line[1])):
         neighbors = [*run]
         widths = [len(code) for code, _ in neighbors]

@@ -169,7 +169,7 @@ def test_on_where_the_words_say_in_counts_inside_too(tmp_path: Path) -> None:
         ("(And (On spoon_1 plate_1) (On fork_1 plate_1))", "2 items are missing: line 13: the scene has no object"),
         ("(And (Open plate_1))", "`plate_1` has no joint that can be opened"),
         ("(And)", "the goal is empty"),
-        ("(And (forall (?x - spoon) (On ?x plate_1)))", "no object has the type of this variable"),
+        ("(And (forall (?x - spoon) (On ?x plate_1)))", "no object has this variable's type"),
         ("(And (forn (3) (?x - bowl) (On ?x plate_1)))", "exactly 3 conditions must be true, but there are only 2"),
         ("(And (In bowl_1 cabinet_1_middle_region))", "the scene has no object `cabinet_1_middle_region`"),
     ],

@@ -93,6 +93,22 @@ def test_planes_cameras_and_what_is_left_out(importing: Importing) -> None:
     assert ("dropped", "tendon `rope`") in {(str(n.kind), n.what) for n in report.notes}
 
 
+def test_the_principal_point_is_where_mujoco_draws_it(importing: Importing) -> None:
+    text = """<mujoco><worldbody><geom size="0.1"/>
+      <camera name="eye" pos="1 0 1" resolution="640 480" sensorsize="0.00064 0.00048" focalpixel="500 600"
+        principalpixel="20 70"/></worldbody></mujoco>"""
+    (camera,) = importing("eye.xml", text)[1].cameras
+    model = mujoco.MjModel.from_xml_string(text)
+    data, drawn, view = mujoco.MjData(model), mujoco.MjvScene(model, 10), mujoco.MjvCamera()
+    mujoco.mj_forward(model, data)
+    view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, mujoco.mjtCatBit.mjCAT_ALL, drawn)
+    gl = drawn.camera[0]
+    left, height = gl.frustum_width - gl.frustum_center, gl.frustum_top - gl.frustum_bottom
+    center = (left / (2 * gl.frustum_width) * 640 - 0.5, gl.frustum_top / height * 480 - 0.5)
+    assert (camera.cx, camera.cy) == pytest.approx(center, abs=1e-3)
+
+
 def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
     text = """<mujoco><worldbody><body name="b"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
       <joint name="h" axis="0 1 0" pos="0 0 0.2" range="-90 90"/>

@@ -107,7 +107,7 @@ def test_what_a_document_cannot_say_is_told(desk: Project) -> None:
         f"{OBJECTS}/plate/base/Visuals/extra",
         "/World/Cone",
     }
-    assert "from 0.3 to 9; it is defined in cabinet.asset.yaml" in told[f"{OBJECTS}/cabinet/tray"]
+    assert "from 0.3 to 9; the value is defined in cabinet.asset.yaml" in told[f"{OBJECTS}/cabinet/tray"]
     assert "`physics:upperLimit` changed from 0.2 to 0.3" in told[f"{OBJECTS}/cabinet/Joints/drawer"]
 
 

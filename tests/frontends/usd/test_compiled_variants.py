@@ -203,7 +203,9 @@ def test_a_camera_rides_on_every_variant_that_has_its_link(built: Path) -> None:
     file.write_text(text + "cameras:\n" + EYE.format(name="eye", mount="cup") + EYE.format(name="two", mount="cup.lid"))
     artifact = compile_usd(lower_file(file))
     losses = [loss.reason for loss in artifact.losses if loss.path == "two"]
-    assert losses == [f"Variant `{v}` of `cup` has no link `lid` to mount it on." for v in ("tall", "red")]
+    assert losses == [
+        f"Variant `{v}` of `cup` has no link `lid` on which to mount the camera." for v in ("tall", "red")
+    ]
     artifact.write(built / "eyes")
     stage = Usd.Stage.Open(str(built / "eyes" / "scene.usda"))
     assert stage.GetPrimAtPath(f"{CUP}/body/eye") and stage.GetPrimAtPath(f"{CUP}/lid/two")

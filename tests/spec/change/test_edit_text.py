@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simfoundry.spec.change.diff.changes import copied
-from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import SceneSpec
@@ -146,7 +147,7 @@ def test_any_edit_of_any_spec_gives_the_data_that_is_wanted(path: Path, seed: in
         if random.random() < 0.3 and len(place) > 1 and key in place:
             del place[key]
         else:
-            place[key] = random.choice(VALUES)
+            place[key] = copied(random.choice(VALUES))
     edited = edit_text(text, data, model_of(data["simfoundry"]))
     assert parse(edited).data == {**parse(edited).data, **data}
     assert edited == edit_text(edited, data, model_of(data["simfoundry"]))
@@ -162,4 +163,33 @@ def test_an_overlay_says_only_what_it_changes() -> None:
     del after["objects"]["mug"]
     assert own_data(own, before, after, base) == {"objects": {"bowl": {"mass": 2.0}, "mug": None}}
     assert own_data(own, before, before, base) == own
-    assert own_data({"a": {"b": 1}}, {"a": {"b": 1}}, {}) is ABSENT
+    cup: Data = {"cup": {"mass": 1}}
+    assert own_data({"objects": cup}, {"objects": {**base["objects"], **cup}}, base, base) is ABSENT
+
+
+def test_a_key_that_excluded_another_is_not_followed_by_it() -> None:
+    base: Data = {"mug": {"place": {"on": "desk", "xy": (0, 0)}}}
+    own: Data = {"mug": {"pose": {"xyz": (0, 0, 1)}}}
+    heavier = {"mug": {"pose": {"xyz": (0, 0, 1)}, "mass": 1}}
+    assert own_data(own, own, heavier, base) == heavier
+    assert own_data(own, own, {"mug": {"mass": 1}}, base) == {"mug": {"mass": 1, "place": None}}
+    placed = {"mug": {"place": {"on": "shelf"}}}
+    assert own_data(own, own, placed, base) == {"mug": {"place": {"on": "shelf", "xy": None}}}
+
+
+def test_an_empty_mapping_that_was_set_is_written() -> None:
+    assert own_data({"a": {"b": 1}}, {"a": {"b": 1}}, {"a": {}}) == {"a": {}}
+
+
+def test_members_added_and_removed_together_are_as_if_one_after_the_other() -> None:
+    def add(data: Data, *names: str) -> None:
+        data["objects"].update({name: {"asset": f"{name}.glb"} for name in names})
+
+    one = _edited(lambda d: add(d, "cup"))
+    both = _edited(lambda d: add(d, "cup", "jug"))
+    assert both == _edited(lambda d: add(d, "jug"), one) != one
+    assert _edited(lambda d: [d["objects"].pop(name) for name in ("cup", "jug")], both) == TEXT
+    less = _edited(lambda d: d["objects"].pop("mug"))
+    assert _edited(lambda d: [d["objects"].pop(name) for name in ("mug", "plate")]) == _edited(
+        lambda d: d["objects"].pop("plate"), less
+    )

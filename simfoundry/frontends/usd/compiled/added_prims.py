@@ -101,7 +101,7 @@ def _object(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | S
 
     shapes = [p for p in Usd.PrimRange(prim) if p.IsA(UsdGeom.Gprim)]
     if len(shapes) != 1:
-        message = f"it has {len(shapes)} shapes, but only objects with one shape can be imported"
+        message = f"the prim has {len(shapes)} shapes, but only objects with one shape can be imported"
         return StageNote(str(prim.GetPath()), message, "import it separately as an asset")
     (shape,) = shapes
     pxr = SimpleNamespace(UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade)

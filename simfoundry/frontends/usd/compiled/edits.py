@@ -1,4 +1,4 @@
-"""Convert edits to a stage member to document data; unedited values stay as they were written."""
+"""Convert edits to a stage member to document data. Values that were not edited stay as they were written."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ _OFF_M, _OFF_RAD = 1e-3, 1e-2
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Write changed joint positions to ``data`` and yield notes on unsupported edits.
 
-    Changed joint attributes take precedence over changed link poses. Processed attributes are added to ``handled``.
+    If a joint attribute and a link pose were both changed, the joint attribute takes precedence. Processed attributes
+    are added to ``handled``.
     """
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
@@ -67,7 +68,9 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
         handled.add((child, "at"))
         new = stated[0] if stated else old + moved
         if not stated and off:
-            message = "it was moved in a way that its joint does not allow; only the motion along the joint is kept"
+            message = (
+                "the link was moved in a way that its joint does not allow; only the motion along the joint is kept"
+            )
             yield StageNote(f"{part.path}/{child}", message)
         name = relative.rpartition("/")[2]
         if abs(new - old) > STILL:
@@ -78,7 +81,11 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
-    """Return a joint's child link, the link's motion along the joint [m or rad], and True for any other motion."""
+    """Determine the motion of a joint.
+
+    Returns:
+        The joint's child link, its motion along the joint [m or rad], and True if it also moved in any other way.
+    """
     prim = part.prim.GetPrimAtPath(relative)
     targets = (prim.GetRelationship(name).GetTargets() for name in ("physics:body0", "physics:body1"))
     parent, child = (str(t[0].MakeRelativePath(part.prim.GetPath())) if t else "" for t in targets)
@@ -130,12 +137,12 @@ def _edited_one(part: StageMember) -> Edited:
     else:
         _fixed(part, data, handled)
         notes += [*_mass(part, data, handled), *_surface(part, data, handled)]
-    hint = f"it is defined in {data['asset']}; change it there" if articulated else ""
+    hint = f"the value is defined in {data['asset']}; change it there" if articulated else ""
     return Edited(data, (*notes, *rest(part, handled, hint)))
 
 
 def edited_robot(part: StageMember) -> Edited:
-    """Return the data of an edited robot; only its base can be moved."""
+    """Return the data of an edited robot, of which only the base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -196,19 +203,19 @@ def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> It
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
-            yield StageNote(path, "it was deleted, but pieces of an object cannot be deleted individually")
+            yield StageNote(path, "the prim was deleted, but pieces of an object cannot be deleted individually")
             continue
         now = part.now[relative]
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
                 yield StageNote(path, f"`{name}` changed from {shown(value)} to {shown(now.get(name))}", hint)
         if relative and (relative, "at") not in handled and _displaced(part, relative):
-            yield StageNote(path, "it was moved within its object", hint or "move the entire object")
+            yield StageNote(path, "the prim was moved within its object", hint or "move the entire object")
     for relative, now in part.now.items():
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built = part.built.get(relative)
         if built is None and relative and _counts(prim):
-            yield StageNote(str(prim.GetPath()), "it was added inside an object", "move it outside the object")
+            yield StageNote(str(prim.GetPath()), "the prim was added inside an object", "move it outside the object")
             continue
         for name, value in now.items():
             if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
@@ -273,7 +280,7 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _resized(part: StageMember, relative: str) -> Array:
-    """Return the scale factors of a primitive along its axes, shape (3,)."""
+    """Return the scale factors of a primitive along its three axes."""
     built, now = part.built[relative], part.now[relative]
     factors = transform(part.now, relative)[7:] / transform(part.built, relative)[7:]
     for name, axes in (("size", (0, 1, 2)), ("radius", (0, 1)), ("height", (2,))):
@@ -296,25 +303,28 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
             data.pop("mass", None)
             data["density"] = short(density)
         elif mass <= 0:
-            yield StageNote(f"{part.path}/{link}", "its mass was removed", "set a mass or a density")
+            yield StageNote(f"{part.path}/{link}", "the mass was removed", "set a mass or a density")
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply changes in color, friction and restitution; if several parts changed, the first one is used."""
+    """Apply changes in color, friction and restitution.
+
+    If several parts changed, the first of them is used.
+    """
     for relative, values in part.built.items():
         if (now := part.now.get(relative)) is None:
             continue
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield StageNote(f"{part.path}/{relative}", "its new material does not have a uniform color")
+                yield StageNote(f"{part.path}/{relative}", "the new material does not have a uniform color")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
         if values.get("contact") is not None:
             handled.add((relative, "contact"))
             if now.get("contact") is None:
-                yield StageNote(f"{part.path}/{relative}", "its contact material was removed")
+                yield StageNote(f"{part.path}/{relative}", "the contact material was removed")
                 continue
             for k, name in ((0, "friction"), (2, "restitution")):
                 own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
@@ -323,7 +333,7 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 
 
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
-    """Return a changed contact coefficient, or None if it is unchanged.
+    """Return a contact coefficient if it was changed, or None if it is unchanged.
 
     Each argument contains SimFoundry's own copy of the coefficient and the square root that simulators read, either of
     which may have been edited.
@@ -353,19 +363,20 @@ _EVEN = 1e-6
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """Scale an object along its axes by ``factors``, shape (3,).
+    """Scale an object by one factor along each of its axes.
 
     Returns:
-        The changed keys, and the reason why the result cannot be expressed, or an empty string if it can.
+        The changed keys, and the reason why the result cannot be expressed. The reason is an empty string if the result
+        can be expressed.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:
-        return {}, "it is mirrored or flat, which scenes do not support"
+        return {}, "the object is mirrored or flat, which scenes do not support"
     even, round_ = max(x, y, z) - min(x, y, z) <= _EVEN * x, abs(x - y) <= _EVEN * x
     shape = data.get("shape")
     if not isinstance(shape, dict):
         if str(data.get("asset", "")).endswith(".yaml"):
-            return {}, "it was scaled, but an object from an asset document cannot be scaled"
+            return {}, "the object was scaled, but objects from asset documents cannot be scaled"
         return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "meshes only scale uniformly")
     kind, value = next(iter(shape.items()))
     if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):

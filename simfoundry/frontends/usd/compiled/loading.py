@@ -40,7 +40,7 @@ Edit = tuple[Path_, Any, Any]
 def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
     """Return the edits that turn ``old`` into ``new``.
 
-    Mappings are compared member by member, and other values as a whole.
+    Mappings are compared member by member. All other values are compared as a whole.
     """
     found: list[Edit] = []
     for key in dict.fromkeys((*old, *new)):
@@ -100,7 +100,7 @@ def _base(path: Path, bases: list[Path]) -> Data:
 
 
 def _other(there: Any, old: Any) -> bool:
-    """Return True if a value in a document differs from its compiled value."""
+    """Return True if the value in a document differs from the compiled value."""
     if old is NOTHING:
         return True
     if isinstance(there, dict) and isinstance(old, dict):
@@ -155,7 +155,11 @@ def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTre
 
 
 def read_stage(path: Path) -> StageReading:
-    """Read a stage as a document; raise :class:`StageError` if it is missing or was not compiled from a document."""
+    """Read a stage as a document.
+
+    Raises:
+        StageError: If the stage is missing or was not compiled from a document.
+    """
     stage = open_stage(path)
     try:
         reading = read_spec(stage)
@@ -167,7 +171,7 @@ def read_stage(path: Path) -> StageReading:
 
 
 def load_usd(path: Path, known: Known | None = None) -> Loaded:
-    """Read and check the scene in a stage; errors are returned as findings instead of being raised.
+    """Read and check the scene in a stage, returning errors as findings instead of raising them.
 
     The file of a finding includes the prim in USD notation, as in ``scene.usda</World/Objects/cup>``. Files that the
     scene refers to are resolved relative to its document; see :func:`home`.
@@ -195,7 +199,8 @@ def home(stage: Path, file: str) -> Path:
     """Find the document from which a stage was compiled.
 
     ``file`` is resolved relative to each parent folder of the stage and then to the current folder. If no such document
-    exists, the result is a path in the stage's folder; the document's assets are probably missing as well.
+    exists, the result is a path in the stage's folder. In this case, the document's assets are probably missing as
+    well.
     """
     folders = [*stage.absolute().parents, Path.cwd()]
     places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
@@ -206,7 +211,7 @@ def home(stage: Path, file: str) -> Path:
 def stage_document(path: Path, reading: StageReading) -> Document:
     """Return a stage's document.
 
-    Members are located at their prims; all other values are located in the file as a whole.
+    Findings about a member refer to its prim, and all other findings refer to the file as a whole.
     """
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     return Document(str(path), "", reading.data, _node(reading.data, (), str(path), files), ())
@@ -226,8 +231,8 @@ def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, .
 class Imported:
     """The text of an imported document, with ``notes`` on stage content that the document does not include.
 
-    ``disputed`` contains the paths of values that differed from both the compiled and the edited stage; the stage's
-    values were used.
+    ``disputed`` contains the paths of values in the document that differed from both the compiled and the edited stage.
+    The values of the edited stage were used for them.
     """
 
     text: str
@@ -236,7 +241,9 @@ class Imported:
 
 
 def import_usd(path: Path, original: Path | None = None, into: Path | None = None) -> Imported:
-    """Return the document of a compiled stage; for a stage without edits, it equals the compiled document.
+    """Return the document of a compiled stage.
+
+    For a stage without edits, this is equal to the compiled document.
 
     Args:
         path: Compiled stage.
@@ -266,8 +273,10 @@ def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = 
     """Write the document of the compiled stage at ``path`` to ``out``.
 
     The edits are applied to the document ``onto`` or, unless ``force`` is set, to ``out`` if it exists. Otherwise, a
-    new document is written. Raises :class:`OutputError` if a document with relative references would be written to a
-    different folder.
+    new document is written.
+
+    Raises:
+        OutputError: If a document with relative references would be written to a different folder.
     """
     original = onto or (out if out.exists() and not force else None)
     if original is not None and original.absolute().parent != out.absolute().parent:

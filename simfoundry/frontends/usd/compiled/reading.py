@@ -1,6 +1,6 @@
 """Read a compiled stage, including later edits, as a document.
 
-Unedited values are returned as they were written in the document; edited values are taken from the stage.
+Values that were not edited are returned as they were written in the document. Edited values are taken from the stage.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
 
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
-    """Return the document with renamed members; ``names`` maps sections and old names to new names."""
+    """Return the document with renamed members. ``names`` maps sections and old names to new names."""
     return dict(with_new_names(data, [Rename((section,), old, new) for (section, old), new in names.items()]))
 
 
@@ -81,7 +81,7 @@ class StageReading:
 
     Attributes:
         data: Current content of the stage, complete but without defaults.
-        before: Content of the stage as compiled; deleted members are represented by their names only.
+        before: Content of the stage as compiled. Deleted members are represented only by their names.
         file: Path of the document within its project.
         renamed: New names of renamed members, by section and old name.
         prims: Prim path of each member, by section and name.
@@ -123,12 +123,12 @@ def read_spec(stage: Usd.Stage) -> StageReading | None:
 
 
 class Identified(NamedTuple):
-    """The members of a stage, identified with the members of the written document.
+    """The members of a stage, matched with the members of the written document.
 
     Attributes:
-        members: Original members by section and original name.
-        names: New names of renamed members by section and original name.
-        copies: Copies of members by their new names.
+        members: Original members, keyed by section and original name.
+        names: New names of renamed members, keyed by section and original name.
+        copies: Copies of members, keyed by their new names.
     """
 
     members: dict[tuple[str, str], StageMember]
@@ -159,7 +159,7 @@ def _identified(found: list[StageMember], written: Data) -> Identified:
 
 
 def _identity_rank(part: StageMember) -> tuple[bool, bool]:
-    """Return a sort key that orders members with their original name and scope before their copies."""
+    """Return a sort key that places members with their original name and scope before their copies."""
     return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
@@ -169,14 +169,14 @@ def _edited(part: StageMember) -> Edited:
 
 
 def _compiled(written: Data, members: Mapping[tuple[str, str], StageMember]) -> Data:
-    """Return the document as it was compiled; deleted members are represented by their names only."""
+    """Return the document as it was compiled, in which deleted members are represented only by their names."""
     filled = _filled(written, {key: part.spec for key, part in members.items()})
     return {key: {n: {} if v is None else v for n, v in section.items()} if isinstance(section, dict) else section
             for key, section in filled.items()}  # fmt: skip
 
 
 def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
-    """Return ``written`` with member data filled in; members that are not in ``found`` remain None."""
+    """Return ``written`` with the data of its members filled in. Members that are not in ``found`` remain None."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict):
@@ -185,7 +185,10 @@ def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
 
 
 def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dict[str, StageMember]) -> Data:
-    """Return the document with edited members in their original order and then copies, without deleted members."""
+    """Return the document without deleted members.
+
+    Edited members keep their original order and are followed by the copies.
+    """
     out = _filled(written, {key: each.data for key, each in edited.items()})
     for section, members in out.items():
         if isinstance(members, dict):
@@ -226,7 +229,7 @@ def _placed(data: Data, found: Identified, gone: set[str]) -> Data:
 
 
 def _resized(part: StageMember, data: Data) -> bool:
-    """Return True if an object's shape or joints changed, other than by selecting another variant."""
+    """Return True if an object's shape or joints changed, except by selecting another variant."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 

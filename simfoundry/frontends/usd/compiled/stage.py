@@ -38,7 +38,10 @@ _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
 class StageError(SimfoundryError):
-    """Raised for files that are not stages or cannot be read as documents; ``reason`` omits the file name."""
+    """Raised if a file is not a stage or cannot be read as a document.
+
+    ``reason`` does not include the file name.
+    """
 
     def __init__(self, reason: str, file: Path | None = None) -> None:
         super().__init__(reason if file is None else f"{file}: {reason}")
@@ -68,8 +71,8 @@ class StageMember:
     ``spec`` is the member's data, ``built`` contains the values of its prims as compiled, and ``now`` contains their
     current values. ``X_WP`` is the pose of the prim in the world, and ``scale`` is its scale along each axis, shape
     (3,). If an object has variants, these fields describe the selected ``variant``, whose name is `?` if it was not
-    compiled. ``others`` describes the remaining variants, for which only their own opinions count as edits. ``stage``
-    keeps ``prim`` alive, because a prim has only a weak reference to its stage.
+    compiled. ``others`` describes the remaining variants; only opinions in such a variant itself count as edits to it.
+    ``stage`` keeps ``prim`` alive, because a prim has only a weak reference to its stage.
     """
 
     section: str
@@ -86,17 +89,21 @@ class StageMember:
 
     @property
     def path(self) -> str:
-        """Return the path of the member's prim."""
+        """The path of the member's prim."""
         return str(self.prim.GetPath())
 
     @property
     def X_WP_built(self) -> Pose:
-        """Return the pose of the member in the world as compiled."""
+        """The pose of the member in the world as compiled."""
         return local_pose(self.built, "")
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a stage; raise :class:`StageError` if the file is missing or is not a stage."""
+    """Open a stage.
+
+    Raises:
+        StageError: If the file is missing or is not a stage.
+    """
     from pxr import Tf, Usd
 
     if not path.is_file():
@@ -122,13 +129,13 @@ def carrier(stage: Usd.Stage) -> Usd.Prim | None:
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """Return a document's path within its project, and its data without the members' data."""
+    """Return a document's path within its project, and its data excluding that of its members."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
 def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
-    """Return all active members in stage order, including members that were moved in the hierarchy."""
+    """Return all active members in stage order, including members that were moved within the hierarchy."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
@@ -137,9 +144,9 @@ def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
 def _other_variants(
     stage: Usd.Stage, varied: list[StageMember], world: StageFrame
 ) -> dict[str, tuple[StageMember, ...]]:
-    """Return the members for all unselected variants by path.
+    """Return the members for all unselected variants, keyed by path.
 
-    Each additional stage selects one of the remaining variants for every object at the same time.
+    The stage is opened again as often as necessary, each time with a different variant of every object.
     """
     from pxr import Sdf, Usd
 
@@ -164,7 +171,10 @@ def _other_variants(
 
 
 def _own_opinions(part: StageMember) -> Values:
-    """Return the values of a variant's prims, using compiled values if the strongest opinion is not in the variant."""
+    """Return the values of a variant's prims.
+
+    The compiled value is used if the strongest opinion is not in the variant.
+    """
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
@@ -197,7 +207,11 @@ def _in_variant(spec: Any) -> bool:
 
 
 def transform(values: Values, path: str) -> Array:
-    """Return the position, quaternion (w first) and scale of a prim relative to its parent, shape (10,)."""
+    """Return the transform of a prim relative to its parent.
+
+    Returns:
+        The position, the quaternion (w first) and the scale in one array, shape (10,).
+    """
     return np.array(values.get(path, {}).get("at") or _IDENTITY, dtype=np.float64)
 
 
@@ -248,7 +262,7 @@ def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
 
 
 def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
-    """Return a mapping that is stored as JSON in the metadata of a prim."""
+    """Return a mapping that is stored as JSON in a prim's metadata."""
     try:
         data = _tuples(json.loads(str(_entries(prim)[key])))
         if not isinstance(data, dict):
@@ -299,7 +313,10 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
 
 
 def _attributes(prim: Usd.Prim) -> dict[str, Any]:
-    """Return the authored attribute values of a prim by name, using the first value of animated attributes."""
+    """Return the authored attribute values of a prim, keyed by name.
+
+    Animated attributes are represented by their first value.
+    """
     from pxr import Usd
 
     return {a.GetName(): a.Get(Usd.TimeCode.EarliestTime()) for a in prim.GetAuthoredAttributes() if a.HasValue()}
@@ -311,7 +328,7 @@ def fallback(prim: Usd.Prim, name: str) -> Any:
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a shape's current visual and contact materials, but only the kinds with which it was ``built``."""
+    """Return a shape's current visual and contact materials, limited to the kinds with which it was ``built``."""
     from pxr import UsdShade
 
     now_values: dict[str, Any] = {}

@@ -1,4 +1,7 @@
-"""The world frame of a stage (in meters, with z up), for any stage units and any way of including a compiled stage."""
+"""The world frame of a stage, in meters and with z up.
+
+It is determined for any stage units and for any way of including a compiled stage in another stage.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 class StageFrame:
-    """Computes transforms from prims to the world frame in meters with z up, at the earliest time.
+    """A converter from the frames of prims to the world frame in meters with z up, at the earliest time.
 
     There are two ways to use a compiled stage in another stage with different units. A stronger layer does not change
     the numbers, so they are still in meters even if the layer declares other units. In contrast, a stage that
@@ -42,7 +45,11 @@ class StageFrame:
         self._choose(stage, np.array(self.cache.GetLocalToWorldTransform(carrier), dtype=np.float64).T, carrier)
 
     def matrix(self, prim: Usd.Prim) -> Array:
-        """Return the transform from a prim's frame to the world, shape (4, 4), for row vectors as in USD."""
+        """Return the transform from a prim's frame to the world, for row vectors as in USD.
+
+        Returns:
+            Transformation matrix, shape (4, 4).
+        """
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
 
     def anew(self) -> StageFrame:
@@ -54,7 +61,7 @@ class StageFrame:
         return other
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
-        """Interpret numbers as meters or as stage units so that the size of the document's prim is preserved."""
+        """Interpret numbers as meters or as stage units, whichever preserves the size of the document's prim."""
         from pxr import UsdGeom
 
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))

@@ -23,7 +23,7 @@ _STILL = 1e-9
 
 
 def variant_data(data: Data, variant: str) -> Data:
-    """Return the data of an object with the given variant applied, without the ``variants`` key.
+    """Return the data of an object with the given variant applied, omitting the ``variants`` key.
 
     If the variant does not exist, the data is returned unchanged.
     """

@@ -54,7 +54,7 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, using `look_at` if the image is upright.
 
-    The target point is at the same distance as in ``before``, or one meter away if there was no target.
+    The target point is at the same distance as in ``before``, or at a distance of one meter if there was no target.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -92,7 +92,10 @@ def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
 
 
 def edit_gravity(prim: Usd.Prim, data: dict[str, Any], world: StageFrame) -> None:
-    """Write gravity into ``data`` if it was edited in the stage; ``prim`` contains the document."""
+    """Write gravity into ``data`` if it was edited in the stage.
+
+    ``prim`` contains the document.
+    """
     physics = prim.GetChild("Physics")
     if not physics:
         return

@@ -37,7 +37,7 @@ class Set:
 
 @dataclass(frozen=True)
 class Add:
-    """The addition of a member at ``path``, at index ``position`` in its mapping (from 0)."""
+    """The addition of a member at ``path``. Its place in the mapping is the zero-based index ``position``."""
 
     path: Path_
     value: Any
@@ -87,7 +87,10 @@ def to_json(change: Change) -> dict[str, Any]:
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping keyed by name, or a list of expressions keyed by text; None for other values."""
+    """Return the members of a mapping, keyed by name, or of a list of expressions, keyed by text.
+
+    Returns None for any other value.
+    """
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -188,7 +191,7 @@ def renamed(data: Any, renames: Iterable[Rename]) -> Any:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return True if two values are equal, including key order; ``1`` equals ``1.0`` but not ``true``."""
+    """Return True if two values are equal, including key order. ``1`` equals ``1.0`` but not ``true``."""
     if isinstance(a, dict):
         return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list):
@@ -255,7 +258,10 @@ class _Member:
 
 
 def _likeness(old: _Member, new: _Member) -> float:
-    """Return the fraction of values in which two members agree, or 0 if they are different objects."""
+    """Return the fraction of values in which two members agree.
+
+    The result is 0 if the members are too different or do not have the same shape, asset, mesh or model.
+    """
     common = len(old.leaves & new.leaves)
     if common < ALIKE * max(len(old.leaves), len(new.leaves)):
         return 0.0
@@ -280,7 +286,7 @@ def _space(section: Path_) -> str:
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
-    """Rename the references in the value at ``path``; the names in ``path`` itself are already the new ones."""
+    """Rename the references in the value at ``path``. The names in ``path`` itself have already been renamed."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
         if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
@@ -301,7 +307,7 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
 
 
 def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
-    """Rename the members in a dotted path; a single name is looked up in ``spaces``."""
+    """Rename the members in a dotted path. A path that consists of a single name is looked up in ``spaces``."""
     parts = text.split(".")
     if len(parts) == 1:
         return _name(text, NAMED, spaces)
@@ -312,7 +318,7 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """Return the new names of keys in a mapping, leaving out renames that would make two keys equal."""
+    """Return the new names of keys in a mapping, omitting renames that would give two keys the same name."""
     kept = {key: names[key] for key in mapping if key in names}
     while True:
         count = Counter(kept.get(key, key) for key in mapping) if kept else {}

@@ -22,7 +22,7 @@ _XY = {"xy", "local_xy"}
 
 
 class Verbs(list[str]):
-    """Phrases that follow a member's name; ``moved`` is True if one of them describes motion."""
+    """Phrases that follow a member's name. ``moved`` is True if one of the phrases describes motion."""
 
     moved = False
 
@@ -35,7 +35,7 @@ class Verbs(list[str]):
 
 @dataclass
 class Describing:
-    """Describes the changes from document ``a`` to document ``b``, both of which use the new names.
+    """The state for describing the changes from document ``a`` to document ``b``, both of which use the new names.
 
     Methods that take an old and a new value accept :data:`ABSENT` for a value that one document does not contain.
     """
@@ -103,7 +103,7 @@ class Describing:
     # -- position ---------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Describe a change of position, and return the keys that the description covers."""
+        """Describe a change in position, and return the keys that the description covers."""
         if "place" in old or "place" in new:
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
@@ -161,7 +161,10 @@ class Describing:
         return f"{label} {left} removed" if new is ABSENT and not right else f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, document: Mapping[str, Any], unit: str) -> str:
-        """Format a value with its unit, followed by the source of the value if the document does not set it."""
+        """Format a value with its unit.
+
+        If the document does not set the value, the source of the value is appended.
+        """
         key = path[-1]
         if item is not ABSENT:
             return values.with_unit(values.value(key, item), unit)
@@ -191,7 +194,7 @@ class Describing:
 
 
 def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield each key whose values differ, with its old and new value."""
+    """Yield each key whose values differ, with the old and new values."""
     for key in dict.fromkeys((*old, *new)):
         before, after = old.get(key, ABSENT), new.get(key, ABSENT)
         if not same(before, after):
@@ -199,7 +202,7 @@ def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, 
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Describe a change to which limit counts as the closed end of a joint."""
+    """Describe a change in the limit at which a joint is considered closed."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
@@ -278,12 +281,15 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with each name replaced by ``*``, because a field has the same properties in every member."""
+    """Return the path with each name replaced by ``*``.
+
+    The result is used to look up the properties of a field, which are the same for every member.
+    """
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 
 def _label(path: Path_) -> str:
-    """Return the label of a field, which is its path below the member, such as ``part left color``."""
+    """Return the label of a field, such as ``part left color``. It is the path of the field below its member."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
     for k in range(len(parts) - 1):

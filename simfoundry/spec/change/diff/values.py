@@ -31,7 +31,7 @@ _TIMES = ("size", "grid", "box")
 
 
 def joined(items: Iterable[str]) -> str:
-    """Join items as ``(a, b, c)``."""
+    """Join items into a text such as ``(a, b, c)``."""
     return f"({', '.join(items)})"
 
 
@@ -123,7 +123,7 @@ def place(item: dict[str, Any]) -> str:
 
 
 def shortened(text: str) -> str:
-    """Shorten a text so that it fits on a line."""
+    """Shorten a text to fit on one line."""
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
@@ -174,7 +174,7 @@ _SCALES = ((0.9995, 1.0, "m", 3), (0.00995, 100.0, "cm", 1), (5e-5, 1000.0, "mm"
 
 @dataclass(frozen=True)
 class PoseChange:
-    """Motion between two poses in the same parent frame.
+    """The motion between two poses in the same parent frame.
 
     Attributes:
         shift: The translation [m].
@@ -237,8 +237,8 @@ def _rotation(pose: Mapping[str, Any]) -> Quaternion:
 def _view_angles(direction: Vector) -> Vector:
     """Return the roll, pitch and yaw [deg] of an upright camera that looks along ``direction``.
 
-    The camera axes are x right, y down, z forward. If the camera looks straight up, its x axis points along -x; if it
-    looks straight down, its x axis points along +x.
+    The x axis of the camera points right, its y axis down and its z axis forward. If the camera looks straight up, its
+    x axis points along the parent's -x axis. If it looks straight down, its x axis points along +x.
     """
     x, y, z = direction
     level = math.hypot(x, y)

@@ -100,7 +100,10 @@ def text(entries: Iterable[MemberChange]) -> list[str]:
 
 
 def summary(entries: Iterable[MemberChange]) -> str:
-    """Summarize changes, such as ``2 moved, 1 removed, goal changed``; the summary is empty if nothing changed."""
+    """Summarize changes, as in ``2 moved, 1 removed, goal changed``.
+
+    The summary is empty if nothing changed.
+    """
     entries = tuple(entries)
     named = [e for e in entries if e.name]
     counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]
@@ -110,14 +113,14 @@ def summary(entries: Iterable[MemberChange]) -> str:
 
 
 def _single(sentence: str) -> str:
-    """Return a sentence on a single line, even if it quotes multi-line text."""
+    """Return a sentence as a single line, even if it quotes text that spans several lines."""
     return " ".join(sentence.split())
 
 
 def _members(
     words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
 ) -> Iterable[MemberChange]:
-    """Yield the changes to each member of a section; added members come last."""
+    """Yield the changes to each member of a section. Added members come last."""
     for name in dict.fromkeys((*old, *new)):
         before = was.get((section, name), "")
         if name not in new:

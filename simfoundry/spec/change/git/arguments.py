@@ -27,7 +27,10 @@ class ArgumentError(SimfoundryError):
 
 @dataclass(frozen=True)
 class DocumentState:
-    """A state of a document: a file, or if ``commit`` is set, a file in that commit of the repository at ``root``."""
+    """A state of a document.
+
+    The state is a file on disk or, if ``commit`` is set, a file in that commit of the repository at ``root``.
+    """
 
     path: str
     label: str
@@ -37,7 +40,7 @@ class DocumentState:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two states of a document to compare; a state is None if the document does not exist."""
+    """Two states of a document to compare. A state is None if the document does not exist in it."""
 
     name: str
     old: DocumentState | None
@@ -46,9 +49,9 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Span:
-    """A range of revisions as entered by the user; it extends to the working tree if ``new`` is empty.
+    """A range of revisions as entered by the user. If ``new`` is empty, the range extends to the working tree.
 
-    ``commits`` contains the hashes of both ends; the second is empty for the working tree.
+    ``commits`` contains the hashes of both ends. The second hash is empty for the working tree.
     """
 
     old: str
@@ -59,7 +62,9 @@ class _Span:
 def pairs(arguments: Sequence[str]) -> list[Pair]:
     """Return the pairs of states to compare.
 
-    Raises :class:`ArgumentError` or :class:`GitError` for invalid arguments.
+    Raises:
+        ArgumentError: If the arguments are invalid.
+        GitError: If a git command fails.
     """
     if len(arguments) == 2 and all(_is_state(a) for a in arguments):
         old, new = (_state(a) for a in arguments)
@@ -75,7 +80,10 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
 
 
 def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document; the arguments are ``FILE``, ``REVISION FILE`` or ``A..B FILE``."""
+    """Yield the commits that changed a document.
+
+    The arguments are ``FILE``, ``REVISION FILE`` or ``A..B FILE``.
+    """
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
         raise ArgumentError("give one document, optionally after a revision or a range: main..feature a.scene.yaml")
@@ -89,7 +97,7 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
 
 
 def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentComparison:
-    """Read and compare both states; documents from revisions are written to ``folder``, which must be empty."""
+    """Read and compare both states. Documents from revisions are written to ``folder``, which must be empty."""
     old, new = (_open(source, folder / k) for source, k in ((pair.old, "old"), (pair.new, "new")))
     if old is None and new is None:
         label = (pair.new or pair.old or DocumentState("", pair.name)).label
@@ -152,7 +160,7 @@ def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
 
 
 def _inside(path: Path) -> tuple[Path, str]:
-    """Return the repository of a file or folder, and its path in the repository."""
+    """Return the repository that contains a file or folder, and the path within that repository."""
     folder = path if path.is_dir() else path.parent
     while not folder.is_dir():  # the folder may have been deleted in a later revision
         folder = folder.parent
@@ -164,7 +172,7 @@ def _inside(path: Path) -> tuple[Path, str]:
 
 
 def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
-    """Yield the two states of each document below a folder that differs between them."""
+    """Yield the two states of each document that is below a folder and differs between the two states."""
     below = "" if folder == root else folder.relative_to(root).as_posix()
     for found in differing(root, span.commits[0], span.commits[1] or None, below):
         yield _pair(span, root, found.old, found.new, found.new or found.old or "")
@@ -205,12 +213,16 @@ class HistoryEntry:
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document, latest first; ``path`` is relative to the repository ``root``.
+    """Yield the commits that changed a document, newest first.
 
-    Each commit is compared with its first parent, and both versions are merged with the documents that they extended
-    at that time. Merge commits are included only if they differ from all of their parents. The history follows renames
-    of the document. ``revisions`` are arguments for `git rev-list`: the commits to start from, and commits prefixed
-    with ``^`` at which to stop.
+    Each commit is compared with its first parent, and both versions are merged with the documents that they extended at
+    that time. Merge commits are included only if they differ from all of their parents. The history follows renames of
+    the document.
+
+    Args:
+        path: The path of the document, relative to the repository root.
+        revisions: The arguments for `git rev-list`: the commits to start from, and commits prefixed with ``^`` at which
+            to stop.
     """
     names, commits = _trace(root, revisions, path)
     for each in commits:
@@ -254,7 +266,7 @@ def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], 
 
 
 def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
-    """Yield the commits that change one of the paths, latest first."""
+    """Yield the commits that change one of the paths, newest first."""
     options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
     found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
     for line in found.decode(errors="replace").splitlines():

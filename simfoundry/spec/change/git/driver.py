@@ -36,7 +36,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
     if len(arguments) not in (7, 9):
-        return [f"a diff driver is called with 7 or 9 arguments, not {len(arguments)}"]
+        return [f"git calls a diff driver with 7 or 9 arguments, not {len(arguments)}"]
     path, old_file, old_id, _, new_file, new_id, _ = arguments[:7]
     new_path = arguments[7] if len(arguments) == 9 else path
     old, new = _blob(path, old_file, old_id, top), _blob(new_path, new_file, new_id, top)
@@ -64,7 +64,10 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides; return None if a side is invalid or an error occurs, so that `git diff` can continue."""
+    """Compare both sides.
+
+    Returns None if a side is invalid or an error occurs, so that `git diff` can continue.
+    """
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -93,7 +96,11 @@ def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path)
 
 
 def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
-    """Compare only the document's own fields; raises :class:`ValueError` if it does not extend another document."""
+    """Compare only the document's own fields.
+
+    Raises:
+        ValueError: If the document does not extend another document.
+    """
     present = [blob for blob in (old, new) if blob is not None]
     bases = [extended(blob.path, blob.content) for blob in present]
     before, after = (
@@ -178,12 +185,12 @@ def _in_worktree(top: Path, name: str) -> bytes | None:
 
 @dataclass
 class _Lookup:
-    """The state of one search.
+    """The state of a search for the documents that belong to a blob.
 
     Attributes:
         top: The root of the working tree.
         blob: The document.
-        deadline: The end of the search, as a time of the monotonic clock [s].
+        deadline: The time on the monotonic clock at which the search must end [s].
         chain: The paths of the document and of the documents that it extends.
         others: The paths of all other documents that these documents refer to.
     """
@@ -220,7 +227,8 @@ class _Lookup:
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
         """Return the hash of each path that has the same hash in all repository states that contain the blob.
 
-        Raises :class:`_UnknownError` if a document in the chain is ambiguous.
+        Raises:
+            _UnknownError: If a document in the chain is ambiguous.
         """
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:

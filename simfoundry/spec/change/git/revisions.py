@@ -32,19 +32,26 @@ _NAMED = {
 
 
 class GitError(SimfoundryError):
-    """Raised if a git command fails; contains git's error message."""
+    """Raised if a git command fails. The exception contains git's error message."""
 
 
 @dataclass(frozen=True)
 class Renamed:
-    """A file that differs between two revisions, with its path in each, or None where the file does not exist."""
+    """A file that differs between two revisions.
+
+    ``old`` and ``new`` are its paths in these revisions, or None for a revision in which the file does not exist.
+    """
 
     old: str | None
     new: str | None
 
 
 def git(root: Path, *args: str) -> bytes:
-    """Run git in ``root`` without a shell and return its output; raises :class:`GitError`."""
+    """Run git in ``root`` without a shell and return its output.
+
+    Raises:
+        GitError: If the command fails.
+    """
     try:
         done = subprocess.run(["git", *args], cwd=root, capture_output=True, check=False, stdin=subprocess.DEVNULL)
     except FileNotFoundError:
@@ -98,7 +105,7 @@ def renames_between(root: Path, *revisions: str) -> Iterator[Renamed]:
 
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
-    """Yield a reader for the files in a commit; a single git process serves all reads."""
+    """Yield a reader for the files in a commit. A single git process serves all reads."""
     pipe, command = subprocess.PIPE, ["git", "cat-file", "--batch"]
     process = subprocess.Popen(command, cwd=root, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     assert process.stdin is not None and process.stdout is not None
@@ -122,8 +129,11 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
 def export(read: Read, path: str, folder: Path) -> Path | None:
     """Write a document and all files that it refers to into ``folder``, keeping their repository paths.
 
-    Returns the path of the written document, or None if the document does not exist. Raises :class:`GitError` if the
-    document refers to too many files.
+    Returns:
+        The path of the written document, or None if the document does not exist.
+
+    Raises:
+        GitError: If the document refers to too many files.
     """
     files = ((name, data) for name, data in referenced_files(read, path) if data is not None)
     for count, (name, data) in enumerate(files):

@@ -52,7 +52,7 @@ class MergeConflict:
     comment: str = ""
 
     def record(self) -> dict[str, Any]:
-        """Return the entry for ``conflicts``, without absent values."""
+        """Return the entry for ``conflicts``, omitting absent values."""
         sides = {"base": self.base, "ours": self.ours, "theirs": self.theirs}
         return {name: value for name, value in sides.items() if value is not ABSENT}
 
@@ -63,7 +63,7 @@ class MergeConflict:
 
 
 def dotted(path: Path_) -> str:
-    """Format a path as a key for ``conflicts``; parts that contain a dot or a quote are enclosed in double quotes."""
+    """Format a path as a key for ``conflicts``. Parts that contain a dot or a quote are enclosed in double quotes."""
     return ".".join(json.dumps(p, ensure_ascii=False) if not p or "." in p or '"' in p else p for p in path)
 
 
@@ -73,7 +73,10 @@ def parts(text: str) -> Path_:
 
 
 def numbered(path: str, taken: dict[str, Any]) -> str:
-    """Return ``path``, or ``path #2`` and so on if that key is taken, for example by an earlier conflict."""
+    """Return ``path`` as a unique key.
+
+    If that key is already taken, for example by an earlier conflict, the result is ``path #2``, ``path #3`` and so on.
+    """
     keys = (path, *(f"{path} #{count}" for count in range(2, len(taken) + 2)))
     return next(key for key in keys if key not in taken)
 

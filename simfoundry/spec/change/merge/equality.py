@@ -1,4 +1,4 @@
-"""Compare document values semantically; lists of conditions and lists of pairs are treated as sets."""
+"""Compare document values semantically. Lists of conditions and lists of pairs are treated as sets."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
 def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
     """Return the items of a list, keyed by their normalized text.
 
-    An item with `all` or `any` that has changed gets the key of the corresponding item in ``base``. The keys of equal
-    items are numbered.
+    If an item with `all` or `any` has changed, it gets the key of the corresponding item in ``base``. Equal items get
+    numbered keys.
     """
     found: dict[str, YamlTree] = {}
     for item in items:
@@ -70,7 +70,7 @@ def _kind(item: YamlTree) -> str:
 
 
 def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
-    """Return True if two values at ``path`` have the same meaning; the order of keys and conditions is ignored.
+    """Return True if two values at ``path`` have the same meaning, ignoring the order of keys and conditions.
 
     ``1`` equals ``1.0`` but not ``true``.
     """

@@ -35,7 +35,7 @@ class SameNames:
 
 
 def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
-    """Apply the renames from each side to the other side; if both sides renamed a member, our name wins."""
+    """Apply the renames from each side to the other side. If both sides renamed a member, our name wins."""
     if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
         return SameNames(base, ours, theirs)
     data, datas = base.data, (ours.data, theirs.data)
@@ -81,7 +81,7 @@ def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
-    """Return the tree with its keys and values replaced by those in ``data``, its own data after renaming."""
+    """Return the tree with its keys and values replaced by those in ``data``, the tree's data after renaming."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)
         return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})
@@ -171,7 +171,7 @@ def merged_order(
     sides reordered the keys.
 
     Returns:
-        The keys in their merged order, and True if the two sides reordered the base differently.
+        The keys in their merged order, and a flag that is True if the two sides reordered the base differently.
     """
     core = [key for key in ours if key in theirs and key in kept]
     core_theirs = [key for key in theirs if key in ours and key in kept]
@@ -196,7 +196,7 @@ def merged_order(
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
-    """Return the keys in the order of ``wanted``; keys that are not in ``wanted`` stay after their predecessor."""
+    """Return the keys in the order of ``wanted``. Keys that are not in ``wanted`` stay after their predecessor."""
     keys = list(keys)
     core = [key for key in wanted if key in keys]
     runs = _runs(keys, core, keys)
@@ -204,7 +204,7 @@ def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
 
 
 def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:
-    """Return the kept keys that are not in ``core``, grouped by the core key that precedes them."""
+    """Return the keys in ``kept`` that are not in ``core``, grouped by the core key that precedes them."""
     inside, runs, anchor = set(core), dict[str | None, list[str]](), None
     for key in keys:
         if key in inside:

@@ -38,10 +38,13 @@ class MergedText:
 
 
 def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
-    """Merge three texts semantically, including comments; ``base`` is empty if both sides added the document.
+    """Merge three texts semantically, including their comments.
 
-    If one side already equals the result, its text is returned unchanged; otherwise the result is in canonical form.
-    Raises :class:`UnmergeableError` if a text is not a document or the documents are of different kinds.
+    If one side already equals the result, its text is returned unchanged. Otherwise, the result is in canonical form.
+    If both sides added the document, ``base`` is empty.
+
+    Raises:
+        UnmergeableError: If a text is not a document, or if the documents are of different kinds.
     """
     trees = [_tree(text, name) for text, name in ((base, "base"), (ours, "ours"), (theirs, "theirs"))]
     kinds = {str(tree.value[KIND].data) for tree in trees if KIND in tree.value}
@@ -58,8 +61,10 @@ def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnost
     """Return the errors in a merged text at ``path`` that occur on neither side.
 
     These errors mean that the edits are incompatible. Unresolved conflicts are excluded. A missing file that the other
-    side adds is not reported, because that side's text has the same error. Raises :class:`UnmergeableError` if the
-    merged text could not be read, for example because it is too large.
+    side adds is not reported, because that side's text has the same error.
+
+    Raises:
+        UnmergeableError: If the merged text could not be read, for example because it is too large.
     """
     found = _errors(path, merged)
     if not found:
@@ -173,7 +178,7 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
 
 
 def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
-    """Return True if a value is an order of keys rather than a new value for the mapping."""
+    """Return True if a value specifies an order of keys rather than a new value for the mapping."""
     names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
     return any(name in members for name in names)
 

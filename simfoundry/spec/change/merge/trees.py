@@ -1,6 +1,6 @@
 """Semantic three-way merge of document trees.
 
-Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals are merged as sets; all other values
+Mappings are merged key by key. ``relations``, ``no_contact`` and lists of goals are merged as sets. All other values
 are merged as a unit. Edits to different values never conflict, and identical edits are merged into one. Incompatible
 edits result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if one side removed the
 value) and records all three values under ``conflicts``.
@@ -28,7 +28,7 @@ ORDERED = (("subtasks",), ("links",), ("frames",))
 
 @dataclass(frozen=True)
 class Merged:
-    """A merged document that records its conflicts; ``conflicts`` are the conflicts that this merge added."""
+    """A merged document that records its conflicts. ``conflicts`` contains the conflicts that this merge added."""
 
     tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
@@ -159,7 +159,7 @@ class _Merging:
         return replace(ours, value={key: merged[key] for key in dict.fromkeys((*order, *merged))})
 
     def conditions(self, base: Tree, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """Merge a list of conditions as a set; if two edits of a condition conflict, the whole list conflicts."""
+        """Merge a list of conditions as a set. If two edits of a condition conflict, the whole list conflicts."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
         found, merged = len(self.conflicts), dict[str, YamlTree]()
@@ -236,7 +236,10 @@ _NONE = YamlTree(None)
 
 
 def commented(tree: YamlTree, base: Tree, ours: YamlTree, theirs: YamlTree) -> YamlTree:
-    """Return ``tree`` with the top-level comments of ``ours`` and ``theirs``; the side that changed a comment wins."""
+    """Return ``tree`` with the top-level comments of ``ours`` and ``theirs``.
+
+    If one side changed a comment, its version is used.
+    """
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
     end = _lines(base.end, ours.end, theirs.end)
@@ -249,7 +252,7 @@ def commented(tree: YamlTree, base: Tree, ours: YamlTree, theirs: YamlTree) -> Y
 
 
 def united(base: Tree, ours: YamlTree, theirs: Tree) -> YamlTree:
-    """Return ``ours`` with the comments of both sides at every level; the data of both sides must be equal."""
+    """Return ``ours`` with the comments of both sides at every level. The data of both sides must be equal."""
     if theirs is None:
         return ours
     value = ours.value
@@ -269,7 +272,10 @@ def _inside(tree: Tree, part: str | int) -> Tree:
 
 
 def rescued(tree: YamlTree, base: Tree, other: YamlTree) -> YamlTree:
-    """Return ``tree`` with the comments inside ``other``, which would be lost when ``tree`` replaces ``other``."""
+    """Return ``tree`` with the comments inside ``other`` added.
+
+    These comments would otherwise be lost when ``tree`` replaces ``other``.
+    """
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
     new = tuple(text for path, text in other.comments() if path and text not in known)
     return replace(tree, above=(*tree.above, *new)) if new else tree
