@@ -38,6 +38,10 @@ _MODULES = {
 
 __all__ = [*_MODULES, "__version__"]
 
+# Importing the subpackage `evaluate` for the first time binds it in this module, which would hide the function.
+import_module("simfoundry.evaluate")
+del globals()["evaluate"]
+
 
 def __getattr__(name: str) -> object:
     if name not in _MODULES:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.errors import SimfoundryError
+
 if TYPE_CHECKING:
     from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
+
+# The smallest and the largest value of each numeric option, in Python and on the command line.
+RANGES = {"rollouts": (1, 10_000), "seed": (0, 2**31), "jobs": (1, 256)}
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,10 @@ def evaluate(
         engine: Simulator in which to run the rollouts.
         video: Whether to record videos.
         jobs: Number of parallel processes.
+
+    Raises:
+        SpecError: If a task document has errors.
+        SimfoundryError: If no task or policy is specified, a policy is invalid, or an option is out of range.
     """
     from simfoundry.evaluate.entries import TaskEntry, contenders
     from simfoundry.evaluate.run import EvaluationPlan, prepare
@@ -77,9 +87,19 @@ def evaluate(
     files = [tasks] if isinstance(tasks, str | Path) else tasks
     entries = tuple(TaskEntry(Path(file)) for file in files)
     named = contenders((policies,) if isinstance(policies, str) else tuple(policies))
+    if not entries or not named:
+        raise SimfoundryError(f"no {'policy' if entries else 'task'} is specified; pass at least one")
+    for (name, (low, high)), value in zip(RANGES.items(), (rollouts, seed, jobs), strict=True):
+        if not low <= value <= high:
+            raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
     plan = EvaluationPlan(Path(out), entries, tuple(named), rollouts, seed, (engine,), video=video)
     prepare(plan)
     return run_plan(plan, jobs)
+
+
+# `simfoundry.evaluate` is also a subpackage. Its modules are attributes of the function as well, because Python looks
+# them up there for `import simfoundry.evaluate.gym as gym`.
+evaluate.__dict__ = vars(sys.modules["simfoundry.evaluate"])
 
 
 def run_plan(

@@ -174,7 +174,7 @@ class SceneDocument(EditableDocument):
 
         return lower(self._checked(), Cache.default())
 
-    def compile(self, *targets: str, out: str | Path, force: bool = False) -> Build:
+    def compile(self, *targets: str | Path, out: str | Path, force: bool = False) -> Build:
         """Compile the scene into one folder per target.
 
         Args:
@@ -192,21 +192,35 @@ class SceneDocument(EditableDocument):
         return Build(folder, scene, tuple(build(scene, targets or TARGETS, folder, force)))
 
     def to_mujoco_spec(self) -> mujoco.MjSpec:
-        """Return the scene as an editable MuJoCo model without writing any files."""
+        """Return the scene as an editable MuJoCo model without writing any files.
+
+        Raises:
+            InvalidSceneError: If MuJoCo cannot load the scene; the message contains MuJoCo's reason.
+        """
         import mujoco
 
         from simfoundry.backends import compile_scene
+        from simfoundry.backends.mjcf import naming_scene
 
         artifact = compile_scene(self.lower(), "mjcf")
         files = dict(artifact.files)
         text = files.pop(artifact.entry).decode()
         included = {name: data for name, data in files.items() if name.endswith(".xml")}
         assets = {name: data for name, data in files.items() if name.startswith("assets/")}
-        return mujoco.MjSpec.from_string(text, include=included, assets=assets)
+        with naming_scene(self.name):
+            return mujoco.MjSpec.from_string(text, include=included, assets=assets)
 
     def to_mujoco(self) -> mujoco.MjModel:
-        """Return the scene as a compiled MuJoCo model without writing any files."""
-        return self.to_mujoco_spec().compile()
+        """Return the scene as a compiled MuJoCo model without writing any files.
+
+        Raises:
+            InvalidSceneError: If MuJoCo cannot load the scene; the message contains MuJoCo's reason.
+        """
+        from simfoundry.backends.mjcf import naming_scene
+
+        spec = self.to_mujoco_spec()
+        with naming_scene(self.name):
+            return spec.compile()
 
     def to_usd(self) -> Usd.Stage:
         """Return the scene as a USD stage. Its temporary files are deleted together with the stage."""

@@ -155,12 +155,12 @@ def merge_command(
     from simfoundry.spec.change.merge.texts import merge_texts, new_errors
 
     files = [Path(file) for file in args]
-    output.protect_output(out, files, force)
     texts = [_text(path) for path in files]
     merged = merge_texts(*texts)
     changed = out or files[1]
     errors = new_errors(changed, merged.text, *texts[1:])
     if out is not None:
+        output.protect_output(out, files, force, merged.text)
         output.write_in_place(out, merged.text)
     if as_json:
         conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
@@ -216,8 +216,6 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     if not args:
         raise SimfoundryError("pass the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
     file = Path(args[0])
-    if out is not None and out.resolve() != file.resolve():  # resolving in place may overwrite the file
-        output.protect_output(out, force=force)
     try:
         document = read(file)
     except YamlError as error:
@@ -226,6 +224,8 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     model = model_of(kind) if kind in KINDS else None
     tree, decided = resolve(read_tree(document), model, side, args[1:])
     text = write_tree(tree, model)
+    if out is not None and out.resolve() != file.resolve():  # resolving in place may overwrite the file
+        output.protect_output(out, force=force, text=text)
     output.write_in_place(out or file, text)
     findings = load(out or file).all_findings()
     if as_json:

@@ -248,13 +248,13 @@ def export_command(task: Path, format_: str, out: Path | None, force: bool, stri
     loaded = load_kind(task, "task/1")
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)
-    output.protect_output(out, [task, *loaded.files()], force)
     if as_json and out is None:
         raise SimfoundryError("--json requires an output file; specify one with `-o FILE`")
     export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
         output.print_document(export.text)
     else:
+        output.protect_output(out, [task, *loaded.files()], force, export.text)
         output.write_text(out, export.text)
     if as_json:
         output.print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})

@@ -134,7 +134,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
     return end
 
 
-@output.subcommand()
+@output.subcommand(force=True)
 @scene_argument
 @option("-n", "count", type=click.IntRange(1, 1000), default=20, help="Number of tasks to propose.")
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
@@ -155,7 +155,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
 def propose_command(
     scene: Path, count: int, out: Path | None, seed: int, about: tuple[str, ...], payload: float | None,
     vlm: str | None, base_url: str | None, form: Literal["typed", "paper"], camera: str | None,
-    engines: tuple[str, ...], rejected: bool, as_json: bool,
+    engines: tuple[str, ...], rejected: bool, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Propose tasks for a scene, from its affordances or a model's suggestions, each verified to be feasible.
 
@@ -191,7 +191,7 @@ def propose_command(
             found = enumerate_tasks(context, count, seed, reference, about, progress=report)
     found = checked(found, folder)
     accepted = [proposal for proposal in found if proposal.accepted]
-    files = write(found, out) if out is not None else []
+    files = write(found, out, force) if out is not None else []
     if as_json:
         output.print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
     else:

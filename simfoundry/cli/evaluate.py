@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from simfoundry.api.evaluation import RANGES
 from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, option, resumable
 from simfoundry.cli.options import shard as shard_of
@@ -31,8 +32,9 @@ SENTENCES = 10
               help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a "
                    "server such as openpi:localhost:8000?action_space=joint_position. May be repeated.")  # fmt: skip
 @option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"))
-@option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, help="Number of rollouts for each task.")
-@option("--seed", type=click.IntRange(0, 2**31), default=0, help="Seed for the initial states.")
+@option("-n", "--rollouts", type=click.IntRange(*RANGES["rollouts"]), default=25,
+        help="Number of rollouts for each task.")  # fmt: skip
+@option("--seed", type=click.IntRange(*RANGES["seed"]), default=0, help="Seed for the initial states.")
 @option("--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
         help="Run in this engine; repeat the option to compare two engines.")  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step and require the goal of the task.")
@@ -42,7 +44,7 @@ SENTENCES = 10
               help="Record a video of each rollout. Default: only if rendering is possible.")  # fmt: skip
 @click.option("--camera", "cameras", multiple=True,
               help="Record videos from this camera; may be repeated. Default: the scene's first.")  # fmt: skip
-@option("-j", "--jobs", type=click.IntRange(1, 256), default=1, help="Number of parallel processes.")
+@option("-j", "--jobs", type=click.IntRange(*RANGES["jobs"]), default=1, help="Number of parallel processes.")
 @click.option("--shard", callback=shard_of, default="1/1", metavar="I/N",
               help="Run every N-th rollout, starting with the I-th.")  # fmt: skip
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")

@@ -86,8 +86,7 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
     if out is not None:
         files = {out / name: text for name, text in texts.items()}
         for file, text in files.items():
-            if not file.is_file() or file.read_bytes() != text.encode():
-                output.protect_output(file, force=force)
+            output.protect_output(file, force=force, text=text)
         for file, text in files.items():
             output.write_text(file, text)
             click.echo(str(file))
@@ -112,11 +111,11 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
     from simfoundry.spec.load import load
 
     loaded = load(file)
-    output.protect_output(out, [file, *loaded.files()], force)
     if loaded.spec is None or loaded.errors:
         raise SpecError(loaded.errors)
     text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
     if out is not None:
+        output.protect_output(out, [file, *loaded.files()], force, text)
         output.write_text(out, text)
     if as_json:
         output.print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -92,8 +93,17 @@ def subcommand(
 
 
 def print_json(data: Any) -> None:
-    """Print data as JSON to standard output."""
-    print_json_text(json.dumps(data, indent=2, ensure_ascii=False))
+    """Print data as JSON to standard output, with null for numbers that JSON cannot represent."""
+    print_json_text(json.dumps(_finite(data), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _finite(data: Any) -> Any:
+    """Replace NaN and infinity with None."""
+    if isinstance(data, Mapping):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def print_result(as_json: bool, data: Any, text: str) -> None:
@@ -171,8 +181,10 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
     return loaded, loaded.spec, scene
 
 
-def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = False) -> None:
+def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = False, text: str | None = None) -> None:
     """Ensure that writing to ``out`` would not destroy user data. If ``out`` is None, do nothing.
+
+    ``text`` is the new content of a document, which may replace an identical file.
 
     Raises:
         OutputError: If user data would be destroyed.
@@ -180,7 +192,7 @@ def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = 
     if out is not None:
         from simfoundry.runtime.files import ensure_replaceable
 
-        ensure_replaceable(out, inputs, force)
+        ensure_replaceable(out, inputs, force, text.encode() if text is not None else None)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -95,11 +95,12 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
     if out is not None and out.resolve().parent != scene.resolve().parent:
         raise SimfoundryError("write the settled scene to the original folder, because mesh paths are relative to it")
     loaded, spec, lowered = output.lower_scene(scene, as_json)
-    output.protect_output(out, [scene, *loaded.files()], force)
     with output.progress_bar(as_json) as progress, open_world(lowered, engine) as world:
         settled = settle(world, progress=progress)
     if out is not None:
-        output.write_text(out, to_yaml(with_state(spec, lowered, settled.state)))
+        document = to_yaml(with_state(spec, lowered, settled.state))
+        output.protect_output(out, [scene, *loaded.files()], force, document)
+        output.write_text(out, document)
     text = settle_table(settled.objects)
     if not settled.at_rest:
         text += "\nthe scene did not come to rest in time"

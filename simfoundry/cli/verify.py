@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -98,7 +97,7 @@ def verify_command(
             output.write_text(html, text)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
-        output.print_json(_finite(_json(verified, found, wanted)))
+        output.print_json(_json(verified, found, wanted))
     else:
         _print(verified, found, wanted)
     for name in missing:
@@ -175,15 +174,6 @@ def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngi
         "behaviors": [asdict(m) for m in verified.results],
         "left_alone": [asdict(r) for r in verified.rested],
     }
-
-
-def _finite(data: Any) -> Any:
-    """Replace numbers that JSON cannot represent (NaN and infinity) with null."""
-    if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_finite(value) for value in data]
-    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> None:

@@ -224,6 +224,8 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
         choice = one.choice()  # report an invalid policy immediately rather than after an hour
         if isinstance(choice, PythonClass):
             choice.find()
+        if isinstance(choice, ReplayChoice):
+            open_policy(choice)
         found.append(one)
     return found
 

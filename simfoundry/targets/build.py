@@ -45,7 +45,11 @@ class TargetsError(SimfoundryError):
 
 
 def build(
-    scene: Scene, targets: Iterable[str], out: Path, force: bool = False, record: Mapping[str, object] | None = None
+    scene: Scene,
+    targets: Iterable[str | Path],
+    out: Path,
+    force: bool = False,
+    record: Mapping[str, object] | None = None,
 ) -> list[Artifact]:
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 

@@ -1,6 +1,6 @@
 """Lookup of targets by name or path.
 
-This includes plain backends, built-in targets, and targets from packages and users.
+The targets are plain backends, built-in targets, and targets from packages and users.
 """
 
 from __future__ import annotations
@@ -82,17 +82,19 @@ def target_names() -> list[str]:
     return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
-def find_target(name: str) -> Target:
+def find_target(name: str | Path) -> Target:
     """Return the target called ``name``, or the target whose folder or profile is at the path ``name``.
+
+    A ``Path`` is never the name of a target.
 
     Raises:
         UnknownTargetError: If the name is unknown.
         SpecError: If the profile is invalid. The error contains all findings.
         PluginError: If the package that provides the target is broken.
     """
-    if name.endswith(SUFFIXES):
+    if str(name).endswith(SUFFIXES):
         return read_profile(Path(name))
-    if "/" in name or "\\" in name:
+    if isinstance(name, Path) or "/" in name or "\\" in name:
         return read_profile(Path(name) / PROFILE)
     if name in _own_folders():
         return read_profile(_own_folders()[name] / PROFILE)

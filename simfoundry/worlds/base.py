@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.render.gl import RenderError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Joint, MountedCamera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.base import MAX_IMAGE_SIDE
 
 if TYPE_CHECKING:
     from simfoundry.predicates import Judge, Verdict
@@ -81,10 +84,18 @@ class Contact:
     position: Array
 
 
+class ClosedWorldError(SimfoundryError):
+    """Raised if a world is used after it was closed."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(f"the world of `{scene.name}` is closed; open the scene again")
+
+
 class World(Protocol):
     """A simulator that runs one scene. Use a world as a context manager, or call :meth:`close` when done.
 
-    Simulators derive from this class, which evaluates conditions in the same way for all of them.
+    Simulators derive from this class, which evaluates conditions in the same way for all of them. After a world is
+    closed, its methods raise :class:`ClosedWorldError`.
     """
 
     scene: Scene
@@ -142,7 +153,7 @@ class World(Protocol):
 
         Raises:
             KeyError: If the camera is unknown. The message lists the valid names.
-            RenderError: If rendering is not available.
+            RenderError: If rendering is not available, or if the width or height is out of range.
         """
 
     def trouble(self) -> str:
@@ -217,7 +228,10 @@ def camera_of(world: World, name: str, width: int, height: int) -> Camera:
 
     Raises:
         KeyError: If the camera is unknown. The message lists the valid names.
+        RenderError: If the width or height is not between 1 and :data:`MAX_IMAGE_SIDE`.
     """
+    if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
+        raise RenderError(f"an image has 1 to {MAX_IMAGE_SIDE} pixels per side, but {width} x {height} were requested")
     for camera in world.scene.cameras:
         if camera.name == name:
             return resized(camera, width, height)

@@ -16,6 +16,7 @@ import yaml
 from simfoundry.errors import SimfoundryError
 from simfoundry.models.generators import IMAGES_URL, MESHES_URL
 from simfoundry.runtime.extras import EXTRAS, install_line
+from simfoundry.runtime.native_output import quiet_native_output
 
 PYBULLET_REMEDY = (
     f"{install_line('pybullet')} (wheels exist for Linux up to Python 3.11; elsewhere pip compiles it, which takes "
@@ -118,8 +119,6 @@ def _found(name: str, module: str) -> tuple[str, str]:
 
     The version is empty if the package cannot be imported, and the note is empty if there is no such error.
     """
-    from simfoundry.worlds.pybullet_world import quiet_native_output
-
     try:
         with quiet_native_output():
             loaded = importlib.import_module(module)

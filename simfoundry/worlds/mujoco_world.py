@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.backends.mjcf import compile_mjcf, naming_scene
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.mjcf.contacts import exact_model
 from simfoundry.errors import MissingEngineError
@@ -18,7 +18,17 @@ from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, World, WorldRobot, camera_of, complete_state, reach
+from simfoundry.worlds.base import (
+    CONTACT_GAP,
+    ClosedWorldError,
+    Contact,
+    Image,
+    World,
+    WorldRobot,
+    camera_of,
+    complete_state,
+    reach,
+)
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows, unknown_joint
 
 if TYPE_CHECKING:
@@ -38,8 +48,10 @@ class MujocoWorld(World):
             raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
-        self.model: mujoco.MjModel = exact_model(compile_mjcf(scene).files)
-        self.data: mujoco.MjData = mujoco.MjData(self.model)
+        files = compile_mjcf(scene).files
+        with naming_scene(scene.name):
+            self.model: mujoco.MjModel = exact_model(files)
+        self._data: mujoco.MjData | None = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]
         self._objects = {self.model.body(tree.name).id: tree.owner.name for tree in parts}
@@ -56,6 +68,13 @@ class MujocoWorld(World):
             for name, rows in self._arms.items()
         }
         self.reset()
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data, which the world updates in place."""
+        if self._data is None:
+            raise ClosedWorldError(self.scene)
+        return self._data
 
     @property
     def timestep(self) -> float:
@@ -204,7 +223,8 @@ class MujocoWorld(World):
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Release the GL renderers. MuJoCo's own memory is released with this object."""
+        """Release the simulation data and the GL renderers. Repeated calls have no effect."""
+        self._data = None
         while self._renderers:
             self._renderers.popitem()[1].close()
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
-import os
-import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +14,23 @@ import numpy as np
 from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.runtime.native_output import quiet_native_output
 from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.robot import Gripper
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, World, WorldRobot, camera_of, complete_state, reach
+from simfoundry.worlds.base import (
+    CONTACT_GAP,
+    ClosedWorldError,
+    Contact,
+    Image,
+    World,
+    WorldRobot,
+    camera_of,
+    complete_state,
+    reach,
+)
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, unknown_joint, urdf_rows
 
@@ -41,19 +47,20 @@ class PybulletWorld(World):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.client = -1
-        with quiet_native_output():
-            try:
+        try:
+            with quiet_native_output():  # PyBullet prints a banner to stderr and warnings to stdout
                 import pybullet
-            except ImportError as error:
-                raise MissingEngineError(f"PyBullet is not installed; install with {PYBULLET_REMEDY}") from error
-            self._bullet = pybullet
-            self.client = self._bullet.connect(self._bullet.DIRECT)
-            with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
-                folder = Path(temporary) / "world"
-                compile_pybullet(scene).write(folder)
-                self._loader = import_file(folder / "load.py")
+        except ImportError as error:
+            raise MissingEngineError(f"PyBullet is not installed; install with {PYBULLET_REMEDY}") from error
+        self._bullet = pybullet
+        with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
+            folder = Path(temporary) / "world"
+            compile_pybullet(scene).write(folder)
+            self._loader = import_file(folder / "load.py")
+            with quiet_native_output():
+                self.client = self._bullet.connect(self._bullet.DIRECT)
                 every: dict[str, int] = self._loader.load(self.client)
-                facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
+            facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
         self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
         self.bodies: dict[str, int] = {name: every[name] for name in self._trees}
         self._robots = {n: PybulletRobotHandle(self._call, self._command, n, every[n], facts[n]) for n in facts}
@@ -74,10 +81,16 @@ class PybulletWorld(World):
         self.reset()
 
     def _call(self, function: str, *args: object, **options: object) -> Any:
-        return getattr(self._bullet, function)(*args, physicsClientId=self.client, **options)
+        return getattr(self._bullet, function)(*args, physicsClientId=self._open_client, **options)
 
     def _command(self, function: str, *args: object) -> None:
-        getattr(self._loader, function)(self.client, *args)
+        getattr(self._loader, function)(self._open_client, *args)
+
+    @property
+    def _open_client(self) -> int:
+        if self.client < 0:
+            raise ClosedWorldError(self.scene)
+        return self.client
 
     def _base_pose(self, name: str) -> Pose:
         p, q = self._call("getBasePositionAndOrientation", self.bodies[name])
@@ -222,27 +235,6 @@ class PybulletWorld(World):
         if self.client >= 0 and self._bullet.isConnected(self.client):
             self._bullet.disconnect(self.client)
         self.client = -1
-
-
-@contextmanager
-def quiet_native_output() -> Iterator[None]:
-    """Discard the output of native code, because PyBullet prints a banner to stderr and warnings to stdout."""
-    libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
-
-    def redirect(*descriptors: int) -> None:
-        for flush in (sys.stdout.flush, sys.stderr.flush, partial(libc.fflush, None)):
-            flush()  # otherwise, buffered output would be written to the new streams
-        for stream, descriptor in enumerate(descriptors, 1):
-            os.dup2(descriptor, stream)
-
-    nowhere, saved = os.open(os.devnull, os.O_WRONLY), (os.dup(1), os.dup(2))
-    try:
-        redirect(nowhere, nowhere)
-        yield
-    finally:
-        redirect(*saved)
-        for descriptor in (*saved, nowhere):
-            os.close(descriptor)
 
 
 # A function that calls a function of PyBullet or of the loader by name for one client.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -122,6 +123,18 @@ def test_objects_come_go_and_change_their_names(scene: sf.SceneDocument) -> None
         (lambda s: s.objects.add("mug", mass=1), sf.SimfoundryError, "an object named `mug` already exists"),
         (lambda s: s.open("unity"), sf.SimfoundryError, "scenes cannot be run in `unity`; available simulators: "),
         (lambda s: s.judge("OnTop(mog, desk)"), sf.SimfoundryError, "there is no `mog` in this scene"),
+        (
+            lambda s: s.judge("OnTpo(mug, desk)"),
+            sf.SimfoundryError,
+            "`OnTpo` is not a predicate; did you mean `OnTop`?",
+        ),
+        (lambda s: s.judge("Foo(mug)"), sf.SimfoundryError, "`Foo` is not a predicate; valid: `Above`, `At`"),
+        (lambda s: s.open().judge("Foo(mug)"), sf.SimfoundryError, "`Foo` is not a predicate; valid: `Above`"),
+        (lambda s: s.judge("At(mug, 1e400, 0)"), sf.SimfoundryError, "`1e400` is out of range"),
+        (lambda s: s.judge({"foo": 1}), sf.SimfoundryError, "one of the keys `all`, `any` and `not`"),
+        (lambda s: s.judge({"all": ["Upright(mug)"], "any": []}), sf.SimfoundryError, "one of the keys `all`"),
+        (lambda s: s.judge(5), sf.SimfoundryError, "`5` is not a condition; write a predicate, such as `OnTop("),
+        (lambda s: s.judge({"all": []}), sf.SimfoundryError, "`all` without conditions is invalid"),
         (lambda s: s.compile("mujocoo", out="x"), sf.SimfoundryError, "did you mean `mujoco`?"),
         (lambda s: sf.load("gone.scene.yaml"), sf.SpecError, "No such file"),
         (lambda s: getattr(sf, "nothing"), AttributeError, "it has"),  # noqa: B009
@@ -154,6 +167,14 @@ def test_models_are_made_in_memory(scene: sf.SceneDocument, tmp_path: Path) -> N
     stage = scene.to_usd()
     assert [p.GetPath().pathString for p in stage.Traverse() if p.GetName() == "mug"]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "desk.scene.yaml"]
+
+
+def test_a_scene_that_mujoco_refuses_is_named_with_its_reason(scene: sf.SceneDocument) -> None:
+    scene.objects["mug"].update(mass=1, shape={"box": [1e-9, 1, 1]})
+    uses: tuple[Callable[[], object], ...] = (scene.open, scene.to_mujoco)
+    for use in uses:
+        with pytest.raises(sf.SimfoundryError, match=r"^MuJoCo cannot load scene `desk`: inertia must satisfy A"):
+            use()
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])

@@ -140,6 +140,16 @@ def test_settle_says_how_to_keep_where_things_came_to_rest(scene: Path) -> None:
     assert "keep" not in run("settle", kept).out
 
 
+def test_what_is_not_finite_is_null_in_json(scene: Path) -> None:
+    scene.write_text(SCENE + "gravity: [0, 0, -1e308]\n")
+    done = run("settle", scene, "--json")
+    assert "Infinity" not in done.out and "NaN" not in done.out
+    assert done.json["objects"][0]["drift"] is None
+    for number in ("1e400", "-1e300"):
+        done = run("judge", scene, f"At(cup, {number}, 0)", "--json")
+        assert done.code == 2 and f"`{number}` is out of range" in done.json["error"]
+
+
 def test_an_engine_that_does_not_draw_here_is_a_sentence(scene: Path, tmp_path: Path) -> None:
     env = {"SIMFOUNDRY_CACHE": str(tmp_path / "cache"), "PYOPENGL_PLATFORM": "osmesa"}
     done = python(MAIN, "render", scene, "--engine", "egl", "-o", tmp_path / "a.png", **env)

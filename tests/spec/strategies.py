@@ -25,6 +25,7 @@ from simfoundry.spec.models.base import (
     Round,
     SphereShape,
 )
+from simfoundry.spec.models.capture import MAX_FOCAL
 from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
@@ -151,10 +152,10 @@ PIXELS = st.integers(1, 8192)
 CAMERAS = st.builds(
     CameraSpec,
     size=st.tuples(PIXELS, PIXELS),
-    fx=POSITIVE,
-    fy=POSITIVE,
-    cx=maybe(NUMBERS),
-    cy=maybe(NUMBERS),
+    fx=st.floats(1e-12, MAX_FOCAL),
+    fy=st.floats(1e-12, MAX_FOCAL),
+    cx=maybe(st.floats(-MAX_FOCAL, MAX_FOCAL)),
+    cy=maybe(st.floats(-MAX_FOCAL, MAX_FOCAL)),
     pose=CAMERA_POSES,
 )
 LIGHTS = st.builds(

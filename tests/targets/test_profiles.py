@@ -252,6 +252,16 @@ def test_a_tolerance_of_an_unknown_quantity_is_told(tmp_path: Path) -> None:
     )
 
 
+def test_a_path_object_is_a_target_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "my_sim"
+    folder.mkdir()
+    (folder / "my_load.py").touch()
+    (folder / "profile.yaml").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    assert find_target(Path("my_sim")) == find_target("./my_sim")
+    assert find_target(Path("my_sim/profile.yaml")) == find_target("./my_sim/profile.yaml")
+
+
 def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
     wrong = MINE.replace("backend: mjcf", "backend: mjfc").replace("  mass:", "  maas:")
     with pytest.raises(SpecError) as caught:

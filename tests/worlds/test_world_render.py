@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from simfoundry.render.gl import Engine, choose_engine
+from simfoundry.render.gl import Engine, RenderError, choose_engine
 from simfoundry.render.offscreen import MujocoRenderer, coarsened
 from simfoundry.scene.model import Camera
 from simfoundry.worlds.base import Image, World, camera_of, resized
@@ -100,6 +100,12 @@ def test_pictures_are_cut_not_squeezed(world: World) -> None:
 def test_a_camera_that_is_not_there_is_named(world: World) -> None:
     with pytest.raises(KeyError, match="no camera 'frnt'; available cameras: front, top, tip"):
         world.render("frnt", 8, 8)
+
+
+@pytest.mark.parametrize("size", [(-3, 4), (0, 0), (8, 10**6)])
+def test_a_picture_of_no_size_is_refused(world: World, size: tuple[int, int]) -> None:
+    with pytest.raises(RenderError, match=f"1 to 8192 pixels per side, but {size[0]} x {size[1]} were requested"):
+        world.render("front", *size)
 
 
 def test_looking_moves_nothing(world: World) -> None:

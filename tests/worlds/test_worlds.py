@@ -18,6 +18,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import MissingEngineError, World
+from simfoundry.worlds.base import ClosedWorldError
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.readback import assert_joints, assert_links, poses_of, read_world
@@ -273,6 +274,34 @@ def test_native_noise_is_kept_off() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
     )
     assert (done.stdout, done.stderr) == ("done\n", "")
+
+
+def test_worlds_opened_in_threads_leave_the_output_as_it_was() -> None:
+    pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    code = (
+        "import sys\nfrom concurrent.futures import ThreadPoolExecutor\n"
+        "from simfoundry.worlds.pybullet_world import PybulletWorld\nfrom tests.scenes import primitives_scene\n"
+        "scene = primitives_scene()\n"
+        "with ThreadPoolExecutor(4) as pool:\n"
+        "    list(pool.map(lambda _: PybulletWorld(scene).close(), range(8)))\n"
+        "print('hello')\nprint('here', file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert (done.stdout, done.stderr) == ("hello\n", "here\n")
+
+
+def test_a_closed_world_says_so(engine: Engine) -> None:
+    world = engine(primitives_scene())
+    world.close()
+    uses: dict[str, Callable[[], object]] = {
+        "step": world.step, "reset": world.reset, "halt": world.halt, "state": world.state,
+        "contacts": world.contacts, "trouble": world.trouble, "judge": lambda: world.judge("OnTop(crate, table)"),
+    }  # fmt: skip
+    for name, use in uses.items():
+        with pytest.raises(ClosedWorldError, match=r"^the world of `\w+` is closed; open the scene again$"):
+            print(name, use())
 
 
 @pytest.mark.parametrize(("world", "module"), [(MujocoWorld, "mujoco"), (PybulletWorld, "pybullet")])

@@ -25,6 +25,8 @@ the robot's name, as in ``arm.joint1``. The robot frames that a scene can refer 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, number, numbers
@@ -56,6 +58,16 @@ _RULES = Path(__file__).with_name("contact_rules.py")
 # to keep a joint at rest; with MuJoCo's default, a joint held by friction creeps at 10 mm/s. MuJoCo uses the larger
 # resistance of a pair, so the default resistances of collision geoms are zero.
 _SETTINGS = Path(__file__).with_name("settings.xml")
+
+
+@contextmanager
+def naming_scene(name: str) -> Iterator[None]:
+    """Convert MuJoCo's errors about the MJCF of a scene to :class:`InvalidSceneError`s that name the scene."""
+    try:
+        yield
+    except ValueError as error:
+        said = "; ".join(str(error).strip().splitlines()).removeprefix("Error: ")
+        raise InvalidSceneError(f"MuJoCo cannot load scene `{name}`: {said}") from error
 
 
 def compile_mjcf(

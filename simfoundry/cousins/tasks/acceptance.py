@@ -95,7 +95,7 @@ def _wrong(text: str, setting: TaskContext) -> Iterator[Reason]:
     try:
         call = parse_call(text)
     except ExpressionError as error:
-        yield Reason("bad_goal", f"{error}; {nearest(error.word, error.choices)}" if error.choices else str(error))
+        yield Reason("bad_goal", str(error))
         return
     if call.predicate not in (*ALLOWED, "Released"):
         allowed = ", ".join(ALLOWED)

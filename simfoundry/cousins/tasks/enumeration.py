@@ -22,7 +22,7 @@ from simfoundry.cousins.tasks.candidate_poses import branches, goal_words
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
 from simfoundry.lint.lints import lint
-from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.files import ensure_replaceable, write_atomically
 from simfoundry.spec.load import load
 from simfoundry.spec.models.base import Origin
 from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
@@ -275,14 +275,19 @@ def file_of(proposal: Proposal, out: Path) -> Path:
     return out / f"{proposal.name}.task.yaml"
 
 
-def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
-    """Write the accepted tasks and return their paths in order."""
-    files = []
-    for proposal in proposals:
-        if proposal.accepted and proposal.task is not None:
-            write_atomically(file_of(proposal, out), to_yaml(proposal.task).encode())
-            files.append(file_of(proposal, out))
-    return files
+def write(proposals: Sequence[Proposal], out: Path, force: bool = False) -> list[Path]:
+    """Write the accepted tasks and return their paths in order.
+
+    Raises:
+        OutputError: If a file exists with different content and ``force`` is not set; no task is written then.
+    """
+    accepted = ((proposal, proposal.task) for proposal in proposals if proposal.accepted)
+    files = {file_of(proposal, out): to_yaml(task).encode() for proposal, task in accepted if task is not None}
+    for file, content in files.items():
+        ensure_replaceable(file, force=force, content=content)
+    for file, content in files.items():
+        write_atomically(file, content)
+    return list(files)
 
 
 def to_json(proposal: Proposal, out: Path) -> dict[str, Any]:

@@ -5,10 +5,8 @@ The format is VP8 in WebM. The videos are written by OpenCV, which includes the 
 
 from __future__ import annotations
 
-import os
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ import numpy as np
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize
 from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.native_output import quiet_native_output
 
 # The height of a video and the maximum width per camera [px]. At this size, a page with 25 rollouts stays below 10 MB,
 # and images of up to 640 pixels render quickly.
@@ -53,7 +52,7 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
     height, width = frames[0].shape[:2]
     with tempfile.TemporaryDirectory() as folder:
         staging = Path(folder) / path.name
-        with _quiet():
+        with quiet_native_output():  # OpenCV has no setting for the encoder's messages
             writer = cv2.VideoWriter(str(staging), cv2.VideoWriter_fourcc(*"VP80"), rate, (width, height))  # type: ignore[attr-defined]
             if not writer.isOpened():
                 raise SimfoundryError("the installed OpenCV cannot encode VP8; run without videos (--no-video)")
@@ -61,17 +60,3 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
                 writer.write(frame[:, :, ::-1].copy())
             writer.release()
         write_atomically(path, staging.read_bytes())
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress messages that the encoder prints to standard error. OpenCV has no setting for this."""
-    kept = os.dup(2)
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nothing, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)

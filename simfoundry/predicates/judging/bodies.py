@@ -1,4 +1,7 @@
-"""Collision bodies for predicates, with the preprocessed colliders of each link and the lookup of arguments by name."""
+"""Collision bodies for predicates, with the preprocessed colliders of each link.
+
+They can be looked up by argument name.
+"""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.predicate import PREDICATES, Call, parse_call, parts
 
 # Function that explains a term, given its value and whether it holds; the explanation may be empty.
@@ -216,6 +217,10 @@ class Judge:
 
     def _judged(self, condition: Any, view: View) -> _Judged:
         tag, below = parts(condition)
+        known = condition.keys() == {tag} if isinstance(condition, dict) else isinstance(condition, str | Model)
+        if not known:
+            kinds = "a predicate, such as `OnTop(cup, desk)`, or a mapping with one of the keys `all`, `any` and `not`"
+            raise PredicateError(f"`{condition}` is not a condition; write {kinds}")
         if tag == "text":
             terms = Terms(self._context, view)
             if condition not in self._calls:

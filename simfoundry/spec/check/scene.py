@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, volume
-from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
@@ -222,7 +221,7 @@ class SceneNames:
         try:
             call = parse_call(text)
         except ExpressionError as error:
-            c.add("SF202", path, str(error), nearest(error.word, error.choices) or EXAMPLE)
+            c.add("SF202", path, error.message, error.hint or EXAMPLE)
             return
         things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
         if len(things) == 2 and self._overlap(*things):

@@ -22,7 +22,7 @@ from simfoundry.spec.yaml.text import Document, Path_, read
 _CODES = {
     "missing": "SF102",
     "extra_forbidden": "SF101",
-    **dict.fromkeys(("too_short", "too_long", "string_too_long"), "SF105"),
+    **dict.fromkeys(("too_short", "too_long", "string_too_short", "string_too_long"), "SF105"),
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number"), "SF104"),
     **dict.fromkeys(("literal_error", "string_pattern_mismatch"), "SF106"),
 }
@@ -124,10 +124,10 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
     if kind == "literal_error":
         choices = [c.strip().strip("'") for c in context["expected"].replace(" or ", ", ").split(",")]
         return f"{bare} is not valid here", nearest(str(given), choices)
-    if kind in ("too_long", "too_short", "string_too_long"):
-        bound = f"at most {context['max_length']}" if "long" in kind else f"at least {context['min_length']}"
-        values = "characters" if kind == "string_too_long" else "values"
-        return f"expected {bound} {values}, found {len(given)}", description
+    if kind.endswith(("too_long", "too_short")):
+        word, bound = ("most", context["max_length"]) if "long" in kind else ("least", context["min_length"])
+        values = ("character" if kind.startswith("string") else "value") + "s" * (bound != 1)
+        return f"expected at {word} {bound} {values}, found {len(given)}", description
     if kind == "float_type" and isinstance(given, str) and _NUMBER.fullmatch(given):
         description = "remove the quotes"
     elif kind == "float_type" and (measured := _MEASURED.match(str(given))):

@@ -69,7 +69,8 @@ Vec3 = tuple[Number, Number, Number]
 Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
-Pixels = Annotated[int, Field(ge=1, le=8192)]
+MAX_IMAGE_SIDE = 8192  # Largest width or height of an image [px], as for textures
+Pixels = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 ImageSize = tuple[Pixels, Pixels]
 
 # Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers.

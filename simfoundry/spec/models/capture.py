@@ -11,21 +11,25 @@ from simfoundry.spec.models.base import (
     FileName,
     Model,
     Name,
-    Number,
     PoseSpec,
     Positive,
     consistent,
     fault,
 )
 
+# Largest focal length and principal point [px]. The widest image then spans 0.05 degrees, as through a telescope.
+MAX_FOCAL = 10_000_000
+FocalLength = Annotated[float, Field(gt=0, le=MAX_FOCAL, allow_inf_nan=False)]
+ImagePoint = Annotated[float, Field(ge=-MAX_FOCAL, le=MAX_FOCAL, allow_inf_nan=False)]
+
 
 class Intrinsics(Model):
     """The intrinsics of an undistorted pinhole camera [px]."""
 
-    fx: Positive = Field(description="Focal length in x [px].")
-    fy: Positive = Field(description="Focal length in y [px].")
-    cx: Number = Field(description="Principal point in x [px].")
-    cy: Number = Field(description="Principal point in y [px].")
+    fx: FocalLength = Field(description="Focal length in x [px].")
+    fy: FocalLength = Field(description="Focal length in y [px].")
+    cx: ImagePoint = Field(description="Principal point in x [px].")
+    cy: ImagePoint = Field(description="Principal point in y [px].")
 
 
 class DepthImage(Model):

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, create_model
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import PluginError, Registry
-from simfoundry.spec.models.base import Model
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.models.base import FARTHEST, Model
 
 
 class Effect(StrEnum):
@@ -158,15 +160,15 @@ _ARGUMENT = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?\Z")
 _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z")
 
 
-class ExpressionError(ValueError):
+class ExpressionError(SimfoundryError, ValueError):
     """Raised if a text is not a valid predicate.
 
-    ``word`` is the invalid part of the text, and ``choices`` are the valid values.
+    ``message`` states the problem, and ``hint`` names the valid values, if there are any.
     """
 
-    def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
-        super().__init__(message)
-        self.word, self.choices = word, choices
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(f"{message}; {hint}" if hint else message)
+        self.message, self.hint = message, hint
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ def parse_call(text: str) -> Call:
     name, inside = match.groups()
     name, arguments = canonical(name, tuple(a.strip() for a in inside.split(",")) if inside.strip() else ())
     if name not in PREDICATES:
-        raise ExpressionError(f"`{name}` is not a predicate", name, tuple(PREDICATES.names()))
+        raise ExpressionError(f"`{name}` is not a predicate", nearest(name, PREDICATES.names()))
     try:
         predicate = PREDICATES.load(name)
     except PluginError as error:
@@ -213,6 +215,8 @@ def parse_call(text: str) -> Call:
     for argument, kind in zip(arguments, predicate.parameters, strict=False):
         if kind == "number" and not _NUMBER.match(argument):
             raise ExpressionError(f"`{argument}` is not a number, but `{name}` requires one here")
+        if kind == "number" and abs(float(argument)) > FARTHEST:
+            raise ExpressionError(f"`{argument}` is out of range; numbers in predicates are at most {FARTHEST:.0f}")
         if kind != "number" and not _ARGUMENT.match(argument):
             raise ExpressionError(f"`{argument}` is not the name of an object or of an object's part")
     return Call(name, arguments)

@@ -33,6 +33,7 @@ from simfoundry.spec.models.base import (
     exclusive,
     fault,
 )
+from simfoundry.spec.models.capture import FocalLength, ImagePoint
 from simfoundry.spec.models.robot import RobotSpec
 
 if TYPE_CHECKING:
@@ -179,10 +180,10 @@ class CameraSpec(Model):
     """A pinhole camera."""
 
     size: ImageSize = Field(description="Width and height of the image [px].")
-    fx: Positive = Field(description="Focal length in x [px].")
-    fy: Positive = Field(description="Focal length in y [px].")
-    cx: Number | None = Field(None, description="Principal point in x [px]; default: (width - 1) / 2, the center.")
-    cy: Number | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
+    fx: FocalLength = Field(description="Focal length in x [px].")
+    fy: FocalLength = Field(description="Focal length in y [px].")
+    cx: ImagePoint | None = Field(None, description="Principal point in x [px]; default: (width - 1) / 2, the center.")
+    cy: ImagePoint | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
         None,

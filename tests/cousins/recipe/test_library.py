@@ -111,7 +111,7 @@ def test_nothing_left_is_said_with_what_each_filter_took(folder: Path) -> None:
         "category `brick` or `hat` or `tend`: 2 removed; mass at most 0.0001 "
         "kg: 2 removed (actual values 0.018 to 0.9); "
         "category `tend` does not exist in it, did you mean `tent`?; unusable files: 1, the first is "
-        "broken.asset.yaml: expected at least 1 values, found 0"
+        "broken.asset.yaml: expected at least 1 value, found 0"
     )
 
 

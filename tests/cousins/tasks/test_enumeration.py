@@ -12,6 +12,7 @@ from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.enumeration import Proposal, Proposals, checked, enumerate_tasks, task, write
 from simfoundry.cousins.tasks.proposals import task_cousins
 from simfoundry.cousins.tasks.witness import Witness, witness
+from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.lint.lints import lint
 from simfoundry.scene.state import SceneState
@@ -94,6 +95,19 @@ def test_documents_pass_every_check_and_load_as_tasks(proposals: list[Proposal],
     assert spec.instruction == "Pick up the ball, then put it inside the bowl."
     assert list(spec.subtasks) == ["touch_ball", "pick_up_ball", "ball_in_bowl"]
     assert {"ball", "bowl"} == spec.reset.objects.keys()
+
+
+def test_an_edited_task_is_replaced_only_if_that_is_asked(proposals: list[Proposal], tmp_path: Path) -> None:
+    files = write(proposals, tmp_path)
+    assert write(proposals, tmp_path) == files
+    written = files[-1].read_text()
+    files[-1].write_text(written + "# my edit\n")
+    files[0].unlink()
+    with pytest.raises(OutputError, match=f"{files[-1].name} exists and differs from what would be written"):
+        write(proposals, tmp_path)
+    assert files[-1].read_text().endswith("# my edit\n") and not files[0].exists()
+    write(proposals, tmp_path, force=True)
+    assert files[-1].read_text() == written
 
 
 def test_a_shelf_has_two_places_that_no_state_confuses(tmp_path: Path) -> None:

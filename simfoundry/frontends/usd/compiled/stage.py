@@ -146,7 +146,7 @@ def _other_variants(
 ) -> dict[str, tuple[StageMember, ...]]:
     """Return the members for all unselected variants, keyed by path.
 
-    The stage is opened again as often as necessary, each time with a different variant of every object.
+    The stage is opened repeatedly, each time with a different variant of every object, until all variants are covered.
     """
     from pxr import Sdf, Usd
 
