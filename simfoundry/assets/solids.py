@@ -148,7 +148,7 @@ def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
 
 
 def _fits(union: Any) -> bool:
-    """Return True if the union is a single nearly convex piece and remains one when it is rotated about the axis."""
+    """Return True if the union is a single nearly convex piece and stays nearly convex when rotated about the axis."""
     if union.geom_type != "Polygon" or not _nearly_convex(union):
         return False
     corners = np.array(union.exterior.coords)[:-1]

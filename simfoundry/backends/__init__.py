@@ -39,5 +39,5 @@ def compile_scene(scene: Scene, target: str, options: Mapping[str, float | bool 
         if cell.fidelity is Fidelity.REJECTED and (users := list(FEATURES[name].users(scene))):
             shown = ", ".join(f"`{user}`" for user in users[:3])
             raise InvalidSceneError(f"the backend `{target}` rejects {FEATURES[name].label} ({shown}): {cell.reason}")
-    artifact = backend.compile(scene, **(options or {}))
+    artifact = BACKENDS.running(target)(backend.compile)(scene, **(options or {}))
     return replace(artifact, losses=(*artifact.losses, *shared_losses(scene)))

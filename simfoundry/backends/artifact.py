@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.features import Cells, Loss
+from simfoundry.backends.features import FEATURES, Cells, Loss
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import staged, write_file
 
@@ -25,6 +25,10 @@ class Artifact:
     entry: str
     files: Mapping[str, bytes]
     losses: tuple[Loss, ...] = ()
+
+    def __post_init__(self) -> None:
+        if wrong := [path for path, data in self.files.items() if not isinstance(data, bytes)]:
+            raise TypeError(f"the content of {', '.join(wrong)} must be bytes")
 
     @property
     def manifest(self) -> bytes:
@@ -103,8 +107,13 @@ class Backend:
     """A compiler for one format.
 
     ``compile(scene, **options)`` returns an :class:`Artifact`. Its keyword parameters are the options that a target
-    profile can set. ``features`` maps each feature to its fidelity.
+    profile can set. ``features`` maps each feature to its fidelity, except for ``collision_shape``, which is the same
+    in all backends.
     """
 
     compile: Callable[..., Artifact]
     features: Cells
+
+    def __post_init__(self) -> None:
+        if missing := FEATURES.keys() - {*self.features, "collision_shape"}:
+            raise ValueError(f"`features` has no entry for {', '.join(sorted(missing))}")

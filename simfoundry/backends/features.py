@@ -213,7 +213,10 @@ class Loss:
 
 
 def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
-    """Return the loss for a feature that is approximated with an error of ``value`` in the unit ``unit``."""
+    """Return the loss for a feature that is approximated.
+
+    The approximation error is ``value``, measured in ``unit``.
+    """
     size = None if value is None else Size(float(f"{value:.3g}"), unit)
     return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
 
@@ -284,7 +287,10 @@ _USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
 
 
 def _elements(users: list[str], element: str) -> list[str]:
-    """Return the users affected by a loss: ``element`` itself, its parts, or all users if ``element`` is empty."""
+    """Return the elements affected by a loss.
+
+    These are ``element`` itself, its parts, or, if ``element`` is empty, all elements that use the feature.
+    """
     if not element or element in users:
         return [element] if element else users
     return [user for user in users if element.startswith(f"{user}.")]

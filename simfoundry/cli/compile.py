@@ -117,10 +117,9 @@ def _compile_many(
 ) -> int:  # fmt: skip
     """Compile all scenes in ``paths`` and below the folders in ``paths``, and return the exit code."""
     from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, compile_all, compile_job, jobs_of
-    from simfoundry.targets.find import find_target
+    from simfoundry.targets.find import find_targets
 
-    for name in targets:
-        find_target(name)  # report a misspelled target once, not once per scene
+    find_targets(targets)  # report a misspelled target once, not once per scene
     jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
     _ensure_apart(jobs, paths)
     with output.progress_bar(as_json) as progress:

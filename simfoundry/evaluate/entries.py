@@ -96,7 +96,7 @@ def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) 
         return load_replay(choice.path)
     if isinstance(choice, PythonClass):
         return PythonPolicy(choice)
-    policy: Policy = PROTOCOLS.load(choice.protocol).open(choice)
+    policy: Policy = PROTOCOLS.running(choice.protocol, PolicyError)(PROTOCOLS.load(choice.protocol).open)(choice)
     return policy
 
 

@@ -31,7 +31,7 @@ NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
 
 @dataclass
 class BuiltDocuments:
-    """Documents and other files by path, with the requested document first.
+    """Documents and other files, keyed by path, with the requested document first.
 
     Paths are relative to the folder that contains the requested document.
 

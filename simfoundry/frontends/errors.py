@@ -10,13 +10,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-import simfoundry
 from simfoundry.assets.errors import MeshError
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.plugins import Plugin, fault_text
 from simfoundry.spec.diagnostics import SpecError
-
-# Maximum length of a library's error message in our messages [characters]; some libraries print entire arrays.
-LONGEST_MESSAGE = 200
 
 # Maximum size of a file [bytes] that is searched for a line number.
 MAX_BYTES = 50_000_000
@@ -35,10 +32,11 @@ class ImportRefusedError(SimfoundryError):
 
 
 @contextmanager
-def refusing_faults(file: Path) -> Iterator[None]:
+def refusing_faults(file: Path, plugin: Plugin | None = None) -> Iterator[None]:
     """Convert unexpected errors during the import of ``file`` to :class:`ImportRefusedError`.
 
-    SimFoundry's own errors and operating system errors are not converted.
+    SimFoundry's own errors and operating system errors are not converted. ``plugin`` is the importer that runs, if it
+    is not built in.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # invalid numbers are reported when they are used
@@ -55,17 +53,11 @@ def refusing_faults(file: Path) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        shown = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_MESSAGE]
-        message = f"the importer failed because of a bug in simfoundry ({shown}{_place(error)})"
+        if plugin is not None:
+            raise ImportRefusedError(file, str(plugin.error(error, "failed")), _line(file, error)) from error
+        message = f"the importer failed because of a bug in simfoundry: {fault_text(error, 'simfoundry')}"
         hint = "please report it together with this file; until it is fixed, remove the element at this line"
         raise ImportRefusedError(file, message, _line(file, error), hint) from error
-
-
-def _place(error: Exception) -> str:
-    """Return the line of SimFoundry code that raised an error, formatted for a message, or "" if it is unknown."""
-    root = Path(simfoundry.__file__).parent
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
-    return f", at {Path(frames[-1].filename).relative_to(root).as_posix()}:{frames[-1].lineno}" if frames else ""
 
 
 def _line(file: Path, error: Exception) -> int:

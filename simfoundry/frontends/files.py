@@ -202,7 +202,8 @@ class FileSearch:
     def find(self, reference: str, folder: Path | None = None) -> Path:
         """Return the file for a reference, which may be relative to ``folder`` (by default, the folder of ``file``).
 
-        Raises :class:`NotFoundError` if the file is missing, too large, or outside the allowed folders.
+        Raises:
+            NotFoundError: If the file is missing, too large, or outside the allowed folders.
         """
         if "\0" in reference or len(reference) > MAX_REFERENCE:
             raise NotFoundError("is not a valid file name")

@@ -1,4 +1,7 @@
-"""Import files: read them, check the resulting documents by lowering them, and atomically move them into place."""
+"""Import files by reading them, checking the resulting documents by lowering them, and moving the documents into place.
+
+The documents are moved atomically.
+"""
 
 from __future__ import annotations
 

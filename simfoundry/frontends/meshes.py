@@ -123,7 +123,7 @@ def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> N
 
 
 def _names_after(data: bytes, keyword: str) -> list[str]:
-    """Return the rest of each line that starts with ``keyword`` in an OBJ or MTL file."""
+    """Return the text after ``keyword`` in each line of an OBJ or MTL file that starts with it."""
     lines = (line.decode("utf-8", "replace").strip().partition(" ") for line in data.splitlines())
     return [rest.strip() for word, _, rest in lines if word.lower() == keyword and rest.strip()]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.frontends.draft import ImportOptions, ModelDraft
-from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.errors import ImportRefusedError, refusing_faults
 from simfoundry.frontends.files import read_xml
 from simfoundry.runtime.plugins import Registry
 
@@ -62,12 +62,13 @@ def deferred(target: str) -> Callable[..., Any]:
 
 def model_suffixes() -> tuple[str, ...]:
     """Return the file suffixes of all supported model files."""
-    return tuple(dict.fromkeys(suffix for importer in IMPORTERS.load_all().values() for suffix in importer.models))
+    return tuple(dict.fromkeys(suffix for importer in IMPORTERS.load_all()[0].values() for suffix in importer.models))
 
 
 def task_readers() -> dict[str, TaskReader]:
     """Return all task readers, keyed by file suffix."""
-    return {suffix: read for importer in IMPORTERS.load_all().values() for suffix, read in importer.tasks.items()}
+    importers = IMPORTERS.load_all()[0].items()
+    return {kind: IMPORTERS.running(name)(read) for name, found in importers for kind, read in found.tasks.items()}
 
 
 def model_reader(path: Path) -> ModelReader:
@@ -77,16 +78,16 @@ def model_reader(path: Path) -> ModelReader:
         ImportRefusedError: If no importer accepts the file.
     """
     suffix = path.suffix.lower()
-    found = [importer for importer in IMPORTERS.load_all().values() if suffix in importer.models]
-    if not found:
-        tasks = ", ".join(task_readers())
-        known = f"supported file types: {', '.join(model_suffixes())}, and for tasks (with --scene) {tasks}"
-        raise ImportRefusedError(path, "unsupported file type", hint=known)
-    if suffix == ".xml":
-        tag = read_xml(path).tag
-        known = ", ".join(f"`<{importer.xml_root}>`" for importer in found)
-        found = [importer for importer in found if importer.xml_root == tag]
-        if not found:
-            message = f"unsupported root element `<{tag}>`"
-            raise ImportRefusedError(path, message, hint=f"supported root elements: {known}")
-    return next(importer for importer in found if importer.accepts(path)).models[suffix]
+    importers, errors = IMPORTERS.load_all()
+    found = {name: importer for name, importer in importers.items() if suffix in importer.models}
+    tag = read_xml(path).tag if suffix == ".xml" else None
+    for name, importer in found.items():
+        running = refusing_faults(path, IMPORTERS.plugin(name))
+        if (tag is None or importer.xml_root in ("", tag)) and running(importer.accepts)(path):
+            return running(importer.models[suffix])
+    roots = ", ".join(f"`<{importer.xml_root}>`" for importer in found.values() if importer.xml_root)
+    message = "unsupported file type" if tag is None else f"unsupported root element `<{tag}>`"
+    tasks = ", ".join(task_readers())
+    known = f"supported file types: {', '.join(model_suffixes())}, and for tasks (with --scene) {tasks}"
+    known = known if tag is None else f"supported root elements: {roots}"
+    raise ImportRefusedError(path, message, hint="; ".join([known, *map(str, errors.values())]))

@@ -1,6 +1,6 @@
 """Bounds on the signed distance between two links, computed without MuJoCo.
 
-The bounds are nearly always tight enough to tell if the distance exceeds a threshold.
+The bounds are nearly always tight enough to determine if the distance exceeds a threshold.
 """
 
 from __future__ import annotations

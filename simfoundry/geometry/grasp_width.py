@@ -146,7 +146,7 @@ class _Closing:
     def _between(self, above: Sequence[list[SolidRun]], best: float) -> float:
         """Return the width [m] of the narrowest part that a pad can grasp along its lines.
 
-        The result is ``best`` if that width is smaller.
+        If ``best`` is smaller than this width, it is returned instead.
         """
         runs = union(sorted(run for line in above for run in line))
         for i, first in enumerate(runs):

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.runtime.plugins import Registry
+from simfoundry.runtime.plugins import PluginError, Registry, plugins
 from simfoundry.spec.check.documents import sift, unused
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
@@ -155,6 +155,13 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
         return
     if kind == "asset/1":
         yield from asset_faults(loaded)
-    for one in LINTS.load_all().values():
-        if kind in one.kinds:
-            yield from islice(one.find(subject), MOST)
+    lints, unusable = LINTS.load_all()
+    for name, cause in unusable.items():  # reported at the plug-in, because no document is at fault
+        yield Diagnostic(name, Severity.WARNING, str(cause), plugins(LINTS.group)[name].value)
+    for name, one in lints.items():
+        try:
+            if kind in one.kinds:
+                with LINTS.running(name):
+                    yield from islice(one.find(subject), MOST)
+        except PluginError as error:
+            yield warning(loaded, one.code, (), str(error), "")

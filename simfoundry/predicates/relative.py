@@ -129,7 +129,7 @@ NEXT_TO = Predicate(
 
 
 def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that ``b`` is above or below the middle of ``a``, but not both.
+    """Require that ``b`` is above or below the middle of ``a``, depending on ``side``, but not both.
 
     ``side`` is ``over`` or ``under``.
     """

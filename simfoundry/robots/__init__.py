@@ -1,1 +1,1 @@
-"""Robots, including gripper geometry measured from robot models, and the inverse kinematics of arms."""
+"""Gripper geometry measured from robot models, and inverse kinematics of robot arms."""

@@ -267,7 +267,10 @@ class Arm:
         return None
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """Solve like :meth:`solve`, but on failure, retry from the home configuration and from random ones near it."""
+        """Solve like :meth:`solve`, with additional attempts if this fails.
+
+        They start from the home configuration and from random configurations near it.
+        """
 
         def starts() -> Iterator[Array]:
             yield from (near, self.home)

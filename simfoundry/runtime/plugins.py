@@ -9,8 +9,11 @@ entry point in the group for that kind, for example::
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
@@ -22,6 +25,9 @@ from typing import Generic, TypeVar, cast
 from simfoundry.errors import SimfoundryError
 
 T = TypeVar("T")
+
+# Maximum length of a library's error message in our messages [characters]; some libraries print entire arrays.
+LONGEST_MESSAGE = 300
 
 # The entry point groups, each with the kind of extension that it contains, as used in messages.
 GROUPS: Mapping[str, str] = {
@@ -40,7 +46,19 @@ class UnknownExtensionError(SimfoundryError):
 
 
 class PluginError(SimfoundryError):
-    """Raised for a plug-in that cannot be loaded. The message states its package and the cause."""
+    """Raised for a plug-in that cannot be loaded or that fails. The message states its package and the cause."""
+
+
+def fault_text(error: BaseException, package: str = "") -> str:
+    """Format an exception as a single line that includes its source location.
+
+    The location is the last line of code in ``package``, or outside SimFoundry if no package is given.
+    """
+    frames = [(f.f_globals.get("__name__", ""), f.f_code, line) for f, line in traceback.walk_tb(error.__traceback__)]
+    codes = [found for found in frames if (found[0].partition(".")[0] == (package or "simfoundry")) is bool(package)]
+    where = [f" ({'/'.join(Path(code.co_filename).parts[-2 if package else -1 :])}:{line})" for _, code, line in codes]
+    words = " ".join(str(error).split())[:LONGEST_MESSAGE]
+    return f"{type(error).__name__}{': ' if words else ''}{words}" + "".join(where[-1:])
 
 
 @dataclass(frozen=True)
@@ -60,20 +78,14 @@ class Plugin:
     def load(self) -> object:
         """Import the object that the entry point refers to."""
         self._check_unique()
-        try:
+        with self.running("cannot be loaded"):  # importing a third-party module may raise any exception
             return resolve_name(self.value)
-        except SimfoundryError:
-            raise
-        except Exception as error:  # importing a third-party module may raise any exception
-            raise self.error(f"{type(error).__name__}: {error}") from error
 
     def folder(self) -> Path:
         """Return the folder of the package that the entry point refers to. Targets and robots require a folder."""
         self._check_unique()
-        try:
+        with self.running("cannot be loaded"):  # finding the package imports its parent
             spec = find_spec(self.value)
-        except Exception as error:  # finding the package imports its parent, which may raise any exception
-            raise self.error(f"{type(error).__name__}: {error}") from error
         places = list(spec.submodule_search_locations or ()) if spec is not None else []
         if not places:
             raise self.error(f"`{self.value}` is not a package (a folder with files)")
@@ -83,12 +95,25 @@ class Plugin:
         if self.rival:
             raise self.error(f"the package {self.rival} provides an extension with the same name")
 
-    def error(self, cause: str) -> PluginError:
-        """Return an error that explains why this plug-in cannot be used."""
+    @contextmanager
+    def running(self, outcome: str = "failed", kind: type[SimfoundryError] = PluginError) -> Iterator[None]:
+        """Convert exceptions in this plug-in to ``kind``.
+
+        Exceptions that SimFoundry defines are not converted, because their messages already state the cause.
+        """
+        try:
+            yield
+        except Exception as error:
+            if any(base.__module__.startswith("simfoundry.") for base in type(error).__mro__):
+                raise
+            raise kind(str(self.error(error, outcome))) from error
+
+    def error(self, cause: str | Exception, outcome: str = "cannot be loaded") -> PluginError:
+        """Return an error that explains why this plug-in cannot be used. An exception is stated with its line."""
         what = f"the `{self.name}` {GROUPS.get(self.group, 'extension')} from the package {self.distribution}"
-        cause = " ".join(cause.split()).rstrip(".")
+        text = cause if isinstance(cause, str) else fault_text(cause, re.split("[.:]", self.value)[0])
         return PluginError(
-            f"{what} cannot be loaded: {cause}. Update or uninstall that package "
+            f"{what} {outcome}: {text}. Update or uninstall that package "
             f"(entry point `{self.name} = {self.value}` in the `{self.group}` group)"
         )
 
@@ -135,9 +160,30 @@ class Registry(Generic[T]):
             raise plugin.error(f"`{plugin.value}` is a {type(found).__name__}, not a {self.kind.__name__}")
         return cast(T, found)
 
-    def load_all(self) -> dict[str, T]:
-        """Import and return all extensions of this kind, keyed by name."""
-        return {name: self.load(name) for name in self.names()}
+    def load_all(self) -> tuple[dict[str, T], dict[str, SimfoundryError]]:
+        """Import all extensions of this kind.
+
+        Returns:
+            The extensions that can be loaded, and the errors of all others, keyed by name.
+        """
+        found, errors = dict[str, T](), dict[str, SimfoundryError]()
+        for name in self.names():
+            try:
+                found[name] = self.load(name)
+            except SimfoundryError as error:
+                errors[name] = error
+        return found, errors
+
+    @contextmanager
+    def running(self, name: str, kind: type[SimfoundryError] = PluginError) -> Iterator[None]:
+        """Convert exceptions in the code of a plug-in to ``kind``. All code of extensions runs inside this context.
+
+        It is also a decorator: ``IMPORTERS.running(name)(reader)`` is a reader. Exceptions in built-in extensions are
+        not converted, because they are bugs in SimFoundry.
+        """
+        plugin = self.plugin(name)
+        with nullcontext() if plugin is None else plugin.running("failed", kind):
+            yield
 
 
 def plugins(group: str) -> Mapping[str, Plugin]:

@@ -161,7 +161,7 @@ def _columns(tree: Tree) -> list[_Column]:
 
 
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links within an object whose contacts are disabled, by name and in link order."""
+    """Return the names of all pairs of links within an object whose contacts are disabled, in link order."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
@@ -178,7 +178,7 @@ def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links within an object that can be in contact, by name and in link order."""
+    """Return the names of all pairs of links within an object that can be in contact, in link order."""
     if len(item.links) == 1:
         return ()
     excluded = set(excluded_link_pairs(item))

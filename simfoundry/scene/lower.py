@@ -105,9 +105,9 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the objects without their placements.
 
-    Objects placed inside others are lowered first, together with all objects on which they depend. If one of them does
-    not fit, the error is detected before the remaining meshes are decomposed, which may take minutes. In that case, the
-    remaining meshes are only checked.
+    Objects placed inside other objects are lowered first, together with all objects on which they depend. If an object
+    does not fit, the error is detected before the remaining meshes are decomposed, which may take minutes. In that
+    case, the remaining meshes are only checked.
 
     Raises:
         SpecError: If an object cannot be lowered. The error contains all findings.
@@ -135,7 +135,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
-    """Return the objects placed `inside` others, and all objects on which they depend, in the order of the spec."""
+    """Return the objects placed `inside` other objects and all objects on which they depend, in spec order."""
     places = lowering.places
     todo, seen = [name for name, place in places.items() if place.inside is not None], set[str]()
     while todo:

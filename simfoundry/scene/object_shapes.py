@@ -105,7 +105,7 @@ def geometry_bounds(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
 
 
 def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
-    """Return the minimum and maximum world coordinates [m] of an object's own bounding box at the pose ``X_WO``."""
+    """Return the minimum and maximum world coordinates [m] of an object's local bounding box at the pose ``X_WO``."""
     low, high = bounds(item)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     moved = X_WO.apply(corners)

@@ -122,7 +122,7 @@ def pose_spec(X_WO: Pose) -> PoseSpec:
 
 
 def _rpy_deg(pose: Pose) -> tuple[float, float, float]:
-    """Return the roll, pitch and yaw of a pose [deg], rounded to 0.01."""
+    """Return the roll, pitch and yaw of a pose in degrees, rounded to two decimals."""
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(pose.q))
     return roll, pitch, yaw
 

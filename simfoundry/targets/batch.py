@@ -107,13 +107,14 @@ def compile_job(job: CompileJob) -> CompileOutcome:
     from simfoundry.spec.load import load_scene
     from simfoundry.targets import inputs
     from simfoundry.targets.build import TargetsError, build, is_current
-    from simfoundry.targets.find import find_target
+    from simfoundry.targets.find import find_targets
 
     try:
         report_progress("its documents")
         loaded = load_scene(job.scene)
-        record = inputs.record(loaded, [find_target(name) for name in dict.fromkeys(job.targets)])
-        if not job.force and is_current(job.out, record):
+        found, broken = find_targets(job.targets)
+        record = inputs.record(loaded, found)
+        if not job.force and not broken and is_current(job.out, record):
             return _read_back(job)
         scene = lower(loaded, Cache.default(), lambda name, done, total: report_progress(_object(loaded, name)))
         report_progress(f"its targets ({', '.join(job.targets)})")

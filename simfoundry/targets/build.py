@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,10 @@ from simfoundry.backends.features import Loss, count_fates
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import ensure_folder_replaceable, replace_folder, scratch, strangers, write_files
+from simfoundry.runtime.plugins import fault_text
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
-from simfoundry.targets.find import Target, find_target
+from simfoundry.targets.find import Target, find_targets
 
 # The default targets of a build, which are the plain backends.
 TARGETS = tuple(sorted(BACKENDS.names()))
@@ -63,8 +63,8 @@ def build(
         TargetsError: If a target fails. The other targets are still written, but the record is not, and the failed
             target's folder remains unchanged.
     """
-    found = [find_target(name) for name in dict.fromkeys(targets)]
-    artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
+    found, failures = find_targets(targets)
+    artifacts = _compile_each(scene, found, failures)
     if failures and not artifacts:
         raise TargetsError(artifacts, failures)
     for artifact in artifacts if not force else ():
@@ -89,13 +89,12 @@ def build(
     return artifacts
 
 
-def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that can be compiled, and the reasons why all other targets fail.
+def _compile_each(scene: Scene, targets: Iterable[Target], failures: dict[str, str]) -> list[Artifact]:
+    """Return the artifacts of the targets that can be compiled.
 
-    Both are keyed by target name.
+    The reasons why all other targets fail are added to ``failures``, keyed by target name.
     """
     artifacts: list[Artifact] = []
-    failures: dict[str, str] = {}
     for target in targets:
         try:
             artifacts.append(compile_target(scene, target))
@@ -104,12 +103,8 @@ def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifac
         except ModuleNotFoundError as error:
             failures[target.name] = f"{error.name} is not installed; `simfoundry doctor` shows how to install it"
         except Exception as error:  # a failing backend must not affect the other targets
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            said = " ".join(f"{type(error).__name__}: {error}".split())
-            where = f"{Path(frame.filename).name}:{frame.lineno}"
-            reason = f"its backend failed unexpectedly ({said}, at {where}); please report this with the scene"
-            failures[target.name] = reason
-    return artifacts, failures
+            failures[target.name] = f"its backend failed: {fault_text(error, 'simfoundry')}; please report this scene"
+    return artifacts
 
 
 def is_current(out: Path, record: Mapping[str, object]) -> bool:

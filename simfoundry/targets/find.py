@@ -1,22 +1,22 @@
 """Lookup of targets by name or path.
 
-This includes plain backends, built-in targets, and targets from packages and users.
+The targets are plain backends, built-in targets, and targets from packages and users.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.backends import BACKENDS
-from simfoundry.backends.features import FEATURES
+from simfoundry.backends import BACKENDS, features_of
+from simfoundry.backends.features import FEATURES, Fidelity
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import shipped
-from simfoundry.runtime.plugins import plugins
+from simfoundry.runtime.plugins import PluginError, plugins
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, read
@@ -107,6 +107,26 @@ def find_target(name: str | Path) -> Target:
     raise UnknownTargetError(f"no target is called `{name}`; {hint}")
 
 
+def find_targets(names: Iterable[str]) -> tuple[list[Target], dict[str, str]]:
+    """Return the targets that can be used, and the reasons why the others cannot, by name.
+
+    Raises:
+        UnknownTargetError: If a name is unknown.
+        SpecError: If no target can be used because of an invalid profile.
+        PluginError: If no target can be used because of a broken package.
+    """
+    found, errors = dict[str, Target](), dict[str, PluginError | SpecError]()
+    for name in names:
+        try:
+            found[name] = find_target(name)
+        except (PluginError, SpecError) as error:
+            errors[name] = error
+    if errors and not found:
+        raise next(iter(errors.values()))
+    unique = {target.name: target for target in found.values()}
+    return list(unique.values()), {name: "; ".join(str(error).splitlines()) for name, error in errors.items()}
+
+
 def _plain(backend: str) -> Target:
     """Return the target for a backend that has no target folder. The backend's files are used without a profile."""
     from simfoundry.targets.profile import TargetSpec
@@ -123,7 +143,7 @@ def read_profile(path: Path) -> Target:
     Raises:
         SpecError: If the profile is invalid. The error contains all findings.
     """
-    from simfoundry.spec.check.validate import validate
+    from simfoundry.spec.check.validate import sound_part, validate
     from simfoundry.targets.profile import TargetSpec
 
     try:
@@ -131,10 +151,9 @@ def read_profile(path: Path) -> Target:
     except YamlError as error:
         raise SpecError([error.diagnostic(str(path))]) from None
     spec, findings = validate(TargetSpec, document)
-    if spec is None:
-        raise SpecError(findings)
-    findings += _findings(spec, document, path)
-    if findings:
+    if (sound := spec or sound_part(TargetSpec, document)) is not None:
+        findings += _findings(sound, document, path)
+    if spec is None or findings:
         raise SpecError(findings)
     # Only a profile named `profile.yaml` describes its folder; a profile with a different file name is standalone.
     return Target(spec, path.parent if path.name == PROFILE or spec.loader is not None else None)
@@ -151,7 +170,7 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
 
     whole = path.name == PROFILE
     own_name = path.resolve().parent.name if whole else path.stem
-    if spec.name != own_name:
+    if spec.name != own_name and spec.name in document.data.values():
         place = f"its folder is `{own_name}`" if whole else f"its file is `{path.name}`"
         yield document.finding("SF106", ("name",), f"the profile is called `{spec.name}`, but {place}", f"`{own_name}`")
     yield from known(spec.backend, BACKENDS.names(), ("backend",), "backend")
@@ -162,6 +181,11 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
             if name in options and not isinstance(value, type(options[name])):
                 message = f"expected {_KINDS[type(options[name])]}, such as `{options[name]}`"
                 yield document.finding("SF103", ("options", name), message)
+        cells = features_of(spec.backend)
+        for name in spec.combines.model_dump(exclude_none=True):
+            if cells[name].fidelity is Fidelity.DROPPED and len(document.known(("restores", name))) < 2:
+                message = f"the backend `{spec.backend}` drops `{name}`; list it under `restores`, or remove the rule"
+                yield document.finding("SF107", ("combines", name), message)
     names = {"restores": (FEATURES, "feature"), "gaps": (FEATURES, "feature"), "behaviors": (BEHAVIORS, "behavior")}
     names["tolerances"] = (READ_BACK, *QUANTITIES, *BEHAVIORS), "quantity or behavior"
     for key, (choices, what) in names.items():
@@ -176,7 +200,7 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     if spec.engine is not None and not (whole and (folder / READBACK).is_file()):
         hint = "an engine requires a read-back module with this name next to `profile.yaml`"
         yield document.finding("SF203", ("engine",), f"file `{READBACK}` does not exist", hint)
-    if spec.engine is None and spec.tolerances:
+    if spec.tolerances and not document.known(("engine",)):
         hint = "add an engine for reading builds back under `engine`, or remove the tolerances"
         yield document.finding("SF107", ("tolerances",), "tolerances have no effect without an `engine`", hint)
 

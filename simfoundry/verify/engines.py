@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.targets.find import Target, find_target, target_names
+from simfoundry.targets.find import Target, find_target, find_targets, target_names
 from simfoundry.targets.profile import READ_BACK, EngineSpec
 from simfoundry.verify.process import EngineJob, Run, ask_probe
 
@@ -98,8 +98,7 @@ class UnknownEngineError(SimfoundryError):
 
 def all_engines() -> tuple[VerifyEngine, ...]:
     """Return all engines in target order."""
-    targets = (find_target(name) for name in target_names())
-    return tuple(VerifyEngine(target) for target in targets if target.readback is not None)
+    return tuple(VerifyEngine(target) for target in find_targets(target_names())[0] if target.readback is not None)
 
 
 def find_engine(name: str) -> VerifyEngine:
@@ -108,7 +107,7 @@ def find_engine(name: str) -> VerifyEngine:
     found = next((engine for engine in engines if name in (engine.name, engine.target.name)), None)
     if found is not None:
         return found
-    if "/" in name:
+    if "/" in name or name in target_names():
         target = find_target(name)
         if target.readback is not None:
             return VerifyEngine(target)

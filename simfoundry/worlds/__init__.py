@@ -4,7 +4,7 @@ from importlib import import_module
 
 from simfoundry.errors import MissingEngineError, SimfoundryError
 from simfoundry.scene.model import Scene
-from simfoundry.targets.find import find_target, target_names
+from simfoundry.targets.find import find_target, find_targets, target_names
 from simfoundry.worlds.base import Contact, World
 
 
@@ -15,9 +15,9 @@ class UnknownWorldError(SimfoundryError):
 def world_names() -> tuple[str, ...]:
     """Return the names of the simulators that can run scenes.
 
-    These are all targets whose profile specifies a ``world``.
+    These are all targets whose profile specifies a ``world`` and can be used.
     """
-    return tuple(name for name in target_names() if find_target(name).profile.world is not None)
+    return tuple(target.name for target in find_targets(target_names())[0] if target.profile.world is not None)
 
 
 def open_world(scene: Scene, engine: str) -> World:

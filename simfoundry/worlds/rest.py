@@ -125,7 +125,7 @@ def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
 def _differ(start: Pose, end: Pose, turns: bool = True) -> bool:
     """Return True if two poses differ by more than the creep of an object at rest.
 
-    With ``turns``, rotations count too.
+    If ``turns`` is set, rotations are compared as well.
     """
     return float(np.linalg.norm(end.p - start.p)) > STILL_M or (turns and end.angle_to(start) > STILL_RAD)
 

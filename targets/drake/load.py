@@ -194,7 +194,7 @@ def load_object(
 
 
 def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
-    """Exclude collisions between the two links in each pair. A link is given by its model and its name."""
+    """Exclude collisions between the two links in each pair. A link is given by its model and its name in the model."""
     filtered = CollisionFilterDeclaration()
     for pair in pairs:
         bodies = (plant.GetBodyByName(link, model) for model, link in pair)

@@ -14,9 +14,9 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify import readback as rb
 
 NO_LIMIT = 1e9
-"""Threshold for joint limits that Newton's importers write for joints without limits.
+"""Joint limits beyond this value mean that the joint has no limits.
 
-A limit beyond this value means that the joint has no limits.
+Newton's importers write such values for joints without limits.
 """
 
 _Joint, _Geo = newton.JointType, newton.GeoType

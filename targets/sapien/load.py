@@ -83,7 +83,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
 def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
     """Disable collisions between links of different objects.
 
-    A link is given by the name of its object and its own name.
+    A link is given by the names of its object and of the link.
     """
     found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
     for (name, link), (kind, met) in found.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import warnings
 from pathlib import Path
@@ -182,6 +183,19 @@ def test_a_robot_of_ones_own_starts_in_the_home_of_its_file(robot_data: Path, tm
     _, data = built(lower_file(scene), tmp_path)
     assert [data.joint(f"own.joint{k}").qpos[0] for k in range(1, 4)] == pytest.approx([0.5, 1.047, 1.047])
     assert [data.actuator(f"own.joint{k}").ctrl[0] for k in range(1, 4)] == pytest.approx([0.5, 1.047, 1.047])
+
+
+def test_a_geom_may_be_added_in_any_class_of_a_robot(lift: Scene, tmp_path: Path) -> None:
+    """A class that names a material names the robot's, with the robot's prefix."""
+    compile_mjcf(lift).write(tmp_path / "built")
+    file = tmp_path / "built" / "scene.xml"
+    text = file.read_text()
+    classes = re.findall(r'<default class="(arm\.[^"]+)"', text)
+    assert "arm.visual" in classes and 'material="arm.black_rq"' in text.partition("<asset>")[0]
+    added = "".join(f'<geom class="{name}" type="mesh" mesh="arm.base"/>' for name in classes)
+    file.write_text(text.replace("<worldbody>", f"<worldbody>{added}", 1))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert model.material(model.geom_matid[classes.index("arm.visual")]).name == "arm.black_rq"
 
 
 def test_a_build_names_no_place_of_this_machine(lift: Scene, yam: Scene, panda_lift: Scene) -> None:

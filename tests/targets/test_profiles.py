@@ -269,6 +269,42 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
     assert [d.line for d in caught.value.diagnostics] == [4, 11]
 
 
+def test_a_value_of_the_wrong_type_hides_no_other_fault(tmp_path: Path) -> None:
+    """What depends on the wrong value is not told: it may be right once the value is."""
+    wrong = MINE.replace("{friction: minimum}", "{friction: smallest}").replace("{timestep: 0.001}", "{steps: 1}")
+    wrong = wrong.replace("backend: mjcf", "backend: urdf").replace("  mass:", "  maas:")
+    with pytest.raises(SpecError) as caught:
+        read_profile(profile(tmp_path, wrong))
+    assert [(d.code, d.line) for d in caught.value.diagnostics] == [("SF201", 5), ("SF106", 8), ("SF201", 11)]
+    tolerances = "engine: json\ntolerances: {mass: {value: 1, reason: none}}\ngaps:\n"
+    for old, new, line in [
+        ("name: my_sim", "name: My Sim", 2),
+        ("gaps:\n", tolerances, 10),
+        (
+            "{friction: minimum}\nrestores: {restitution: the",
+            "{restitution: minimum}\nrestores: {restitution: 5, mass: the",
+            9,
+        ),
+    ]:
+        assert old in MINE
+        with pytest.raises(SpecError) as caught:
+            read_profile(profile(tmp_path, MINE.replace(old, new).replace("timestep: 0.001", "")))
+        assert [d.line for d in caught.value.diagnostics] == [line]
+
+
+def test_a_rule_for_a_coefficient_that_no_file_states_is_an_error(tmp_path: Path) -> None:
+    """It would replace the loss of the coefficient by a loss of a few percent."""
+    text = MINE.replace("backend: mjcf\noptions: {timestep: 0.001}", "backend: urdf")
+    with pytest.raises(SpecError) as caught:
+        read_profile(profile(tmp_path, text))
+    (finding,) = caught.value.diagnostics
+    assert (finding.code, finding.line, finding.path) == ("SF107", 7, "combines.friction")
+    assert finding.message == "the backend `urdf` drops `friction`; list it under `restores`, or remove the rule"
+    path = profile(tmp_path, text.replace("restores: {", "restores: {friction: the loader sets it, "))
+    losses = {loss.path: loss.reason for loss in compile_target(full_scene(), read_profile(path)).losses}
+    assert losses["friction"].startswith("my_sim uses the smaller of a pair")
+
+
 def test_rules_for_a_pair_agree_where_both_are_equal() -> None:
     for words, rule in RULES.values():
         equal = rule(0.4, 0.4)

@@ -78,7 +78,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. If one group is static, it is ``one``."""
+    """Two groups of geoms whose surfaces MuJoCo combines incorrectly. Static geoms are always in the first group."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]

@@ -106,12 +106,19 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
 
 def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
     """Add the robot's default classes below a class that resets the scene's joint defaults."""
+    materials = [material.get("name", "") for material in source.findall("asset/material")]
     for group in source.findall("default/default"):
         joint = group.find("joint")
         if joint is None:
             joint = ET.Element("joint")
             group.insert(0, joint)
         joint.set("solimpfriction", joint.get("solimpfriction", _JOINT_FRICTION))
+        for default in group.iter("default"):
+            within = default.get("class", "").startswith
+            for user in default.findall("*[@material]"):  # MuJoCo prefixes all other names, but not these
+                short = user.attrib["material"]
+                full = (m for m in materials if m.endswith(f".{short}") and within(m.removesuffix(short)))
+                user.set("material", max(full, key=len, default=short))
         _section(root, "default").append(group)
     # A joint without a class would inherit the scene's defaults; a body's `childclass` applies to the joints below it.
     classified = [joint for body in source.findall("worldbody//body[@childclass]") for joint in body.iter("joint")]

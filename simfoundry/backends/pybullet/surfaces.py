@@ -174,7 +174,7 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
 def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
     """Return a point at least ``depth`` [m] below every plane.
 
-    This is the guess if it satisfies the condition. Otherwise, it is the deepest point.
+    The guess is returned if it is deep enough. Otherwise, the deepest point is returned.
     """
     from scipy.optimize import linprog
 

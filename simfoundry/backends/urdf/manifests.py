@@ -44,7 +44,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
 def excluded_between(scene: Scene) -> list[list[list[str]]]:
     """Return the pairs of links in different bodies that do not collide.
 
-    Each link is identified by the name of its body and its own name.
+    Each link is identified by two names, that of its body and that of the link.
     """
     parts = [tree for item in scene.objects for tree in trees(item)]
     home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}

@@ -31,7 +31,8 @@ _LAYER = re.compile(r"layer @([^@]+)@")
 class RobotsInUsd:
     """The robots on a stage.
 
-    The fields are the converted ``items``, the ``files`` by path, the ``losses``, and the ``frames`` by robot and name.
+    ``items`` are the converted robots, ``files`` maps paths to contents, and ``losses`` lists the losses. ``frames``
+    maps the name of a robot and the name of a frame to the prim of the link and the pose of the frame in it.
     """
 
     items: list[SceneObject] = field(default_factory=list)
@@ -119,7 +120,7 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
 
 
 def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
-    """Return the spec in our layer that overrides a prim on the referenced stage."""
+    """Return the spec that overrides a prim of the referenced stage in our own layer."""
     spec = model
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":

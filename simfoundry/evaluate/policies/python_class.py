@@ -7,7 +7,6 @@ import importlib
 import importlib.util
 import inspect
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
 from simfoundry.geometry.frames import Array
+from simfoundry.runtime.plugins import fault_text
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class PythonPolicy:
             with redirect_stdout(sys.stderr):
                 self._policy = made(**dict(choice.arguments))
         except (Exception, SystemExit) as error:
-            raise PolicyError(f"could not create `{choice.name}` from {choice.module}: {_told(error)}") from None
+            raise PolicyError(f"could not create `{choice.name}` from {choice.module}: {fault_text(error)}") from None
         self._reset: Callable[[str, int], None] | None = getattr(self._policy, "reset", None)
         self._infer: Callable[[Observation], Array] | None = getattr(self._policy, "infer", None)
         if not callable(self._infer):
@@ -121,7 +121,7 @@ class PythonPolicy:
                 with redirect_stdout(sys.stderr):
                     close()
             except (Exception, SystemExit) as error:
-                print(f"could not close {self.name}: {_told(error)}", file=sys.stderr)
+                print(f"could not close {self.name}: {fault_text(error)}", file=sys.stderr)
 
     @contextmanager
     def _answering(self) -> Iterator[None]:
@@ -131,7 +131,7 @@ class PythonPolicy:
         except PolicyError:  # raised on purpose with its own message, for example by a client of a server
             raise
         except (Exception, SystemExit) as error:
-            raise InvalidAnswerError(f"{self.name} failed: {_told(error)}") from None
+            raise InvalidAnswerError(f"{self.name} failed: {fault_text(error)}") from None
 
 
 def _module(module: str) -> ModuleType:
@@ -152,7 +152,7 @@ def _module(module: str) -> ModuleType:
             spec.loader.exec_module(made)
             return made
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"could not import {source}: {_told(error)}") from None
+        raise PolicyError(f"could not import {source}: {fault_text(error)}") from None
 
 
 def _source(module: str) -> Path | None:
@@ -175,11 +175,3 @@ def _source(module: str) -> Path | None:
 
 def _is_file(module: str) -> bool:
     return module.endswith(".py")
-
-
-def _told(error: BaseException) -> str:
-    """Format an exception from user code as a single line that includes its source location."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
-    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    words = " ".join(str(error).split())[:300]
-    return f"{type(error).__name__}{': ' if words else ''}{words}{where}"

@@ -28,7 +28,7 @@ from simfoundry.evaluate.policies.base import (
 from simfoundry.evaluate.policies.codec import Codec, CodecError
 from simfoundry.geometry.frames import Array, rpy_from_quat
 from simfoundry.runtime.extras import install_line
-from simfoundry.spec.models.policy import GripperConvention, PolicySpec, address_uri
+from simfoundry.spec.models.policy import PROTOCOLS, GripperConvention, PolicySpec, address_uri
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
@@ -325,7 +325,7 @@ class RemotePolicy(Policy, ABC):
         """
         self._instruction = instruction
         try:
-            self.begin()
+            PROTOCOLS.running(self.spec.protocol, PolicyError)(self.begin)()
         except InvalidAnswerError as error:
             # No action has been requested yet, so the rollout counts as missing rather than as failed.
             raise PolicyError(str(error)) from None
@@ -335,7 +335,7 @@ class RemotePolicy(Policy, ABC):
 
         The result has shape (horizon, action size).
         """
-        answer = self.ask(observation)
+        answer = PROTOCOLS.running(self.spec.protocol, InvalidAnswerError)(self.ask)(observation)
         try:
             return actions_of(self.spec, answer, observation.robots)
         except PolicyError as error:

@@ -212,7 +212,7 @@ def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, flo
 
 
 def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
-    """Record all other elements that are not imported, by kind and name."""
+    """Record the kind and the name of every other element that is not imported."""
     model, draft = source.model, source.draft
     for kind in ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple"):
         for k in range(int(getattr(model, f"n{kind}", 0))):

@@ -1,7 +1,8 @@
-"""Read scenes from the paper's release, which consist of an OmniGibson scene JSON, an object list and URDF folders.
+"""Read scenes from the release that accompanies the SimFoundry paper.
 
-In this format, quaternions have w last, masses are specified only in the URDF, friction coefficients are in the object
-list, joint positions have no names, and the table is an infinite plane.
+Each scene consists of an OmniGibson scene JSON, an object list and URDF folders. In this format, quaternions have w
+last, masses are specified only in the URDF, friction coefficients are in the object list, joint positions have no
+names, and the table is an infinite plane.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ LEVELS = 5
 
 
 def read_omnigibson(path: Path, options: ImportOptions) -> ModelDraft:
-    """Read the scene in a JSON file from the paper's release.
+    """Read the scene in a JSON file from the release that accompanies the SimFoundry paper.
 
     Raises:
         ImportRefusedError: If the file is invalid.
@@ -136,7 +137,7 @@ class _SceneReader:
         self.draft.bodies.append(body)
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
-        """Find the URDF of an object in the folders of the paper's release."""
+        """Find the URDF of an object in the folders of the release."""
         parts = Path(str(args.get("usd_path") or "")).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
             k = parts.index("objects")

@@ -1,6 +1,7 @@
-"""Read a task YAML from the paper's release as a task for an imported scene.
+"""Read task files from the release that accompanies the SimFoundry paper.
 
-The file contains goals, milestones, initial states, and reset ranges.
+A task file is a YAML with goals, milestones, initial states, and reset ranges. It is read as a task for an imported
+scene.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ HORIZON = 1000
 def read_task(
     path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """Read a YAML file from the paper's release as a task for a scene.
+    """Read a YAML file from the release that accompanies the SimFoundry paper as a task for a scene.
 
     Raises:
         ImportRefusedError: If the file is invalid.
@@ -99,7 +100,10 @@ class _TaskReader:
         return list(out)
 
     def objects_called(self, word: str) -> list[str]:
-        """Return the objects with the given category or name, which may also be a name from the paper's release."""
+        """Return the objects with the given category or name.
+
+        The original name in the imported file is also accepted.
+        """
 
         def matches(name: str, item: Any) -> bool:
             note = item.origin.note if item.origin is not None else None

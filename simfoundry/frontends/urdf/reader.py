@@ -78,7 +78,7 @@ class _UrdfReader:
                 self.materials.setdefault(name, material)
 
     def named(self, tag: str, read: Callable[[Element], Named]) -> dict[str, Named]:
-        """Read all elements with the given tag and return them by name."""
+        """Read all elements with the given tag and return them, keyed by name."""
         found: dict[str, Named] = {}
         for element in self.root.all(tag):
             draft = read(element)

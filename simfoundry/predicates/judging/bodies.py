@@ -1,4 +1,4 @@
-"""Collision bodies for predicates, with the preprocessed colliders of each link and the lookup of arguments by name."""
+"""Collision bodies for predicates, which contain the preprocessed colliders of each link and are looked up by name."""
 
 from __future__ import annotations
 

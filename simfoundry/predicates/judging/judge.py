@@ -20,7 +20,7 @@ from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.predicate import Call, parse_call, parts
+from simfoundry.spec.models.predicate import PREDICATES, Call, parse_call, parts
 
 # Function that explains a term, given its value and whether it holds; the explanation may be empty.
 Explain = Callable[[float, bool], str]
@@ -95,7 +95,7 @@ class Terms:
         self.terms.append(Term(value, margins, explain))
 
     def require_at_rest(self, a: Entity) -> None:
-        """Require that the object of ``a`` does not move faster than :data:`SETTLED`."""
+        """Require that the object to which ``a`` belongs does not move faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
         self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
 
@@ -150,7 +150,7 @@ class Judge:
     def __init__(self, scene: Scene, bounds_first: bool = False) -> None:
         self.scene = scene
         self._context = Context(Bodies(scene), bounds_first)
-        self._calls: dict[str, tuple[Callable[..., None], list[Any]]] = {}
+        self._calls: dict[str, tuple[str, Callable[..., None], list[Any]]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
         """Evaluate a condition in a single state."""
@@ -225,10 +225,11 @@ class Judge:
             terms = Terms(self._context, view)
             if condition not in self._calls:
                 call = parse_call(condition)
-                self._calls[condition] = call.declaration.rule, self._arguments(call)
-            rule, arguments = self._calls[condition]
-            rule(terms, *arguments)
-            return _Judged(terms.margin > 0, terms.margin, terms.explanation)
+                self._calls[condition] = call.predicate, call.declaration.rule, self._arguments(call)
+            name, rule, arguments = self._calls[condition]
+            with PREDICATES.running(name):
+                rule(terms, *arguments)
+            return _Judged(terms.margin > 0, terms.margin, lambda k: PREDICATES.running(name)(terms.explanation)(k))
         if not below:
             always = "true" if tag == "all" else "false"
             raise PredicateError(f"`{tag}` without conditions is invalid: it would always be {always}")

@@ -55,7 +55,7 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
         seen.setdefault(absolute(name), name)
     findings: set[Diagnostic] = set()
     for finding in dict.fromkeys(d for each in checked for d in each.findings):
-        name = seen.setdefault(absolute(finding.document), finding.document)
+        name = seen.get(absolute(finding.document), finding.document)
         file = name + finding.file.removeprefix(finding.document)
         findings.add(finding if file == finding.file else replace(finding, file=file))
     return CheckReport(files, len(seen), tuple(ordered(findings)))
@@ -193,7 +193,7 @@ def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
         location["logicalLocations"] = [{"fullyQualifiedName": d.path}]
     return {
         "ruleId": d.code,
-        "ruleIndex": rules.index(d.code),
+        **({"ruleIndex": rules.index(d.code)} if d.code in rules else {}),  # plug-ins define other codes
         "level": str(d.severity),
         "message": {"text": _plain(_with_hint(d))},
         "locations": [location],

@@ -34,7 +34,7 @@ OWN_SCOPES = ("Looks", "Contacts", "Physics")
 
 @dataclass
 class AddedPrims:
-    """New members and their prims by section and name, with notes on prims that could not be converted."""
+    """New members and their prims, keyed by section and name, with notes on prims that could not be converted."""
 
     members: dict[str, dict[str, Any]] = field(default_factory=dict)
     prims: dict[tuple[str, str], str] = field(default_factory=dict)

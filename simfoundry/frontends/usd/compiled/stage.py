@@ -1,4 +1,4 @@
-"""Compiled stages: access to the document, its members, and the current values of their prims."""
+"""Access to the document of a compiled stage, its members, and the current values of their prims."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def _other_variants(
 ) -> dict[str, tuple[StageMember, ...]]:
     """Return the members for all unselected variants, keyed by path.
 
-    The stage is opened again as often as necessary, each time with a different variant of every object.
+    The stage is opened repeatedly, each time with a different variant of every object, until all variants are covered.
     """
     from pxr import Sdf, Usd
 

@@ -1,6 +1,6 @@
 """The world frame of a stage, in meters and with z up.
 
-It is determined for any stage units and for any way of including a compiled stage in another stage.
+It can be determined for any stage units and for any way of including a compiled stage in another stage.
 """
 
 from __future__ import annotations

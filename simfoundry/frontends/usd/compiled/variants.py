@@ -1,4 +1,4 @@
-"""Objects with variants: find the selected variant and the edits to each variant."""
+"""Find the selected variant of an object with variants, and the edits to each variant."""
 
 from __future__ import annotations
 
