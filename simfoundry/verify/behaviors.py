@@ -244,7 +244,7 @@ def settled_rotation() -> Measurement:
 
 BEHAVIORS: tuple[Behavior, ...] = (
     Behavior("free_fall", "free fall / (g t²/2)", "", 1.0, 1e-3, "one step in 3 s is 0.07%", free_fall),
-    Behavior("slip_angle", "box slips at", "deg", _SLIP, 1.0, "required accuracy; ramps 0.14 deg apart", slip_angle),
+    Behavior("slip_angle", "box slips at", "deg", _SLIP, 1.0, "the required accuracy", slip_angle),
     Behavior("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1%, the required accuracy", pendulum_period),
     Behavior("decay", "damped swings decay at", "1/s", _RATE, 0.02 * _RATE, "2%, the required accuracy", damped_decay),
     Behavior("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),

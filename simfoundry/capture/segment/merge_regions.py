@@ -124,7 +124,7 @@ def join_containers(labels: Labels, crop: Crop) -> Labels:
 
 
 def _one_box(a: Array, b: Array) -> bool:
-    """Return True if two sets of points show the same upright face or the top of one long box.
+    """Return True if two sets of points belong to the same upright face, or to the top of a single long box.
 
     The points [m] have shape (n, 3), and z points up.
     """

@@ -288,7 +288,7 @@ def _ear(t: Array) -> tuple[Array, Array]:
 
 
 def _ring(t: Array) -> tuple[Array, Array]:
-    """Return a circular arc that bulges beyond its feet."""
+    """Return a circular arc that is wider than the distance between its ends."""
     angle = np.pi * (1.3 * t - 0.15)
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 

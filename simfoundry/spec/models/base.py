@@ -305,7 +305,7 @@ class CousinOf(Model):
 
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
-    index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, starting at 1.")
+    index: Annotated[int, Field(ge=1)] = Field(description="Candidate number, starting at 1.")
     generator: Agent = Field("simfoundry", description="The program that generated the cousin.")
 
 

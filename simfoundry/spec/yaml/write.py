@@ -152,7 +152,7 @@ class _Writer:
         yield from _comments(tree.end, 0)
 
     def entries(self, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """Yield the entries of a mapping, one below the other."""
+        """Yield the lines of the entries in a mapping, each entry below the previous one."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             yield from _comments(_above(child), indent)
@@ -160,7 +160,7 @@ class _Writer:
         yield from _comments(tree.end, indent)
 
     def items(self, tree: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
-        """Yield the items of a list, one below the other."""
+        """Yield the lines of the items in a list, each item below the previous one."""
         for item in tree.value:
             nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
             above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))

@@ -261,10 +261,12 @@ def test_what_a_format_cannot_say_is_refused(tmp_path: Path) -> None:
         export_task(spec.model_copy(update={"goal": "Released(cup)"}), scene, "behavior")
 
 
-def test_the_command_writes_a_file_once(tmp_path: Path) -> None:
+def test_the_command_replaces_no_file_that_was_edited(tmp_path: Path) -> None:
     out = tmp_path / "task.bddl"
     task = TASKS / "cup_in_bowl.task.yaml"
     result = run("export", task, "-f", "libero", "-o", out, "--json")
     assert result.code == 0 and result.json["notes"] and "(In cup bowl)" in out.read_text()
+    assert run("export", task, "-f", "libero", "-o", out).code == 0
+    out.write_text(f"{out.read_text()}; edited\n")
     assert run("export", task, "-f", "libero", "-o", out).code == 2
     assert run("export", task, "-f", "libero", "-o", out, "--force", "--strict").code == 1
