@@ -208,7 +208,7 @@ class _Rewritten(NamedTuple):
         return {"files": files, changed: changes, "findings": [d.to_json() for d in self.findings]}
 
     def exit_code(self, check: bool) -> int:
-        """Return the exit code. If ``check`` is set, changed documents lead to exit code 1."""
+        """Return the exit code. If ``check`` is set, the exit code is 1 if any document would change."""
         return output.CANNOT if self.findings else output.FINDINGS if check and self.changed else output.DONE
 
 

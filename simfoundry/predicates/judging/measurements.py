@@ -182,7 +182,7 @@ def _friction(context: Context, thing: Entity) -> float:
 
 
 class SupportContact:
-    """The distance and the push between two entities, measured together in states that are still undecided."""
+    """The distance and push direction between two entities, measured together in states that are still undecided."""
 
     def __init__(self, context: Context, a: Entity, b: Entity) -> None:
         self.context, self.a, self.b = context, a, b

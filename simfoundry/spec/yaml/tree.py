@@ -75,7 +75,7 @@ def with_data(tree: YamlTree, data: Any) -> YamlTree:
 
 
 def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, ...]:
-    """Return the items of a list with new data, each with the comments of the corresponding old item."""
+    """Return the new items of a list, each with the comments attached to the corresponding old item."""
     before, after = [repr(item.data) for item in old], [repr(item) for item in new]
     source: dict[int, int] = {}  # index of the old item for each new item
     for _, first, last, start, end in difflib.SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
