@@ -1,4 +1,4 @@
-"""Lints that find problems in valid documents that will not work as intended.
+"""Lints that find problems in documents that are valid but will not work as intended.
 
-Lints are evaluated on the lowered scene, with one module for each group of findings.
+Lints run on the lowered scene. Each group of findings has its own module.
 """
