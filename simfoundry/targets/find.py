@@ -107,7 +107,7 @@ def find_target(name: str | Path) -> Target:
     raise UnknownTargetError(f"no target is called `{name}`; {hint}")
 
 
-def find_targets(names: Iterable[str]) -> tuple[list[Target], dict[str, str]]:
+def find_targets(names: Iterable[str | Path]) -> tuple[list[Target], dict[str, str]]:
     """Return the targets that can be used, and the reasons why the others cannot, by name.
 
     Raises:
@@ -118,9 +118,9 @@ def find_targets(names: Iterable[str]) -> tuple[list[Target], dict[str, str]]:
     found, errors = dict[str, Target](), dict[str, PluginError | SpecError]()
     for name in names:
         try:
-            found[name] = find_target(name)
+            found[str(name)] = find_target(name)
         except (PluginError, SpecError) as error:
-            errors[name] = error
+            errors[str(name)] = error
     if errors and not found:
         raise next(iter(errors.values()))
     unique = {target.name: target for target in found.values()}
