@@ -86,12 +86,7 @@ def compile_mjcf(
     Raises:
         InvalidSceneError: If a name or an option is invalid.
     """
-    if contacts not in (EXACT, NATIVE):
-        raise InvalidSceneError(f"option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
-    if cylinder_sides and (cylinder_sides < 3 or cylinder_sides % 1):
-        message = f"option `cylinder_sides` must be a whole number of at least 3, or 0, not `{cylinder_sides:g}`"
-        raise InvalidSceneError(message)
-    check_timestep(timestep)
+    _check_options(timestep, cylinder_sides, contacts)
     check_names(scene)
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []
@@ -144,6 +139,16 @@ def compile_mjcf(
         *splat_losses(scene, "MuJoCo"),
     ]
     return Artifact("mjcf", "scene.xml", files, tuple(losses))
+
+
+def _check_options(timestep: float, cylinder_sides: float, contacts: str) -> None:
+    """Raise :class:`InvalidSceneError` if an option of :func:`compile_mjcf` is invalid."""
+    check_timestep(timestep)
+    if contacts not in (EXACT, NATIVE):
+        raise InvalidSceneError(f"option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
+    if cylinder_sides and (cylinder_sides < 3 or cylinder_sides % 1):
+        message = f"option `cylinder_sides` must be a whole number of at least 3, or 0, not `{cylinder_sides:g}`"
+        raise InvalidSceneError(message)
 
 
 def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses) -> ET.Element:
