@@ -18,7 +18,8 @@ import simfoundry
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.recipe.candidate import file_of
-from simfoundry.cousins.recipe.library import LibraryItem, default_folder, filtered, read_library, remarks, united
+from simfoundry.cousins.recipe.library import LibraryItem, default_folder, read_library, united
+from simfoundry.cousins.recipe.library_filters import filtered, remarks
 from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import write_atomically

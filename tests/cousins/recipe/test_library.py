@@ -14,13 +14,12 @@ from simfoundry.cousins.recipe.library import (
     Library,
     LibraryItem,
     default_folder,
-    filtered,
     lowered,
     name_of,
     read_library,
-    remarks,
     united,
 )
+from simfoundry.cousins.recipe.library_filters import filtered, remarks
 from simfoundry.cousins.recipe.variant_pool import copied, references
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.load import load
@@ -184,7 +183,7 @@ def test_nothing_is_added_that_an_instruction_could_mean(tmp_path: Path) -> None
     things = (lowered(shipped / "blue_cup.asset.yaml"),)
     left, steps = filtered(library, DistractorAxis(), ["cup", "blue_cup"], lambda: things)
     assert [item.name for item in left] == ["widget"]
-    assert [[item.name for item in step.taken] for step in steps] == [["green_cup", "mine"], ["gadget"]]
+    assert [[item.name for item in step.removed] for step in steps] == [["green_cup", "mine"], ["gadget"]]
     said = remarks(library, left, steps)
     assert (
         said[0].startswith("excluded `green_cup`, `mine` from ") and "a category that the twin does not have" in said[0]
