@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -18,9 +19,11 @@ from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.frames import FrameTree, Placed
 from simfoundry.scene.model import Camera, LeftOut, Light, MountedCamera, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
+from simfoundry.scene.place import Placement, needs, order, place_all
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
@@ -58,6 +61,17 @@ class Lowering:
         """The placements to be solved, keyed by object name."""
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
+    @property
+    def placements(self) -> dict[str, Placement]:
+        """The placements and the poses in frames, keyed by object name."""
+        framed = {name: item.pose for name, item in self.spec.objects.items() if item.pose.frame is not None}
+        return {**framed, **self.places}
+
+    @cached_property
+    def frames(self) -> FrameTree:
+        """The frames of the scene."""
+        return FrameTree(self.spec)
+
     def run(self, passes: tuple[Pass, ...]) -> Scene:
         """Run the passes and return the scene.
 
@@ -66,7 +80,9 @@ class Lowering:
         """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
-        scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
+        scene = Scene(
+            self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=self.frames.viewer(self.spec.viewpoint)
+        )
         for lowering_pass in passes:
             scene = lowering_pass(self, scene)
         return scene
@@ -125,8 +141,8 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         if first and len(found) == len(first) and not work.findings and not misfits:
             # These objects do not depend on any others, so their placements can be solved before the rest is lowered.
             objects = {k: item for k, item in found.items() if item is not None}
-            places = {k: place for k, place in lowering.places.items() if k in objects}
-            misfits = _findings(lowering, place_all(objects, places, viewer(spec))[1])
+            places = {k: place for k, place in lowering.placements.items() if k in objects}
+            misfits = _findings(lowering, place_all(objects, places, scene.viewer, lowering.frames)[1])
             work.cuts = not misfits
     if work.findings or misfits:
         raise SpecError([*work.findings, *misfits])
@@ -136,12 +152,12 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
     """Return the objects placed `inside` other objects and all objects on which they depend, in spec order."""
-    places = lowering.places
-    todo, seen = [name for name, place in places.items() if place.inside is not None], set[str]()
+    todo, seen = [name for name, place in lowering.places.items() if place.inside is not None], set[str]()
+    places = lowering.placements
     while todo:
         if (name := todo.pop()) not in seen:
             seen.add(name)
-            todo += needs(places[name]) if name in places else ()
+            todo += needs(places[name], lowering.frames) if name in places else ()
     return tuple(name for name in lowering.spec.objects if name in seen)
 
 
@@ -162,28 +178,33 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     work = ObjectLowering(loaded, lowering.cache, cuts=False)
     found = {name: item for name in names if (item := work.lower(name)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
-    return _findings(lowering, certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate))
+    viewer = lowering.frames.viewer(spec.viewpoint)
+    placements = lowering.placements
+    return _findings(lowering, certain_misfits(shapes, placements, viewer, draft.approximate, lowering.frames))
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
     """Return a finding for each failed placement, located at the keys that specify the placement."""
-    return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
+    paths = {k: ("objects", k, "place" if lowering.spec.objects[k].place is not None else "pose") for k in errors}
+    return [lowering.loaded.finding("SF210", paths[k], e.message, e.hint) for k, e in errors.items()]
 
 
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Solve every `place` constraint and replace it with a pose."""
-    places = lowering.places
+    """Solve every `place` constraint, and replace it and each pose in a frame with a pose in the world."""
+    places, frames = lowering.placements, lowering.frames
     if not places:
         return scene
-    solved, errors = place_all(scene.by_name, places, scene.viewer)
+    solved, errors = place_all(scene.by_name, places, scene.viewer, frames)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
             # Solve for the pose of each variant separately, with all other objects unchanged.
-            stood = [place_all(solved | {name: v}, {name: places[name]}, scene.viewer) for v in item.variants]
+            own = {name: places[name]}
+            stood = [place_all(solved | {name: v}, own, scene.viewer, frames) for v in item.variants]
             solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
             errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
-    for name in order(places):
-        if lowering.approximate & {name, *needs(places[name])} or lowering.unplaced & {*needs(places[name])}:
+    for name in order(places, frames):
+        needed = {*needs(places[name], frames)}
+        if lowering.approximate & {name, *needed} or lowering.unplaced & needed:
             lowering.unplaced.add(name)
     errors = {name: error for name, error in errors.items() if name not in lowering.unplaced}
     if errors:
@@ -228,9 +249,13 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
     found, lost = [], []
     for name, item in spec.robots.items():
         try:
-            found.append(lower_robot(name, item, lowering.loaded.path, lowering.fetch))
+            robot = lower_robot(name, item, lowering.loaded.path, lowering.fetch)
+            if item.pose.frame is not None:
+                robot = replace(robot, X_WB=lowering.frames.pose(item.pose.frame) @ robot.X_WB)
+            found.append(robot)
         except NoModelError as error:
-            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
+            X_WB = lowering.frames.pose(item.pose.frame) @ pose(item.pose)
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", X_WB))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"the camera is mounted on `{name}`, which has no model") for n in carried]
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
@@ -242,7 +267,7 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
     robots = {robot.name for robot in scene.robots}
     for name, spec in lowering.spec.cameras.items():
         if spec.mount is None:
-            fixed.append(camera(name, spec))
+            fixed.append(camera(name, spec, lowering.frames, scene.by_name))
             continue
         carrier, _, link = spec.mount.partition(".")
         item = scene.by_name.get(carrier)
@@ -250,14 +275,15 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
             reason = f"the variant `{item.variant}` of `{carrier}` has no link `{link}`"
             lost.append(LeftOut(f"cameras.{name}", reason))
         elif item is not None or carrier in robots:
-            mounted.append(MountedCamera(carrier, link, camera(name, spec)))
+            mounted.append(MountedCamera(carrier, link, camera(name, spec, lowering.frames, scene.by_name)))
     return replace(scene, cameras=tuple(fixed), mounted=tuple(mounted), left_out=(*scene.left_out, *lost))
 
 
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
-    lights = tuple(_light(name, light) for name, light in spec.lights.items())
+    frames, placed = lowering.frames, scene.by_name
+    lights = tuple(_light(name, light, frames.pose(light.frame, placed)) for name, light in spec.lights.items())
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
     if spec.background is None:
         return scene
@@ -285,19 +311,6 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 # -- parts of passes ---------------------------------------------------------------------------------------------------
 
 
-def viewer(spec: SceneSpec) -> Pose | None:
-    """Return the frame that defines left, right, front and behind, or None for the world frame.
-
-    In this frame, x points away from the viewer, and y points to the viewer's left. If the viewer is a robot or a
-    camera mounted on one, the viewer looks along the x axis of the robot's base.
-    """
-    seen = spec.cameras.get(spec.viewpoint or "")
-    if seen is not None and seen.mount is None:
-        return seen_by_camera(camera("", seen).X_WC)
-    robot = spec.robots.get(spec.viewpoint or "" if seen is None else (seen.mount or "").partition(".")[0])
-    return None if robot is None else pose(robot.pose)
-
-
 def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
     """Yield the object textures that cannot be used, along with the reasons."""
     from simfoundry.assets.textures import document_faults
@@ -311,22 +324,19 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
                 yield LeftOut(f"objects.{name}.texture", fault)
 
 
-def camera(name: str, spec: CameraSpec) -> Camera:
+def camera(name: str, spec: CameraSpec, frames: FrameTree, placed: Placed) -> Camera:
     """Return a camera whose principal point and pose are resolved."""
     width, height = spec.size
     cx = (width - 1) / 2 if spec.cx is None else spec.cx
     cy = (height - 1) / 2 if spec.cy is None else spec.cy
-    if spec.pose.look_at is not None:
-        X_WC = look_at(np.array(spec.pose.xyz), np.array(spec.pose.look_at))
-    else:
-        X_WC = Pose.of(spec.pose.xyz, spec.pose.quat_wxyz or (1.0, 0.0, 0.0, 0.0))
+    X_WC = frames.camera_pose(spec.pose, placed)
     return Camera(name, width, height, spec.fx, spec.fy, cx, cy, X_WC)
 
 
-def _light(name: str, spec: LightSpec) -> Light:
+def _light(name: str, spec: LightSpec, X_WF: Pose) -> Light:
     """Convert a light, which shines along -z of its frame."""
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
         X_WL = Pose.of(q=aim.q)
-    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL)
+    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WF @ X_WL)

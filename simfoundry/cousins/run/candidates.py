@@ -33,6 +33,7 @@ from simfoundry.cousins.recipe.document import (
     written,
 )
 from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
@@ -218,7 +219,9 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, TaskContext(draw.twin.at(found.state), hands_of(recipe.scene_spec.robots)))
+    return impossible(
+        goal, TaskContext(draw.twin.at(found.state), hands_of(recipe.scene_spec.robots, FrameTree(recipe.scene_spec)))
+    )
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:

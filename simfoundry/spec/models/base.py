@@ -179,6 +179,9 @@ class PoseSpec(Model):
 class CameraPose(Model):
     """The pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
 
+    frame: PartName | None = Field(
+        None, description="Reference frame: a name from `frames`, an object or one of its links; default: the world."
+    )
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
     quat_wxyz: Quaternion | None = Field(

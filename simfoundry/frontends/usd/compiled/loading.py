@@ -15,9 +15,10 @@ from simfoundry.frontends.usd.compiled.stage import StageError, StageNote, open_
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import validate
+from simfoundry.spec.compose.compose import compose, inherited_data
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import Known, checked, compose
+from simfoundry.spec.load import Known, checked
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import RIVALS, models_at
 from simfoundry.spec.project import project_root
@@ -69,10 +70,12 @@ def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str
     except YamlError as error:
         raise SpecError([error.diagnostic(str(path))]) from None
     tree = read_tree(document)
-    whole, findings, bases = compose(document, KIND, project_root(path).resolve())
-    if findings or not isinstance(tree.value, dict):
-        raise SpecError(findings)
-    base, name = _base(path, bases), str(whole.data.get("name"))
+    root = project_root(path).resolve()
+    composed = compose(document, KIND, root)
+    if composed.findings or not isinstance(tree.value, dict):
+        raise SpecError(composed.findings)
+    whole = composed.document
+    base, name = inherited_data(composed, KIND, root), str(whole.data.get("name"))
     own = {key: new_name for key, new_name in reading.renamed.items() if _at(base, key) is NOTHING}
     todo = edits(renamed(reading.before, own), reading.data)
     if not todo and not own:
@@ -87,16 +90,6 @@ def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str
             disputed.append(".".join(place))
         data = _applied(data, base, (), place, new)
     return name, write_tree(with_data(tree, data), SceneSpec), tuple(disputed)
-
-
-def _base(path: Path, bases: list[Path]) -> Data:
-    """Return the flattened base of the document at ``path``, or empty data if the document has no base."""
-    if not bases:
-        return {}
-    from simfoundry.spec.load import load
-
-    loaded = load(bases[0], project_root(path))
-    return loaded.document.data if loaded.document is not None else {}
 
 
 def _other(there: Any, old: Any) -> bool:
