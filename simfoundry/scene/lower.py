@@ -104,15 +104,23 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
 
 
-def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
+def lower_file(
+    path: Path,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+    fetch: bool = True,
+    parameters: Mapping[str, float] | None = None,
+) -> Scene:
     """Load, check and lower the scene document at ``path``; see :func:`lower`.
+
+    ``parameters`` replace the values of the scene's parameters.
 
     Raises:
         SpecError: If the document is invalid or cannot be lowered.
     """
     from simfoundry.spec.load import load_scene
 
-    return lower(load_scene(path), cache, progress, fetch)
+    return lower(load_scene(path, parameters), cache, progress, fetch)
 
 
 # -- passes, in the order of PASSES ------------------------------------------------------------------------------------

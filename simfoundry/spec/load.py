@@ -97,13 +97,13 @@ def _expanded(spec: M | None) -> M | None:
     return plain
 
 
-def load_scene(path: Path) -> Loaded:
-    """Load a scene.
+def load_scene(path: Path, parameters: Mapping[str, float] | None = None) -> Loaded:
+    """Load a scene. ``parameters`` replace the values of its parameters.
 
     Raises:
         SpecError: If the scene has errors; the exception contains every finding.
     """
-    return load_kind(path, "scene/1")
+    return load_kind(path, "scene/1", parameters=parameters)
 
 
 def load_capture(path: Path) -> Loaded:
@@ -115,13 +115,13 @@ def load_capture(path: Path) -> Loaded:
     return load_kind(path, "capture/1")
 
 
-def load_kind(path: Path, *kinds: str) -> Loaded:
+def load_kind(path: Path, *kinds: str, parameters: Mapping[str, float] | None = None) -> Loaded:
     """Load a document of one of the kinds.
 
     Raises:
         SpecError: If the document has errors; the exception contains every finding.
     """
-    loaded = load(path)
+    loaded = load(path, parameters=parameters)
     if loaded.errors:
         raise SpecError(loaded.errors)
     if not isinstance(loaded.spec, tuple(model_of(kind) for kind in kinds)):
