@@ -15,9 +15,9 @@ from simfoundry.spec.change.format import format_text, schema_line
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.models.base import SphereShape
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import SphereShape
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.text import parse
