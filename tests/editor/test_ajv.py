@@ -1,4 +1,4 @@
-"""The schemas as they are in ajv, the validator of the JavaScript world, in its strict mode without any other option."""
+"""The schemas in ajv, the validator of the JavaScript world, in its strict mode and without other options."""
 
 from __future__ import annotations
 
