@@ -150,9 +150,8 @@ def test_schemas_are_written_once_and_those_of_the_project_are_used(project: Pat
     (project / "schemas").mkdir()
     (project / "schemas" / "scene.schema.json").write_text(schemas()["scene.schema.json"])
     (project / "deep" / "er").mkdir(parents=True)
-    assert (
-        MODELINE.match(made("deep/er/c.scene.yaml").read_text())[1] == "../../schemas/scene.schema.json#/$defs/Editor"
-    )  # type: ignore[index]
+    line = MODELINE.match(made("deep/er/c.scene.yaml").read_text())
+    assert line is not None and line[1] == "../../schemas/scene.schema.json#/$defs/Editor"
 
 
 def test_the_next_commands_are_said() -> None:
