@@ -21,8 +21,8 @@ from simfoundry.frontends.shapes import PrimitiveShape, Rgba
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.asset import DriveSpec
-from simfoundry.spec.models.base import BoxShape
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.shapes import BoxShape
 
 # Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision.
 UNLIMITED_SLIDE_M = 1000.0

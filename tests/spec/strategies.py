@@ -8,25 +8,20 @@ from typing import Any
 from hypothesis import strategies as st
 
 from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec, LinkSpec, MimicSpec, PartSpec
-from simfoundry.spec.models.base import (
-    FARTHEST,
+from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, Origin, PoseSpec
+from simfoundry.spec.models.capture import MAX_FOCAL
+from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import (
     BoxShape,
-    CameraPose,
     CapsuleShape,
     CylinderShape,
-    Estimate,
     Lathe,
     LatheShape,
-    Material,
-    Origin,
-    PoseSpec,
     Prism,
     PrismShape,
     Round,
     SphereShape,
 )
-from simfoundry.spec.models.capture import MAX_FOCAL
-from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
     ["true", "null", "on", "no", "y", "e1"]

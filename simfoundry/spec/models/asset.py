@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from simfoundry.spec.models.base import (
+    COLOR,
     BodySpec,
     Color,
     DocumentSpec,
@@ -20,12 +21,12 @@ from simfoundry.spec.models.base import (
     PoseSpec,
     Positive,
     Range,
-    Shape,
     Vec3,
     consistent,
     exclusive,
     fault,
 )
+from simfoundry.spec.models.shapes import Shape
 
 
 class PartSpec(Model):
@@ -36,7 +37,7 @@ class PartSpec(Model):
     scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
-    color: Color | None = Field(None, description="sRGB color, 0 to 1.")
+    color: Color | None = Field(None, description=COLOR.format("; default: the link's"))
     use: Literal["both", "visual", "collision"] = Field(
         "both",
         description="A `visual` part is rendered but neither collides nor has mass; a `collision` part collides and "
