@@ -8,16 +8,20 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.geometry.frames import IDENTITY, Pose, look_at, quat_from_rpy
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, look_at, quat_from_rpy
 from simfoundry.scene.carriers import Carrier, PlaceError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import link_bounds
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.base import CameraPose
 from simfoundry.spec.models.reuse import ReferenceFrame, frame_carrier, frame_chain
 from simfoundry.spec.models.scene import SceneSpec
 
 Placed = Mapping[str, SceneObject]
+
+# Minimum distance [m] between a camera and its target, below which the viewing direction is rounding error.
+CLOSEST = 1e-6
 
 # No objects, for frames that do not move with one.
 NOTHING: Placed = MappingProxyType({})
@@ -59,6 +63,21 @@ class FrameTree:
             X_WF = X_WF @ pose(self._frames[name])
         return X_WF
 
+    def viewer_needs(self, name: str | None) -> list[str]:
+        """Return the objects whose poses must be known before the view of a camera, robot or frame is known."""
+        if self._spec is None or name is None:
+            return []
+        seen = self._spec.cameras.get(name)
+        if seen is None or seen.mount is not None:
+            carrier = self.carrier(name) if name in self._frames else None
+            return [carrier] if carrier is not None else []
+        carrier = self.carrier(seen.pose.frame)
+        found = [carrier] if carrier is not None else []
+        target = seen.pose.look_at
+        if isinstance(target, str) and target.partition(".")[0] in self._spec.objects:
+            found.append(target.partition(".")[0])
+        return found
+
     def viewer(self, name: str | None, placed: Placed = NOTHING) -> Pose | None:
         """Return the frame that defines left, right, front and behind, or None for the world frame.
 
@@ -67,7 +86,10 @@ class FrameTree:
 
         Args:
             name: A camera, a robot or a named frame.
-            placed: The objects that are already placed.
+            placed: The objects that are already placed, including :meth:`viewer_needs`.
+
+        Raises:
+            PlaceError: If a frame cannot be resolved.
         """
         spec = self._spec
         if spec is None or name is None:
@@ -80,13 +102,47 @@ class FrameTree:
             return self.pose(robot.pose.frame) @ pose(robot.pose)
         return self.pose(name, placed) if name in self._frames else None
 
-    def camera_pose(self, spec: CameraPose, placed: Placed = NOTHING) -> Pose:
-        """Return the pose X_WC of a camera, or its pose in the frame that it is mounted on."""
-        if spec.look_at is not None:
-            X_FC = look_at(np.array(spec.xyz), np.array(spec.look_at))
-        else:
-            X_FC = Pose.of(spec.xyz, spec.quat_wxyz or (1.0, 0.0, 0.0, 0.0))
-        return self.pose(spec.frame, placed) @ X_FC
+    def camera_pose(self, spec: CameraPose, placed: Placed = NOTHING, X_WM: Pose = IDENTITY) -> Pose:
+        """Return the pose X_WC of a camera. For a mounted camera, return its pose X_MC in the frame of its mount.
+
+        Args:
+            spec: The pose in the document.
+            placed: The objects that are already placed.
+            X_WM: Pose of the mount, for a camera that is mounted.
+
+        Raises:
+            PlaceError: If the frame cannot be resolved, or if the camera is at the position of its target.
+        """
+        X_WF = self.pose(spec.frame, placed)
+        aim = spec.look_at
+        if isinstance(aim, str):
+            point = (X_WM @ X_WF).inverse().apply(self.target(aim, placed))
+            if np.linalg.norm(point - spec.xyz) < CLOSEST:
+                message = f"the camera is at the center of `{aim}`, so it cannot look at it"
+                raise PlaceError(message, "move the camera, or look at a point")
+            return X_WF @ look_at(np.array(spec.xyz), point)
+        if aim is not None:
+            return X_WF @ look_at(np.array(spec.xyz), np.array(aim))
+        return X_WF @ Pose.of(spec.xyz, spec.quat_wxyz or (1.0, 0.0, 0.0, 0.0))
+
+    def target(self, name: str, placed: Placed) -> Array:
+        """Return the point in the world that a camera with the target ``name`` looks at [m], shape (3,).
+
+        For an object or one of its links, this is the center of its bounding box, which is aligned with the world axes.
+        For a robot, this is the origin of its base.
+        """
+        owner, _, part = name.partition(".")
+        item = placed.get(owner)
+        if item is None:
+            robot = self._spec.robots.get(owner) if self._spec is not None else None
+            if robot is None:
+                raise PlaceError(f"`{owner}` is not placed itself", "look at a point instead")
+            return (self.pose(robot.pose.frame) @ pose(robot.pose)).p
+        spans = link_bounds(item, part)
+        if not spans:
+            return item.X_WO.p
+        low, high = np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
+        return np.asarray((low + high) / 2)
 
     def _object_pose(self, reference: str, placed: Placed) -> Pose:
         owner, _, link = reference.partition(".")

@@ -19,17 +19,18 @@ from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
+from simfoundry.scene.cameras import lower_cameras
 from simfoundry.scene.carriers import PlaceError
-from simfoundry.scene.frames import FrameTree, Placed
-from simfoundry.scene.model import Camera, LeftOut, Light, MountedCamera, Scene, SceneObject
+from simfoundry.scene.frames import FrameTree
+from simfoundry.scene.model import LeftOut, Light, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.place import Placement, needs, order, place_all
+from simfoundry.scene.place import RELATIONS, Placement, needs, order, place_all
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.predicate import parse_call
-from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
+from simfoundry.spec.models.scene import LightSpec, Place, SceneSpec
 
 
 @dataclass
@@ -139,7 +140,9 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
     found: dict[str, SceneObject | None] = {}
-    first = () if lowering.draft else _containers_and_contents(lowering)
+    # A viewpoint that looks at an object is unknown until the object is placed.
+    is_late = lowering.draft or bool(lowering.frames.viewer_needs(spec.viewpoint))
+    first = () if is_late else _containers_and_contents(lowering)
     misfits = _certain_misfits(lowering, first) if first else []
     work.cuts = not misfits
     for name in (*first, *(name for name in spec.objects if name not in first)):
@@ -200,6 +203,8 @@ def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diag
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Solve every `place` constraint, and replace it and each pose in a frame with a pose in the world."""
     places, frames = lowering.placements, lowering.frames
+    if frames.viewer_needs(lowering.spec.viewpoint):
+        scene = replace(scene, viewer=_moving_viewer(lowering, scene))
     if not places:
         return scene
     solved, errors = place_all(scene.by_name, places, scene.viewer, frames)
@@ -218,6 +223,28 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     if errors:
         raise SpecError(_findings(lowering, errors))
     return replace(scene, objects=tuple(solved.values()))
+
+
+def _moving_viewer(lowering: Lowering, scene: Scene) -> Pose | None:
+    """Return the frame of a viewpoint that depends on the poses of objects, which are placed first.
+
+    Raises:
+        SpecError: If the pose of one of these objects depends on the viewpoint.
+    """
+    places, frames, viewpoint = lowering.placements, lowering.frames, lowering.spec.viewpoint
+    chain, todo = list[str](), frames.viewer_needs(viewpoint)
+    while todo:
+        if (name := todo.pop()) in places and name not in chain:
+            chain.append(name)
+            todo += needs(places[name], frames)
+    for name in chain:
+        place = lowering.places.get(name)
+        if place is not None and place.seen_from is None and any(getattr(place, word) for word in RELATIONS):
+            message = f"the viewpoint depends on the pose of `{name}`, which in turn depends on the viewpoint"
+            hint = "let the camera look at a point"
+            raise SpecError([lowering.loaded.finding("SF210", ("viewpoint",), message, hint)])
+    placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None, frames)
+    return frames.viewer(viewpoint, placed)
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
@@ -269,24 +296,6 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
 
 
-def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the cameras, leaving out cameras mounted on a link that does not exist in the selected variant."""
-    fixed, mounted, lost = [], [], []
-    robots = {robot.name for robot in scene.robots}
-    for name, spec in lowering.spec.cameras.items():
-        if spec.mount is None:
-            fixed.append(camera(name, spec, lowering.frames, scene.by_name))
-            continue
-        carrier, _, link = spec.mount.partition(".")
-        item = scene.by_name.get(carrier)
-        if item is not None and link and link not in {each.name for each in item.links}:
-            reason = f"the variant `{item.variant}` of `{carrier}` has no link `{link}`"
-            lost.append(LeftOut(f"cameras.{name}", reason))
-        elif item is not None or carrier in robots:
-            mounted.append(MountedCamera(carrier, link, camera(name, spec, lowering.frames, scene.by_name)))
-    return replace(scene, cameras=tuple(fixed), mounted=tuple(mounted), left_out=(*scene.left_out, *lost))
-
-
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
@@ -330,15 +339,6 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
         if asset is not None and isinstance(asset.spec, AssetSpec):
             for _, fault in document_faults(asset, asset.spec):
                 yield LeftOut(f"objects.{name}.texture", fault)
-
-
-def camera(name: str, spec: CameraSpec, frames: FrameTree, placed: Placed) -> Camera:
-    """Return a camera whose principal point and pose are resolved."""
-    width, height = spec.size
-    cx = (width - 1) / 2 if spec.cx is None else spec.cx
-    cy = (height - 1) / 2 if spec.cy is None else spec.cy
-    X_WC = frames.camera_pose(spec.pose, placed)
-    return Camera(name, width, height, spec.fx, spec.fy, cx, cy, X_WC)
 
 
 def _light(name: str, spec: LightSpec, X_WF: Pose) -> Light:

@@ -76,6 +76,7 @@ def needs(place: Placement, frames: FrameTree = WORLD_FRAME) -> list[str]:
     carriers = [moving] if moving is not None else []
     if isinstance(place, FramedPose):
         return carriers
+    carriers += frames.viewer_needs(place.seen_from)
     named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
     return [*(name.partition(".")[0] for name in named if name is not None), *carriers]
 
