@@ -50,6 +50,14 @@ class Group:
     def _names(self) -> dict[tuple[int, ...], str]:
         return {copy.index: copy.name for copy in self.copies}
 
+    def has(self, name: str) -> bool:
+        """Return True if an object is one of the copies."""
+        return name in self._members
+
+    @cached_property
+    def _members(self) -> frozenset[str]:
+        return frozenset(copy.name for copy in self.copies)
+
     def without(self, removed: Collection[tuple[int, ...]]) -> Group:
         """Return the group without the copies that have the given indices."""
         return replace(self, copies=tuple(copy for copy in self.copies if copy.index not in removed))
