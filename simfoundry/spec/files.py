@@ -6,7 +6,7 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
@@ -142,6 +142,11 @@ class Loaded:
     uses: dict[str, Loaded] = field(default_factory=dict)
     silenced: tuple[Diagnostic, ...] = ()
     reuse: Reuse | None = None
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Return the values of the parameters of a scene, by name."""
+        return self.document.section("parameters") if self.document is not None else {}
 
     @property
     def errors(self) -> list[Diagnostic]:

@@ -70,7 +70,7 @@ class CandidateSampler:
             vlm: Name of the vision-language model that may be queried for the variant pool.
         """
         recipe = read_recipe(path, seed)
-        twin = Twin.load(recipe.twin_file, Cache.default())
+        twin = Twin.of_document(recipe.task or recipe.scene, Cache.default())
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
 
     def require_possible(self) -> None:
@@ -194,6 +194,8 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
         relations = _relations(draw, state, spec.relations)
         changes = _changes(shared, draw)
         documents["scene"] = scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
+    elif recipe.spec.parameters:
+        documents["scene"] = scene_overlay(recipe, shared.out, index, {}, {}, {}, spec.relations)
     if shared.pool.tasks:
         task = shared.pool.tasks[(index - 1) % len(shared.pool.tasks)]
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.spec.compose.join import Joining, mark_file, members, relocate
+from simfoundry.spec.compose.join import LISTS, Joining, mark_file, members, relocate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import FileError, Loaded, reachable
 from simfoundry.spec.models.kinds import suffix
@@ -72,10 +72,14 @@ def _composed(
         chained.append(found)
         findings += found.duplicates
     whole, added, removals = chained[-1].root, dict[Path_, tuple[str, ...]](), dict[Path_, Diagnostic | None]()
+    replaced = dict[str, frozenset[str]]()
     reuses = kind == SCENE and (bool(parameters) or any(uses_reuse(each) for each in chained))
     for upper in reversed(chained[:-1]):
         relocate(whole, kind, whole.file or chained[-1].file, upper.file)
         mark_file(upper.root, "" if upper is document else upper.file)
+        for key in LISTS:
+            if key in members(upper.root):  # replaces the whole list, including the items of scenes included so far
+                replaced[key] = frozenset(members(members(whole).get("include")))
         joining = Joining(kind, upper.file, reuses, removals)
         whole = joining.join(whole, upper.root, ())
         findings += joining.findings
@@ -87,7 +91,7 @@ def _composed(
     from simfoundry.spec.compose.expand import expand  # only documents that reuse something need it
 
     files = (*including, Path(document.file))
-    document, faults, reuse = expand(document, removals, parameters, partial(_included, root, files))
+    document, faults, reuse = expand(document, removals, replaced, parameters, partial(_included, root, files))
     return Composed(document, (*findings, *faults), tuple(bases), reuse)
 
 

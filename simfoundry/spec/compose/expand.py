@@ -6,7 +6,7 @@ that a person wrote. An entry with the name of a copy or of an included member c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 from simfoundry.spec.change.diff.changes import names_in, renamed_reference
 from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, scalar_at
-from simfoundry.spec.compose.include import LISTS, IncludedScene, included_scene
-from simfoundry.spec.compose.join import SECTIONS, Joining, Member, members
+from simfoundry.spec.compose.include import IncludedScene, included_scene
+from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.models.reuse import IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
@@ -70,6 +70,7 @@ class Reuse:
 def expand(
     document: Document,
     removals: Mapping[Path_, Diagnostic | None],
+    replaced: Mapping[str, Collection[str]],
     parameters: Mapping[str, float],
     read_scene: ReadScene,
 ) -> tuple[Document, list[Diagnostic], Reuse]:
@@ -80,10 +81,11 @@ def expand(
     Args:
         document: The document, joined with its bases.
         removals: Entries that remove values; see :class:`simfoundry.spec.compose.join.Joining`.
+        replaced: For each list that an overlay replaces, the includes whose items are dropped as well.
         parameters: Values that replace those of the document's parameters.
         read_scene: Reads the scene of an include.
     """
-    work = _Expansion(document, Joining(SCENE, document.file, removals=dict(removals)), read_scene)
+    work = _Expansion(document, Joining(SCENE, document.file, removals=dict(removals)), replaced, read_scene)
     root = document.root
     if isinstance(root.children, dict):
         root = work.with_parameters(root, parameters)
@@ -100,6 +102,7 @@ def expand(
 class _Expansion:
     document: Document
     joining: Joining
+    replaced: Mapping[str, Collection[str]]
     read_scene: ReadScene
     findings: list[Diagnostic] = field(default_factory=list)
     generated: dict[Member, Generated] = field(default_factory=dict)
@@ -170,7 +173,8 @@ class _Expansion:
                 places.setdefault(section, keys[section].place)
         for key in LISTS:
             own = keys.get(key)
-            items = [item for scene in scenes for item in scene.lists.get(key, ())]
+            added = [scene for scene in scenes if scene.name not in self.replaced.get(key, ())]
+            items = [item for scene in added for item in scene.lists.get(key, ())]
             if items and (own is None or isinstance(own.children, list)):
                 mine = own.children if own is not None and isinstance(own.children, list) else []
                 keys[key] = (own or scenes[0].at).with_members([*items, *mine])

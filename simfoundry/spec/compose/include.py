@@ -6,12 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from simfoundry.spec.compose.copies import scalar_at, with_references
-from simfoundry.spec.compose.join import SECTIONS, members
+from simfoundry.spec.compose.join import LISTS, SECTIONS, members
 from simfoundry.spec.models.reuse import IncludeSpec
 from simfoundry.spec.yaml.nodes import Node
-
-# Lists of a scene whose items refer to its members.
-LISTS = ("relations", "no_contact")
 
 
 @dataclass(frozen=True)

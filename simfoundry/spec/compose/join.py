@@ -15,6 +15,9 @@ from simfoundry.spec.yaml.text import Path_
 # Sections whose members may be copies or come from an included scene.
 SECTIONS = ("materials", "frames", "objects", "robots", "cameras", "lights")
 
+# Lists whose items refer to members of a scene. Those of an included scene are added to those of the including scene.
+LISTS = ("relations", "no_contact")
+
 # A section and a name in it.
 Member = tuple[str, str]
 
