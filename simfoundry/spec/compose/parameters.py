@@ -19,6 +19,9 @@ PARAMETER = re.compile(r"\$([a-z][a-z0-9_]*)")
 # Text that can only be an expression: parameters, numbers, operators, and parentheses.
 _EXPRESSION = re.compile(r"(?:\$[A-Za-z0-9_]*|[0-9.]+(?:[eE][-+]?[0-9]+)?|[-+*/() ])+\Z")
 
+# Keys below which every value is a text.
+_TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
+
 # Maximum length of an expression [characters], which bounds the nesting depth.
 MAX_LENGTH = 200
 
@@ -140,14 +143,14 @@ class Substitution:
             items = [self.apply(child, (*path, k)) for k, child in enumerate(node.children)]
             if any(a is not b for a, b in zip(items, node.children, strict=True)):
                 new = node.with_members(items)
-        elif node.plain and is_expression(node.plain):
+        elif isinstance(node.value, str) and is_expression(node.value) and not _TEXTS.intersection(path):
             new = self._evaluated(node, path)
         self._done[id(node)] = new
         return new
 
     def _evaluated(self, node: Node, path: tuple[str | int, ...]) -> Node:
         try:
-            value = evaluate(node.plain, self.values)
+            value = evaluate(node.value, self.values)
         except ParameterError as wrong:
             place = (node.file or self.file, node.line, node.column, ".".join(map(str, path)), wrong.hint)
             self.findings.append(Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place))
@@ -173,16 +176,16 @@ def parameter_values(
             values[name] = given[name]
         elif isinstance(node.value, int | float) and not isinstance(node.value, bool):
             values[name] = node.value
-        elif node.plain and is_expression(node.plain):
+        elif isinstance(node.value, str) and is_expression(node.value):
             waiting[name] = node
     solving = Substitution(values, file)
-    while ready := [n for n, node in waiting.items() if not {*PARAMETER.findall(node.plain)} & waiting.keys()]:
+    while ready := [n for n, node in waiting.items() if not {*PARAMETER.findall(node.value)} & waiting.keys()]:
         for name in ready:
             found = solving.apply(waiting.pop(name), ("parameters", name)).value
             if isinstance(found, int | float):
                 values[name] = found
     for name, node in waiting.items():
-        message = f"the value of `{name}` depends on itself: `{node.plain}`"
+        message = f"the value of `{name}` depends on itself: `{node.value}`"
         place = (node.file or file, node.line, node.column, f"parameters.{name}", "write one of them as a number")
         solving.findings.append(Diagnostic("SF214", Severity.ERROR, message, *place))
     return values, solving.findings
