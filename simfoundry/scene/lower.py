@@ -81,9 +81,9 @@ class Lowering:
         """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
-        scene = Scene(
-            self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=self.frames.viewer(self.spec.viewpoint)
-        )
+        seen = self.spec.viewpoint
+        viewer = None if self.frames.viewer_needs(seen) else self.frames.viewer(seen)
+        scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer)
         for lowering_pass in passes:
             scene = lowering_pass(self, scene)
         return scene
