@@ -245,7 +245,7 @@ class _Writer:
         yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in (lines or ())[1:])
 
     def is_block(self, tree: YamlTree, slot: KeyOrder, column: int, indent: int) -> bool:
-        """Return True if a mapping or list is written on several lines, indented by ``indent``, rather than at a column."""
+        """Return True if a mapping or list is written on several lines, with ``indent``, rather than at ``column``."""
         if not tree.value:
             return False
         if isinstance(tree.value, tuple):
