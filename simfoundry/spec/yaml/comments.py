@@ -243,7 +243,8 @@ class _Reader:
         if not alone and end >= line and (path or not self.node.children):
             self._beside(text)
         else:
-            parted = alone and kind != "key" and self._is_parted(start)
+            first = kind == "key" and not self.pending
+            parted = alone and not first and self._is_parted(start)
             self.pending.append(_Pending(start, start - line, alone, text, parted))
 
     def _beside(self, text: str) -> None:
@@ -281,7 +282,7 @@ class _Reader:
     def _part_item(self, start: int, plain: str = "") -> None:
         """Record the blank line above the list item whose value starts at ``start``."""
         frame = self.stack[-1] if self.stack else None
-        if frame is None or frame.mapping or (frame.open > 0 and plain):
+        if frame is None or frame.mapping or (frame.indent < 0 and frame.open > 0 and plain):
             return
         number = bisect_right(self.starts, start) - 1
         while frame.indent >= 0 and not self._has_dash(number, frame.indent):
