@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from simfoundry.spec.models.types import KeyOrder
-from simfoundry.spec.yaml.tree import Layout, YamlTree
+from simfoundry.spec.yaml.tree import TextLayout, YamlTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +74,14 @@ class _Anchors:
         known = self.current.get(name)
         if name not in self.open and known is not None and known.content == content and not _has_comments_inside(tree):
             known.needed = True
-            return replace(tree, value=Alias(name), end=(), layout=Layout())
+            return replace(tree, value=Alias(name), end=(), layout=TextLayout())
         if name in self.open or (layout.alias and known is not None):
-            return self.inside(replace(tree, layout=Layout(layout.one_line)), order)
+            return self.inside(replace(tree, layout=TextLayout(layout.one_line)), order)
         anchor = _Anchor(content, not layout.alias)
         written = self.needed[len(self.found)] if self.needed else True
         self.found.append(anchor)
         self.open.add(name)
-        tree = self.inside(replace(tree, layout=Layout(layout.one_line, name if written else "")), order)
+        tree = self.inside(replace(tree, layout=TextLayout(layout.one_line, name if written else "")), order)
         self.open.remove(name)
         self.current[name] = anchor
         return tree

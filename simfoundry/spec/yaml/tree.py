@@ -22,7 +22,7 @@ _BLANK = re.compile("[\n\r\x85\u2028\u2029][ \t]*[\n\r\x85\u2028\u2029]")
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TextLayout:
     """The way in which a person wrote a value.
 
     Attributes:
@@ -38,7 +38,7 @@ class Layout:
 
 
 # Layouts without an anchor.
-_LAYOUTS = {one_line: Layout(one_line) for one_line in (True, False, None)}
+_LAYOUTS = {one_line: TextLayout(one_line) for one_line in (True, False, None)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +59,11 @@ class YamlTree:
     above: tuple[str, ...] = ()
     beside: str = ""
     end: tuple[str, ...] = ()
-    layout: Layout | None = None
+    layout: TextLayout | None = None
 
     @property
     def one_line(self) -> bool | None:
-        """Return :attr:`Layout.one_line`, or None for a computed value."""
+        """Return :attr:`TextLayout.one_line`, or None for a computed value."""
         return self.layout.one_line if self.layout is not None else None
 
     @property
@@ -141,7 +141,7 @@ def _with_notes(node: Node, notes: Notes | None, anchored: set[int]) -> YamlTree
     inside = notes.inside if notes is not None else {}
     value, layout = node.value, _LAYOUTS[node.one_line]
     if node.anchor:
-        layout = Layout(node.one_line, node.anchor, id(node) in anchored)
+        layout = TextLayout(node.one_line, node.anchor, id(node) in anchored)
     if isinstance(node.children, dict):
         value = {key: _with_notes(child, inside.get(key), anchored) for key, child in node.children.items()}
     elif isinstance(node.children, list):
