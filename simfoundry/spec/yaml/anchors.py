@@ -6,7 +6,7 @@ for any order of keys and after any edit, so a value that was changed in one pla
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,22 +35,20 @@ def with_aliases(tree: YamlTree, order: KeyOrder) -> YamlTree:
     The first of several equal values gets the anchor, in the order in which ``order`` writes them. Anchors remain in
     the layouts of exactly those values that are written with one.
     """
-    if not any(_anchored(tree)):
+    if not _has_anchor(tree):
         return tree
     first = _Anchors([])
     first.value(tree, order)
     return _Anchors([anchor.needed for anchor in first.found]).value(tree, order)
 
 
-def _anchored(tree: YamlTree) -> Iterator[bool]:
-    yield tree.layout is not None and bool(tree.layout.anchor)
-    for child in _members(tree):
-        yield from _anchored(child)
+def _has_anchor(tree: YamlTree) -> bool:
+    return (tree.layout is not None and bool(tree.layout.anchor)) or any(map(_has_anchor, _members(tree)))
 
 
-def _members(tree: YamlTree) -> Iterator[YamlTree]:
+def _members(tree: YamlTree) -> Collection[YamlTree]:
     value: Any = tree.value
-    yield from value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
+    return value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
 
 
 class _Anchors:

@@ -18,6 +18,8 @@ from simfoundry.spec.yaml.text import Path_
 _BREAK = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 _COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")
 _ANCHOR = re.compile("&[0-9A-Za-z_-]+")
+# Blank line after the first line of a text.
+BLANK = re.compile("[\n\r\x85\u2028\u2029][ \t]*[\n\r\x85\u2028\u2029]")
 _GAP = re.compile("(?:[ \t\r\n\x85\u2028\u2029\ufeff]|#[^\r\n\x85\u2028\u2029]*)*")
 # Header line of a block scalar with a comment.
 _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
@@ -96,6 +98,7 @@ class _Reader:
         self.text, self.node, self.first = text, root, first
         self.root = Notes()
         self.starts = [0, *(m.end() for m in _BREAK.finditer(text))]
+        self.has_blank = BLANK.search(text) is not None
         self.stack: list[_Frame] = []
         self.pending: list[_Pending] = []
         self.owner: tuple[str, Path_, int] = ("", (), -1)  # the last value that was read: kind, path, and end
@@ -282,7 +285,7 @@ class _Reader:
     def _part_item(self, start: int, plain: str = "") -> None:
         """Record the blank line above the list item whose value starts at ``start``."""
         frame = self.stack[-1] if self.stack else None
-        if frame is None or frame.mapping or (frame.indent < 0 and frame.open > 0 and plain):
+        if frame is None or frame.mapping or not self.has_blank or (frame.indent < 0 and frame.open > 0 and plain):
             return
         number = bisect_right(self.starts, start) - 1
         while frame.indent >= 0 and not self._has_dash(number, frame.indent):
@@ -296,6 +299,8 @@ class _Reader:
 
     def _is_parted(self, start: int) -> bool:
         """Return True if nothing but dashes precedes ``start`` on its line, and the line above is blank."""
+        if not self.has_blank:
+            return False
         number = bisect_right(self.starts, start) - 1
         if number == 0 or self.text[self.starts[number] : start].strip("-? \t"):
             return False

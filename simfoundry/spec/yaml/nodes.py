@@ -157,7 +157,10 @@ class Composer:
             node.children = children = _rejoined(children) if top.start.flow_style else children
             node.value = tuple([child.value for child in children])
             node.weight += sum([child.weight for child in children])
-        node.one_line = _one_line(top, event) if top.start.flow_style else False
+        if top.start.flow_style:
+            node.one_line = node.line == event.end_mark.line + 1 or _one_line_of_several(node)
+        else:
+            node.one_line = False
         self._add(node, top.start.anchor)
 
     def _alias(self, event: Any) -> None:
@@ -205,15 +208,12 @@ class Composer:
         top.node.keys[name] = (line, column)
 
 
-def _one_line(top: _Open, end: Any) -> bool | None:
-    """Return the value of :attr:`Node.one_line` for a collection in brackets or braces."""
-    line = top.node.line
-    if line == end.end_mark.line + 1:
-        return True
-    if isinstance(top.node.children, dict):
+def _one_line_of_several(node: Node) -> bool | None:
+    """Return the value of :attr:`Node.one_line` for a collection in brackets or braces on several lines."""
+    if isinstance(node.children, dict):
         return False
-    lines = [item.line for item in top.node.members]  # an alias has the line of its anchor, which is never greater
-    rows = all(a < b for a, b in pairwise(lines)) and lines[:1] >= [line + (len(lines) == 1)]
+    lines = [item.line for item in node.members]  # an alias has the line of its anchor, which is never greater
+    rows = all(a < b for a, b in pairwise(lines)) and lines[:1] >= [node.line + (len(lines) == 1)]
     return False if rows else None
 
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.yaml.comments import Notes, read_notes
+from simfoundry.spec.yaml.comments import BLANK, Notes, read_notes
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document, Path_
 
 # Key of the document kind.
 KIND = "simfoundry"
-
-
-# Blank line after the first line of a text.
-_BLANK = re.compile("[\n\r\x85\u2028\u2029][ \t]*[\n\r\x85\u2028\u2029]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +127,7 @@ def read_tree(document: Document) -> YamlTree:
     if document.duplicates:
         raise SpecError(document.duplicates)
     text = document.text.removeprefix("\ufeff")
-    notes = read_notes(text, document.root, KIND) if "#" in text or _BLANK.search(text) else None
+    notes = read_notes(text, document.root, KIND) if "#" in text or BLANK.search(text) else None
     return _with_notes(document.root, notes, set())
 
 
