@@ -26,8 +26,8 @@ objects:
 
 def lines(folder: Path, old: str, new: str) -> list[str]:
     written(folder, f"simfoundry: scene/1\nname: side\nobjects:\n{DESK}", "side.scene.yaml")
-    paths = [written(folder, old, "old.scene.yaml"), written(folder, new, "new.scene.yaml")]
-    return compare("a", *(side(path, path.name) for path in paths)).lines()
+    before, after = (written(folder, text, f"{name}.scene.yaml") for name, text in (("old", old), ("new", new)))
+    return compare("a", side(before, "old"), side(after, "new")).lines()
 
 
 @pytest.mark.parametrize(
