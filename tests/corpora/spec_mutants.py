@@ -325,3 +325,53 @@ def mutants(text: str, file: str, rng: random.Random) -> Iterator[Mutant]:
     yield from arity_mutants(text, found)
     yield from duplicate_mutants(text, found)
     yield from cycle_mutants(text, found, file)
+
+
+ODD_NUMBERS = ("0", "1e-9", "1e-15", "1e-300", "1e6", "1e9", "1e15", "1e30", "1e300", "1000000")
+ODD_WORDS = {
+    "type": ("fixed", "revolute", "prismatic", "continuous", "ball", "free", "distant", "point", "dome"),
+    "collision": ("none", "hull", "auto"),
+    "use": ("visual", "collision", "both"),
+    "closed": ("lower", "upper"),
+}
+"""Values that are valid somewhere, by key."""
+
+INSERTED = ("collision: none", "fixed: true", "use: visual", "scale: 1000", "mass: 1e-12", "friction: 100", "solid: hull")
+PREDICATES = ("OnTop", "Inside", "Under", "Touching", "Open", "Closed", "Upright", "Lifted", "Grasped", "Released", "At")
+
+
+def odd_mutants(text: str, rng: random.Random) -> Iterator[Mutant]:
+    """Changes in one place that often leave a document valid: what passes the check must work everywhere else."""
+    found = [s for s in spots(parse(text).root) if s.path]
+    lines = text.splitlines(keepends=True)
+    names = sorted({str(s.path[-1]) for s in found if s.key and re.fullmatch("[a-z][a-z0-9_]*", str(s.path[-1]))})
+    objects = sorted({str(s.path[1]) for s in found if len(s.path) == 2 and s.path[0] in ("objects", "robots", "links")})
+    known = [*objects, *(f"{o}.{n}" for o in objects for n in rng.sample(names, min(6, len(names))))]
+    candidates: list[tuple[str, Candidate]] = []
+    for s in _numbers(found):
+        new = rng.choice([*ODD_NUMBERS, f"-{s.node.plain}", f"{s.node.plain}e3"])
+        candidates.append(("number", (s, s.node.plain, new)))
+    for s in _scalars(found):
+        own = s.path[-1]
+        if own in ODD_WORDS:
+            candidates += [("word", (s, s.node.plain, word)) for word in ODD_WORDS[str(own)]]
+        if own in (*NAMES, "mount", "variant", "joint") or "no_contact" in s.path:
+            candidates += [("name", (s, s.node.plain, other)) for other in rng.sample(known, min(4, len(known)))]
+        if isinstance(s.node.value, bool):
+            candidates.append(("word", (s, s.node.plain, str(not s.node.value).lower())))
+    for s in found:
+        if isinstance(s.node.value, str) and (call := CALL.fullmatch(s.node.value)):
+            first = min(2, len(known))
+            for new in (f"{rng.choice(PREDICATES)}({', '.join(rng.sample(known, rng.choice([1, first])))})" for _ in "123"):
+                quoted = f'"{call[0]}"' if at(text, s.node.line, s.node.column, "\"", "") else call[0]
+                candidates.append(("predicate", (s, quoted, quoted.replace(call[0], new))))
+        if s.key is not None and isinstance(s.node.children, dict) and lines[s.node.line - 1][s.node.column - 1] == "{":
+            candidates += [("insert", (s, "{", f"{{{more}, ")) for more in rng.sample(INSERTED, 2)]
+    for kind, (spot, old, new) in candidates:
+        changed = at(text, spot.node.line, spot.node.column, old, new)
+        if changed is not None and changed != text:
+            yield Mutant(kind, changed, spot.node.line, f"{'.'.join(map(str, spot.path))}: {old} -> {new}")
+    for s in found:  # a whole line less: whatever it said is now said by a default, or missing
+        if s.key is not None and len([t for t in found if t.key and t.key[0] == s.key[0]]) == 1:
+            left = [*lines[: s.key[0] - 1], *lines[s.key[0] :]]
+            yield Mutant("less", "".join(left), s.key[0], f"without {'.'.join(map(str, s.path))}")

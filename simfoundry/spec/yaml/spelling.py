@@ -51,7 +51,7 @@ def rounded(value: float) -> float:
 
 
 def exact(value: float) -> str:
-    """Format a number as the shortest text that reads back as the same number."""
+    """Format a number as the shortest text that every YAML reader reads back as the same number."""
     if isinstance(value, int):
         return str(value)
     if not math.isfinite(value):
@@ -65,7 +65,8 @@ def exact(value: float) -> str:
         text = f"{'-' * (value < 0)}{digits[0]}.{digits[1:]}{fraction}e{len(digits) - 1}"
     mantissa, _, exponent = text.partition("e")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa}e{int(exponent)}" if exponent else mantissa
+    # With a point and a sign, YAML 1.1 readers also take it for a number, and not for a string.
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}e{int(exponent):+d}" if exponent else mantissa
 
 
 def call(text: str) -> str:
