@@ -40,7 +40,7 @@ def centers_outside(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _outside(link: Link) -> tuple[float, float]:
-    """Return a lower bound of the distance from a link's hull to its center of mass [m], and the hull's diagonal [m]."""
+    """Return a lower bound of the distance from a link's hull to its center of mass, and the hull's diagonal [m]."""
     hull: Hulls = hulls_of((collider.geometry, collider.X_LG, 0) for collider in link.colliders)
     low, high = hull.bounds()
     toward: Array = link.com - (low + high) / 2

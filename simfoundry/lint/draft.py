@@ -8,10 +8,10 @@ are certain.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -191,8 +191,8 @@ def own_findings(loaded: Loaded, error: SpecError, starts: Starts | None = None)
         assert scene is not None and isinstance(scene.spec, SceneSpec)
         spec = with_starts(scene.spec, starts.values())
         findings = [placed_in_task(loaded, starts, spec, d) for d in findings]
-    elsewhere = {os.path.abspath(file) for used in loaded.uses.values() for file in used.files()}
-    return [d for d in findings if os.path.abspath(d.document) not in elsewhere]
+    elsewhere = {Path(file).absolute() for used in loaded.uses.values() for file in used.files()}
+    return [d for d in findings if Path(d.document).absolute() not in elsewhere]
 
 
 # Predicates that depend only on extents and poses, so that an object's hull gives the same result as its parts.

@@ -18,6 +18,7 @@ from simfoundry.spec.models.predicate import Call
 if TYPE_CHECKING:
     from simfoundry.lint.draft import DraftScene
     from simfoundry.scene.model import Link
+    from simfoundry.scene.task_start import Starts
     from simfoundry.spec.models.task import TaskSpec
 
 Path_ = tuple[str | int, ...]
@@ -67,8 +68,8 @@ class Lint:
 class Subject:
     """A document without errors, and its draft scene.
 
-    For a task, ``draft`` is the scene in which the task starts, and ``steps`` contains the scenes of the steps that have
-    their own start. For an asset, ``draft`` is None, and ``links`` contains its links.
+    For a task, ``draft`` is the scene in which the task starts, and ``steps`` contains the scenes of the steps that
+    have their own start. For an asset, ``draft`` is None, and ``links`` contains its links.
     """
 
     loaded: Loaded
@@ -188,5 +189,5 @@ def _subject(loaded: Loaded, kind: str) -> tuple[Subject | None, list[Diagnostic
     try:
         return Subject(loaded, draft.drafted_start(loaded), steps), errors
     except SpecError as error:
-        starts = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
+        starts: Starts | None = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
         return None, list(dict.fromkeys([*draft.own_findings(loaded, error, starts), *errors]))

@@ -83,7 +83,12 @@ def unusable_robots(subject: Subject) -> Iterator[Diagnostic]:
     for name, spec in subject.scene.spec.robots.items():
         if not isinstance(spec.model, RobotFiles):
             continue
-        path: Path_ = ("robots", name, "model", *(key for key in ("file", "mjcf", "urdf", "usd") if getattr(spec.model, key)))
+        path: Path_ = (
+            "robots",
+            name,
+            "model",
+            *(key for key in ("file", "mjcf", "urdf", "usd") if getattr(spec.model, key)),
+        )
         try:
             model = _model(subject, name, spec)
             if ModelFormat.USD in model.robot.models:

@@ -32,7 +32,7 @@ def placed_in_task(task: Loaded, starts: Starts, spec: SceneSpec, finding: Diagn
             place = spec.objects[name].place if name in spec.objects else None
             todo += needs(place) if place is not None else ()
     for name in chain:
-        for path, start in reversed(starts.items()):
+        for path, start in reversed(tuple(starts.items())):
             for key in ("place", "pose", "joints"):
                 if name in getattr(start, key):
                     return task.finding("SF210", (*path, key, name), finding.message, finding.hint)

@@ -2,7 +2,8 @@
 
 Documents are changed in one place, oddly but often validly. Each that `check` finds no error in is lowered, compiled to
 the four formats, loaded in MuJoCo and PyBullet, stepped, and judged; a task is prepared with each of its steps. What
-refuses it then, or leaves a state that is not finite, is a gap of `check`. Prints the gaps; exits with 1 if there are any.
+refuses it then, or leaves a state that is not finite, is a gap of `check`. Prints the gaps; exits with 1 if there are
+any.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import shutil
 import sys
 import tempfile
 import traceback
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,11 +35,11 @@ from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
-from simfoundry.spec.yaml.text import parse
 from simfoundry.worlds import open_world
 from tests.conftest import REPOSITORY
 from tests.corpora.mutations import findings
-from tests.corpora.spec_mutants import Mutant, odd_mutants, spots
+from tests.corpora.odd_documents import odd_mutants
+from tests.corpora.spec_mutants import Mutant
 
 ROOTS = (REPOSITORY / "tests" / "corpora" / "documents", REPOSITORY / "specs")
 COUNT = 2000

@@ -107,20 +107,20 @@ Candidate = tuple[Spot, str, str]
 """A place, what stands there, and what shall stand there."""
 
 
-def _scalars(found: list[Spot]) -> Iterator[Spot]:
+def scalars(found: list[Spot]) -> Iterator[Spot]:
     return (s for s in found if s.node.plain and s.node.children is None)
 
 
-def _numbers(found: list[Spot]) -> Iterator[Spot]:
-    return (s for s in _scalars(found) if isinstance(s.node.value, int | float) and not isinstance(s.node.value, bool))
+def numbers(found: list[Spot]) -> Iterator[Spot]:
+    return (s for s in scalars(found) if isinstance(s.node.value, int | float) and not isinstance(s.node.value, bool))
 
 
 def wrong_type(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number becomes a text or a mapping, a truth a number, a name a list."""
-    for s in _numbers(found):
+    for s in numbers(found):
         if "conflicts" not in s.path:
             yield s, s.node.plain, rng.choice(["heavy", "{a: 1}", "true", "[[1]]", '"1"'])
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.name in (*NAMES, *FILES, "name") and isinstance(s.path[-1], str):
             yield s, s.node.plain, rng.choice(["[a]", "3", "true", "{a: 1}"])
         if isinstance(s.node.value, bool):
@@ -129,7 +129,7 @@ def wrong_type(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def out_of_range(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number that no such quantity can have."""
-    for s in _numbers(found):
+    for s in numbers(found):
         own = s.path[-1]
         if own in POSITIVE:
             yield s, s.node.plain, rng.choice(["0", "-1", ".nan", ".inf"])
@@ -147,14 +147,14 @@ def out_of_range(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def wrong_choice(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A word that is not among the valid ones."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path[-1:] and s.path[-1] in CHOICES and "objects" not in s.path[:1]:
             yield s, s.node.plain, s.node.plain + rng.choice(["x", "_z"])
 
 
 def dangling_name(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A name that nothing has."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path and s.path[-1] in NAMES and isinstance(s.node.value, str):
             yield (
                 s,
@@ -171,7 +171,7 @@ def dangling_name(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def dangling_file(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A file that is not there, or leaves the project."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path and s.path[-1] in FILES and isinstance(s.node.value, str):
             yield (
                 s,
@@ -182,7 +182,7 @@ def dangling_file(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def bad_call(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A predicate that there is not, with too many arguments, or without its parenthesis."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if CALL.fullmatch(s.node.plain):
             head = s.node.plain.partition("(")[0]
             yield (
@@ -234,7 +234,7 @@ def misspelled_key(found: list[Spot], rng: random.Random) -> Iterator[Candidate]
 
 def with_unit(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number with its unit behind it."""
-    for s in _numbers(found):
+    for s in numbers(found):
         if "conflicts" not in s.path:
             yield s, s.node.plain, f"{s.node.plain} {rng.choice(['cm', 'kg', 'mm', 'deg', 'g'])}"
 
@@ -325,53 +325,3 @@ def mutants(text: str, file: str, rng: random.Random) -> Iterator[Mutant]:
     yield from arity_mutants(text, found)
     yield from duplicate_mutants(text, found)
     yield from cycle_mutants(text, found, file)
-
-
-ODD_NUMBERS = ("0", "1e-9", "1e-15", "1e-300", "1e6", "1e9", "1e15", "1e30", "1e300", "1000000")
-ODD_WORDS = {
-    "type": ("fixed", "revolute", "prismatic", "continuous", "ball", "free", "distant", "point", "dome"),
-    "collision": ("none", "hull", "auto"),
-    "use": ("visual", "collision", "both"),
-    "closed": ("lower", "upper"),
-}
-"""Values that are valid somewhere, by key."""
-
-INSERTED = ("collision: none", "fixed: true", "use: visual", "scale: 1000", "mass: 1e-12", "friction: 100", "solid: hull")
-PREDICATES = ("OnTop", "Inside", "Under", "Touching", "Open", "Closed", "Upright", "Lifted", "Grasped", "Released", "At")
-
-
-def odd_mutants(text: str, rng: random.Random) -> Iterator[Mutant]:
-    """Changes in one place that often leave a document valid: what passes the check must work everywhere else."""
-    found = [s for s in spots(parse(text).root) if s.path]
-    lines = text.splitlines(keepends=True)
-    names = sorted({str(s.path[-1]) for s in found if s.key and re.fullmatch("[a-z][a-z0-9_]*", str(s.path[-1]))})
-    objects = sorted({str(s.path[1]) for s in found if len(s.path) == 2 and s.path[0] in ("objects", "robots", "links")})
-    known = [*objects, *(f"{o}.{n}" for o in objects for n in rng.sample(names, min(6, len(names))))]
-    candidates: list[tuple[str, Candidate]] = []
-    for s in _numbers(found):
-        new = rng.choice([*ODD_NUMBERS, f"-{s.node.plain}", f"{s.node.plain}e3"])
-        candidates.append(("number", (s, s.node.plain, new)))
-    for s in _scalars(found):
-        own = s.path[-1]
-        if own in ODD_WORDS:
-            candidates += [("word", (s, s.node.plain, word)) for word in ODD_WORDS[str(own)]]
-        if own in (*NAMES, "mount", "variant", "joint") or "no_contact" in s.path:
-            candidates += [("name", (s, s.node.plain, other)) for other in rng.sample(known, min(4, len(known)))]
-        if isinstance(s.node.value, bool):
-            candidates.append(("word", (s, s.node.plain, str(not s.node.value).lower())))
-    for s in found:
-        if isinstance(s.node.value, str) and (call := CALL.fullmatch(s.node.value)):
-            first = min(2, len(known))
-            for new in (f"{rng.choice(PREDICATES)}({', '.join(rng.sample(known, rng.choice([1, first])))})" for _ in "123"):
-                quoted = f'"{call[0]}"' if at(text, s.node.line, s.node.column, "\"", "") else call[0]
-                candidates.append(("predicate", (s, quoted, quoted.replace(call[0], new))))
-        if s.key is not None and isinstance(s.node.children, dict) and lines[s.node.line - 1][s.node.column - 1] == "{":
-            candidates += [("insert", (s, "{", f"{{{more}, ")) for more in rng.sample(INSERTED, 2)]
-    for kind, (spot, old, new) in candidates:
-        changed = at(text, spot.node.line, spot.node.column, old, new)
-        if changed is not None and changed != text:
-            yield Mutant(kind, changed, spot.node.line, f"{'.'.join(map(str, spot.path))}: {old} -> {new}")
-    for s in found:  # a whole line less: whatever it said is now said by a default, or missing
-        if s.key is not None and len([t for t in found if t.key and t.key[0] == s.key[0]]) == 1:
-            left = [*lines[: s.key[0] - 1], *lines[s.key[0] :]]
-            yield Mutant("less", "".join(left), s.key[0], f"without {'.'.join(map(str, s.path))}")

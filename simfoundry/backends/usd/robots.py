@@ -77,7 +77,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
     """Reference the robot's own USD, copy all files in its folder, and set the joint positions of the scene."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
     stage, by_name = open_model(robot, native)
     default = stage.GetDefaultPrim()

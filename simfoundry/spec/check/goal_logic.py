@@ -26,8 +26,8 @@ _EXCLUDE = [
 # touches no support.
 _EXCLUDE_FOR_OBJECT = [{"Grasped", "Released"}, {"Grasped", "OnTop"}, {"Grasped", "Inside"}, {"Lifted", "OnTop"}]
 
-# Predicates of two objects that cannot hold in a circle, and those that cannot hold in both directions. Three sticks can
-# rest on each other in a circle.
+# Predicates of two objects that cannot hold in a circle, and those that cannot hold in both directions. Three sticks
+# can rest on each other in a circle.
 _CIRCLE_FREE = ("Inside", "LeftOf", "RightOf", "Behind", "InFrontOf")
 _ONE_WAY = (*_CIRCLE_FREE, "OnTop")
 

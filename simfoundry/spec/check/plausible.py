@@ -41,8 +41,8 @@ def check_gravity(c: Checker, gravity: tuple[float, float, float]) -> None:
         c.warn("SF431", ("gravity",), message, hint)
 
 
-# Friction coefficient above which a value is probably a typing error. Rubber on rubber reaches 1.2, and tires reach 1.7;
-# values above that are used to make a gripper never slip.
+# Friction coefficient above which a value is probably a typing error. Rubber on rubber reaches 1.2, and tires 1.7;
+# values of 2 to 5 are used to make a gripper never slip.
 MAX_FRICTION = 5.0
 
 
@@ -62,7 +62,7 @@ GROUND = 10.0
 
 
 def check_size(c: Checker, shape: Model, path: Path_, fixed: bool = False) -> None:
-    """Check that the dimensions of a primitive are plausible. A large and flat ``fixed`` primitive is a ground plane."""
+    """Check that the dimensions of a primitive are plausible. A large, flat and ``fixed`` primitive is the ground."""
     found = list(_dimensions(shape, path))
     if not found:
         return
@@ -102,7 +102,7 @@ SHORTEST_FOCAL = 10.0
 
 
 def check_intrinsics(c: Checker, camera: Any, path: Path_, size: tuple[int, int] | None = None) -> None:
-    """Check that the focal lengths are in pixels, and that the principal point is in the image, if its size is known."""
+    """Check that the focal lengths are in pixels and, if the image ``size`` is known, where the principal point is."""
     for key in ("fx", "fy"):
         focal = getattr(camera, key)
         if focal < SHORTEST_FOCAL:
@@ -197,8 +197,8 @@ def _yaml_1_1(text: str) -> Any:
 
     loader = yaml.SafeLoader("")
     try:
-        tag = loader.resolve(yaml.ScalarNode, text, (True, False))
-        return loader.construct_object(yaml.ScalarNode(tag, text))  # type: ignore[no-untyped-call]
+        tag = loader.resolve(yaml.ScalarNode, text, (True, False))  # type: ignore[no-untyped-call]
+        return loader.construct_object(yaml.ScalarNode(tag, text))
     except (ValueError, yaml.YAMLError):
         return f"{text} "
 
@@ -217,7 +217,7 @@ def _check_angles(c: Checker, path: Path_, children: Mapping[str, Node]) -> None
 
 
 def _check_limits(c: Checker, path: Path_, node: Node) -> None:
-    """Warn if limits in degrees look like radians: an end is a fraction of pi, or both are typical of an arm's joint."""
+    """Warn if limits in degrees look like radians: an end is a fraction of pi, or they are typical of an arm."""
     ends = [each.plain for each in node.members]
     numbers = [each.value for each in node.members if isinstance(each.value, int | float)]
     if len(ends) != 2 or len(numbers) != 2 or max(map(abs, numbers)) > _TURN:

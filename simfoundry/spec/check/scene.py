@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, volume
 from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
+from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
@@ -299,7 +299,9 @@ class SceneNames:
         limited = [n for n in moving if asset is not None and asset.joints[n].type in ("prismatic", "revolute")]
         if joint and asset is not None and asset.joints:
             if c.name(joint, asset.joints, path, f"joint of `{name}`") and joint not in limited:
-                message = f"`{joint}` is a {asset.joints[joint].type} joint without limits, so it has no closed position"
+                message = (
+                    f"`{joint}` is a {asset.joints[joint].type} joint without limits, so it has no closed position"
+                )
                 c.add("SF201", path, message, nearest("", limited) if limited else "use a joint with limits")
         elif moving and not limited:
             c.add("SF201", path, f"no joint of `{name}` has limits, so its closed position is undefined")
