@@ -97,10 +97,11 @@ MARGIN = 1e-11
 def _below_sum(moments: Array) -> Array:
     """Return moments of inertia of which none exceeds the sum of the others, even after rounding.
 
-    The largest moment of a thin plate equals the sum of the others, and MuJoCo rejects a moment above it.
+    The largest moment of a thin plate equals the sum of the others, and MuJoCo rejects a moment above it. In a long
+    rod, the two largest moments are almost equal, so the larger one becomes the other.
     """
-    largest = int(moments.argmax())
-    limit = (1 - MARGIN) * float(moments.sum() - moments[largest])
+    largest, middle = int(moments.argmax()), float(np.sort(moments)[1])
+    limit = max(middle, (1 - MARGIN) * float(moments.sum() - moments[largest]))
     return moments if moments[largest] <= limit else np.where(np.arange(3) == largest, limit, moments)
 
 

@@ -32,6 +32,8 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 # Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date.
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
+# Words that YAML 1.1 readers take for a truth value. As keys, such as `on`, they stay without quotes.
+_TRUTH_VALUES = ("yes", "no", "on", "off")
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
@@ -93,6 +95,8 @@ def scalar(value: Any, where: Where) -> str:
 @functools.lru_cache(maxsize=8192)
 def string(text: str, where: Where) -> str:
     """Format a string on one line, without quotes if it reads back unchanged and otherwise in double quotes."""
+    if text.lower() in _TRUTH_VALUES:
+        return quoted(text)
     if _is_word(text):
         return text
     closed = where == "block" or text.count("(") == text.count(")")
