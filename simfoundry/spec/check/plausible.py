@@ -105,7 +105,7 @@ def check_intrinsics(c: Checker, camera: Any, path: Path_, size: tuple[int, int]
     """Check that the focal lengths are in pixels and, if the image ``size`` is known, where the principal point is."""
     for key in ("fx", "fy"):
         focal = getattr(camera, key)
-        if focal < SHORTEST_FOCAL:
+        if focal is not None and focal < SHORTEST_FOCAL:
             hint = "focal lengths are in pixels: the width of the image / (2 tan(half the horizontal field of view))"
             c.warn("SF436", (*path, key), f"`{key}` is {focal:g} px", hint)
     for key, side in zip(("cx", "cy"), size or (), strict=False):
@@ -145,6 +145,7 @@ def check_values(c: Checker) -> None:
     """
     if not c.whole:
         return
+    # Documents without the key of an angle are common, and their bases are not in the text.
     angles = "deg" in c.document.text or bool(c.loaded.bases)
     seen: set[int] = set()
     todo: list[tuple[Path_, Node]] = [((), c.document.root)]
