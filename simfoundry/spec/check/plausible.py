@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.checker import Checker, Path_
 from simfoundry.spec.models.base import BodySpec, Material, Model
+from simfoundry.spec.models.shapes import BoxShape
 from simfoundry.spec.yaml.nodes import Node
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ GROUND = 10.0
 
 def check_size(c: Checker, shape: Model, path: Path_, fixed: bool = False) -> None:
     """Check that the dimensions of a primitive are plausible. A large, flat and ``fixed`` primitive is the ground."""
+    if isinstance(shape, BoxShape) and THINNEST <= min(shape.box) <= max(shape.box) <= LARGEST:
+        return  # most shapes, for which no path is needed
     found = list(_dimensions(shape, path))
     if not found:
         return
@@ -145,26 +148,33 @@ def check_values(c: Checker) -> None:
     """
     if not c.whole:
         return
-    # Documents without the key of an angle are common, and their bases are not in the text.
-    angles = "deg" in c.document.text or bool(c.loaded.bases)
     seen: set[int] = set()
-    todo: list[tuple[Path_, Node]] = [((), c.document.root)]
+    todo: list[tuple[_Trail, Node]] = [(None, c.document.root)]
     while todo:
-        path, node = todo.pop()
+        trail, node = todo.pop()
         children = node.children
-        if children is None:
-            if node.plain and _ORDINARY(node.plain) is None:
-                _check_scalar(c, path, node)
-            continue
-        if id(node) in seen:  # an alias
+        if children is None or id(node) in seen:  # an alias
             continue
         seen.add(id(node))
-        if isinstance(children, dict):
-            todo += [((*path, key), child) for key, child in children.items() if key != "conflicts"]
-            if angles:
-                _check_angles(c, path, children)
-        else:
-            todo += [((*path, k), child) for k, child in enumerate(children)]
+        for key, child in children.items() if isinstance(children, dict) else enumerate(children):
+            if child.children is not None and key != "conflicts":
+                todo.append(((trail, key), child))
+            elif child.plain and _ORDINARY(child.plain) is None:
+                _check_scalar(c, (*_path(trail), key), child)
+            if type(key) is str and key.endswith("deg"):
+                _check_angle(c, (*_path(trail), key), child)
+
+
+# The keys that lead to a value, innermost first, as nested pairs. Most values are fine, and their path is not needed.
+_Trail = tuple["_Trail", str | int] | None
+
+
+def _path(trail: _Trail) -> Path_:
+    keys: list[str | int] = []
+    while trail is not None:
+        trail, key = trail
+        keys.append(key)
+    return tuple(reversed(keys))
 
 
 # Scalars that all YAML readers agree on: decimal numbers, and words or calls that are not a YAML 1.1 boolean.
@@ -204,17 +214,16 @@ def _yaml_1_1(text: str) -> Any:
         return f"{text} "
 
 
-def _check_angles(c: Checker, path: Path_, children: Mapping[str, Node]) -> None:
-    for key, node in children.items():
-        if key == "limits_deg":
-            _check_limits(c, (*path, key), node)
-        elif key == "deg" or key.endswith("_deg"):
-            for k, each in enumerate(node.members or (node,)):
-                if in_radians(each.plain):
-                    at = (*path, key, k) if node.children is not None else (*path, key)
-                    degrees = math.degrees(float(each.plain))
-                    hint = f"if it is in radians, write {round(degrees):g}; it is in degrees here"
-                    c.warn("SF434", at, f"`{key}` is {each.plain} deg, which looks like an angle in radians", hint)
+def _check_angle(c: Checker, path: Path_, node: Node) -> None:
+    """Warn about each angle of a value whose key ends in `deg`, if it looks like radians."""
+    if path[-1] == "limits_deg":
+        _check_limits(c, path, node)
+        return
+    for k, each in enumerate(node.members or (node,)):
+        if in_radians(each.plain):
+            at = (*path, k) if node.children is not None else path
+            hint = f"if it is in radians, write {round(math.degrees(float(each.plain))):g}; it is in degrees here"
+            c.warn("SF434", at, f"`{path[-1]}` is {each.plain} deg, which looks like an angle in radians", hint)
 
 
 def _check_limits(c: Checker, path: Path_, node: Node) -> None:
