@@ -101,10 +101,8 @@ def test_recipes_set_parameters_and_address_copies(tmp_path: Path) -> None:
 
 def test_a_pose_of_a_cousin_leaves_the_frame_of_its_twin(scene: Path, tmp_path: Path) -> None:
     framed = "frames: {mid: {xyz: [0.1, 0.1, 0], yaw_deg: 45}}\nobjects:\n"
-    body = SCENE.replace("objects:\n", framed).replace(
-        "place: {on: desk, xy: [-0.3, 0]}", "pose: {frame: mid, xyz: [0, 0, 0.02]}"
-    )
-    written(tmp_path, body, "cups.scene.yaml")
+    body = SCENE.replace("place: {on: desk, xy: [-0.3, 0]}", "pose: {frame: mid, xyz: [0, 0, 0.02]}")
+    scene.write_text(body.replace("objects:\n", framed))
     (tmp_path / "r.cousins.yaml").write_text(
         "simfoundry: cousins/1\nname: r\ntwin: cups.scene.yaml\nscene: {anchor: desk, objects: {bowl: [OnTop]}}\n"
     )
