@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -12,12 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPath, MeshDraft, ModelDraft, PartDraft
+from simfoundry.backends.artifact import exact
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    CompiledName,
+    JointDraft,
+    LinkDraft,
+    LinkPath,
+    MeshDraft,
+    ModelDraft,
+    PartDraft,
+)
 from simfoundry.frontends.meshes import FileShelf
 from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.base import WORLD, Model
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
@@ -41,12 +51,14 @@ class BuiltDocuments:
         names: New names of renamed elements, keyed by their names in the file; links and joints are qualified by their
             body.
         parts: Drafts of each part and its link, keyed by the names of the asset, link, and part in the documents.
+        compiled: Names in compiled files, keyed by the content of :class:`~simfoundry.frontends.draft.CompiledName`.
     """
 
     documents: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
+    compiled: dict[tuple[str, str, Any], str] = field(default_factory=dict)
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
@@ -58,9 +70,18 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
     return tuple(rounded(item, digits) for item in value) if isinstance(value, list | tuple) else value
 
 
-def document_text(spec: Model) -> str:
-    """Return the canonical text of a document, in which numbers are rounded to :data:`DIGITS` significant digits."""
-    return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
+def exactly(value: Any) -> Any:
+    """Return plain data in which all numbers are exact, up to the noise of conversions."""
+    if isinstance(value, float):
+        return float(exact(value))
+    if isinstance(value, dict):
+        return {key: exactly(item) for key, item in value.items()}
+    return tuple(exactly(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+def document_text(spec: Model, tidy: Callable[[Any], Any] = rounded) -> str:
+    """Return the canonical text of a document, in which numbers are rounded by ``tidy``."""
+    return write_tree(plain_tree(tidy(to_data(spec))), type(spec))
 
 
 def pose_data(X_AB: Pose) -> dict[str, Any]:
@@ -110,7 +131,9 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
     """
     built = BuiltDocuments()
     shelf = FileShelf(base, f"{name}_files", root, built.files)
-    built.documents[f"{name}.asset.yaml"] = document_text(_asset_spec(draft.bodies[0], plain_name(name), shelf, built))
+    tidy = rounded if draft.native is None else exactly
+    spec = _asset_spec(draft.bodies[0], plain_name(name), shelf, built, tidy)
+    built.documents[f"{name}.asset.yaml"] = document_text(spec, tidy)
     return built
 
 
@@ -130,6 +153,7 @@ class _SceneBuilder:
 
     def __init__(self, draft: ModelDraft, folder: str, base: Path, root: Path | None) -> None:
         self.draft, self.folder, self.built = draft, folder, BuiltDocuments()
+        self.tidy = rounded if draft.native is None else exactly
         self.shelf = FileShelf(base / folder, ".", root)
         self.names = NameTable()
         self.assets: dict[str, AssetSpec] = {}
@@ -152,16 +176,23 @@ class _SceneBuilder:
         data["no_contact"], data["relations"] = self.no_contact(), tuple(draft.relations)
         if draft.background is not None:
             data["background"] = {"mesh": f"{self.folder}/{self.shelf.place(draft.background)}"}
-        built.documents[f"{name}.scene.yaml"] = document_text(SceneSpec.model_validate(_without_empty(rounded(data))))
-        built.documents |= {f"{self.folder}/{n}.asset.yaml": document_text(a) for n, a in self.assets.items()}
+        data["options"] = draft.options
+        if draft.native is not None:
+            data["native"] = {"mjcf": self.native(draft.native)}
+        spec = SceneSpec.model_validate(_without_empty(self.tidy(data)))
+        built.documents[f"{name}.scene.yaml"] = document_text(spec, self.tidy)
+        built.documents |= {f"{self.folder}/{n}.asset.yaml": document_text(a, self.tidy) for n, a in self.assets.items()}
         built.files = {f"{self.folder}/{path.removeprefix('./')}": data for path, data in self.shelf.files.items()}
         return built
 
     def object_data(self, body: BodyDraft, called: str) -> Data:
         """Return the data of an object, using an inline shape if possible and an asset document otherwise."""
         if (inline := inline_data(body)) is not None:
+            ((link, part),) = [(link, part) for link in body.links.values() for part in link.parts]
+            self.built.compiled["body", body.name, link.name] = WORLD if link.native.get("merge") else called
+            self.built.compiled["geom", body.name, part] = f"{called}.shape"
             return inline
-        asset = self.assets[called] = _asset_spec(body, called, self.shelf, self.built)
+        asset = self.assets[called] = _asset_spec(body, called, self.shelf, self.built, self.tidy)
         data: Data = {"asset": f"{self.folder}/{called}.asset.yaml", **_placement(body)}
         states = {
             name: pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
@@ -193,6 +224,14 @@ class _SceneBuilder:
                 out += [(self.link_path(*one), self.link_path(*other)) for one, other in ends]
         return tuple(out)
 
+    def native(self, value: Any) -> Any:
+        """Return native data in which references are replaced by the names in compiled files."""
+        if isinstance(value, CompiledName):
+            return self.built.compiled[value.kind, value.owner, value.element]
+        if isinstance(value, dict):
+            return {key: self.native(item) for key, item in value.items()}
+        return tuple(map(self.native, value)) if isinstance(value, list | tuple) else value
+
     def cameras(self) -> Data:
         names, out = NameTable("camera"), {}
         for camera in self.draft.cameras:
@@ -207,6 +246,7 @@ class _SceneBuilder:
                     is_root = link == self.bodies[body].root
                     data["mount"] = self.objects[body] if is_root else self.link_path(body, link)
             out[names.name(camera.name)] = data
+            self.built.compiled["camera", "", camera.name] = list(out)[-1]
         return out
 
     def lights(self) -> Data:
@@ -220,7 +260,9 @@ class _SceneBuilder:
         return out
 
 
-def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocuments) -> AssetSpec:
+def _asset_spec(
+    body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocuments, tidy: Callable[[Any], Any]
+) -> AssetSpec:
     """Return the asset document for a body."""
     links, joints = NameTable("link"), NameTable("joint")
     link_names = {n: links.name(n) for n in body.link_order}
@@ -230,6 +272,8 @@ def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocume
     for link in body.links.values():
         for called, part in zip(part_names(link), link.parts, strict=True):
             built.parts[name, link_names[link.name], called] = (link, part)
+    attached = _attachments(body, {"link": link_names, "joint": joint_names})
+    built.compiled |= _compiled_names(body, name, link_names, joint_names, attached)
     data: Data = {
         "simfoundry": "asset/1",
         "name": name,
@@ -237,9 +281,40 @@ def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocume
         "links": {link_names[n]: _link_data(body.links[n], shelf, materials) for n in body.link_order},
         "joints": {joint_names[j.name]: _joint_data(j, link_names, joint_names) for j in body.joints},
         "no_contact": tuple((link_names[a], link_names[b]) for a, b in body.no_contact),
+        **{f"{kind}s": {new: data for new, data in found.values()} for kind, found in attached.items()},
         **_category(body),
     }
-    return AssetSpec.model_validate(_without_empty(rounded(data)))
+    return AssetSpec.model_validate(_without_empty(tidy(data)))
+
+
+# The names in the file, and the names and the data in the document.
+_Attached = dict[str, tuple[str, Data]]
+
+
+def _attachments(body: BodyDraft, names: dict[str, dict[str, str]]) -> dict[str, _Attached]:
+    """Return the sites, actuators and sensors of a body, given the document names of its links and joints."""
+    out: dict[str, _Attached] = {}
+    for kind in ("site", "actuator", "sensor"):
+        table, found = NameTable(kind), {}
+        for each in getattr(body, f"{kind}s"):
+            found[each.name] = (table.name(each.name), {each.place: names[each.place][each.target], **each.data})
+        names[kind] = {old: new for old, (new, _) in found.items()}
+        out[kind] = found
+    return out
+
+
+def _compiled_names(
+    body: BodyDraft, name: str, links: dict[str, str], joints: dict[str, str], attached: dict[str, _Attached]
+) -> Iterator[tuple[tuple[str, str, Any], str]]:
+    """Yield the names of a body's elements in compiled files."""
+    for old, new in links.items():
+        link, qualified = body.links[old], name if old == body.root else f"{name}.{new}"
+        yield ("body", body.name, old), WORLD if link.native.get("merge") and old == body.root else qualified
+        for called, part in zip(part_names(link), link.parts, strict=True):
+            yield ("geom", body.name, part), f"{qualified}.{called}"
+    yield from ((("joint", body.name, old), f"{name}.{new}") for old, new in joints.items())
+    for kind, found in attached.items():
+        yield from (((kind, body.name, old), f"{name}.{new}") for old, (new, _) in found.items())
 
 
 def _without_empty(data: Data) -> Data:
@@ -259,7 +334,11 @@ def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
     out |= uniform or {}
     if any(isinstance(part.geometry, MeshDraft) for part in link.colliders):
         out |= {"collision": link.collision} | ({"solid": "hull"} if link.inertia is None else {})
-    return _without_empty({**out, "parts": parts})
+    return _without_empty({**out, "parts": parts, **_native(link.native)})
+
+
+def _native(data: Data) -> Data:
+    return {"native": {"mjcf": data}} if data else {}
 
 
 def _mass_data(link: LinkDraft) -> Data:
@@ -336,12 +415,12 @@ def _part_data(part: PartDraft, shelf: FileShelf) -> Data:
         out["color"] = color_data(part.color)
     if part.use != "both":
         out["use"] = part.use
-    return out
+    return out | _native(part.native)
 
 
 def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str, str]) -> Data:
     out: Data = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
-    out |= _without_empty({"pose": pose_data(joint.X_PC)})
+    out |= _without_empty({"pose": pose_data(joint.X_PC)}) | _native(joint.native)
     if joint.type in ("fixed", "free"):
         return out
     if joint.type != "ball":
@@ -369,7 +448,9 @@ def _placement(body: BodyDraft) -> Data:
 def inline_data(body: BodyDraft) -> Data | None:
     """Return the data of an object with an inline shape, or None if the body needs an asset document."""
     link, *others = body.links.values()
-    if body.joints or others or [part.use for part in link.parts] != ["both"]:
+    if body.joints or others or body.sites or [part.use for part in link.parts] != ["both"]:
+        return None
+    if link.native.keys() - {"merge"}:
         return None
     (part,) = link.parts
     if body.exact and (link.name, part.name) != ("base", "shape"):
@@ -382,7 +463,7 @@ def inline_data(body: BodyDraft) -> Data | None:
     out |= contact
     if part.color is not None:
         out["color"] = color_data(part.color)
-    return out | _category(body) | _placement(body)
+    return out | _category(body) | _placement(body) | _native(part.native | link.native)
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:

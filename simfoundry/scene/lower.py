@@ -18,6 +18,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
+from simfoundry.scene.attachments import Options
 from simfoundry.scene.model import Camera, LeftOut, Light, MountedCamera, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
 from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
@@ -67,6 +68,10 @@ class Lowering:
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
+        if (given := self.spec.options) is not None:
+            scene = replace(scene, options=Options(given.timestep, given.solver_iterations))
+        if (native := self.spec.native) is not None:
+            scene = replace(scene, native=MappingProxyType(native.mjcf))
         for lowering_pass in passes:
             scene = lowering_pass(self, scene)
         return scene

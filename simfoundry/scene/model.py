@@ -20,6 +20,7 @@ import numpy as np
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
+from simfoundry.scene.attachments import Actuator, ObjectNative, Options, Sensor, Site
 
 if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
@@ -132,13 +133,15 @@ class Drive:
     """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
     The units are [N m/rad or N/m] for ``stiffness``, [N m s/rad or N s/m] for ``damping``, [rad or m] for ``target``,
-    and [N m or N] for ``force_limit``, which is None if the force is unlimited.
+    and [N m or N] for ``force_limit``, which is None if the force is unlimited. ``actuator`` is the name of the actuator
+    that the drive stands for, or empty if the document specifies the drive itself.
     """
 
     stiffness: float
     damping: float
     target: float = 0.0
     force_limit: float | None = None
+    actuator: str = ""
 
 
 # The name of a joint limit.
@@ -207,6 +210,7 @@ class SceneObject:
         labels: The semantic labels. If they are empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
         variants: All other variants, each of which is a complete object with the same name.
+        native: What only MJCF knows of the object's elements.
     """
 
     name: str
@@ -219,6 +223,10 @@ class SceneObject:
     labels: tuple[str, ...] = ()
     variant: str = ""
     variants: tuple[SceneObject, ...] = ()
+    sites: tuple[Site, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    native: ObjectNative = field(default_factory=ObjectNative)
 
     @property
     def semantics(self) -> tuple[str, ...]:
@@ -334,6 +342,7 @@ class Scene:
         left_out: The parts of the spec that could not be lowered. Every target reports them as lost.
         no_contact: The pairs of links in different objects whose contacts are disabled, by qualified name.
         source: The document, for targets that embed it.
+        native: What only MJCF knows of the scene, by section, or None if MJCF is written in the usual way.
         viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y points to the
             viewer's left. If None, the world axes are used.
     """
@@ -351,6 +360,8 @@ class Scene:
     no_contact: tuple[tuple[str, str], ...] = ()
     source: Source | None = None
     viewer: Pose | None = None
+    options: Options = Options()
+    native: Mapping[str, Any] | None = None
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:

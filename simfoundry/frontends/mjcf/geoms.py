@@ -22,6 +22,7 @@ class MjcfSource:
 
     ``is_own`` is True for files that SimFoundry compiled. ``owners`` maps each body to its body draft, its link, and
     the pose of the link frame in the body frame. ``joints`` maps each joint to its body draft and its joint draft.
+    ``mimics`` contains the equalities that became mimic joints.
     """
 
     mujoco: Any
@@ -31,6 +32,7 @@ class MjcfSource:
     is_own: bool
     owners: dict[int, tuple[BodyDraft, str, Pose]] = field(default_factory=dict)
     joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
+    mimics: set[int] = field(default_factory=set)
 
     def name(self, kind: str, number: int) -> str:
         """Return the name of an element, or an empty string if it is unnamed.

@@ -34,6 +34,7 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.capture import FocalLength, ImagePoint
+from simfoundry.spec.models.native import ObjectNative, SceneNative
 from simfoundry.spec.models.robot import RobotSpec
 
 if TYPE_CHECKING:
@@ -163,6 +164,7 @@ class ObjectSpec(GeometrySpec):
         "variant set.",
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
+    native: ObjectNative | None = Field(None, description="Data that only one format knows, for inline shapes.")
 
     @consistent
     def _one_geometry(self) -> None:
@@ -221,6 +223,17 @@ class BackgroundSpec(Model):
         exclusive(self, "mesh", "splat", needed=True)
 
 
+class OptionsSpec(Model):
+    """Options of the simulation, which replace those of the targets."""
+
+    timestep: Annotated[Positive, Field(le=1)] | None = Field(
+        None, description="Time step of the simulation [s]; default: the target's."
+    )
+    solver_iterations: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        None, description="Maximum number of iterations of the constraint solver; default: the target's."
+    )
+
+
 class SceneSpec(DocumentSpec):
     """A scene. The world frame is right-handed with z up, and all units are SI."""
 
@@ -231,6 +244,7 @@ class SceneSpec(DocumentSpec):
         "from the viewer and y points left.",
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
+    options: OptionsSpec | None = Field(None, description="Options of the simulation.")
     materials: dict[Name, Material] = Field({}, description="Materials by name.")
     objects: dict[Name, ObjectSpec] = Field({}, description="Objects by name.")
     robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
@@ -242,6 +256,9 @@ class SceneSpec(DocumentSpec):
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")
+    native: SceneNative | None = Field(
+        None, description="Data that only one format knows. With `mjcf`, MuJoCo's own rules for contacts apply."
+    )
 
 
 # Joint position as written: a number [m or rad], an angle in degrees, or the pose of a ball or free joint.
