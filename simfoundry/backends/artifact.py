@@ -103,7 +103,7 @@ def rounded_list(values: Array) -> list[float]:
 
 
 # Errors of this size [1] come from converting numbers between frames and units in double precision.
-NOISE = 1e-15
+NOISE = 5e-16
 
 
 def exact(value: float) -> str:
@@ -112,7 +112,7 @@ def exact(value: float) -> str:
     A number that is within this noise of a short decimal, such as most numbers that people write, becomes that decimal.
     """
     tolerance = NOISE * max(1.0, abs(value))
-    for digits in (6, 12, 14):
+    for digits in (6, 12, 15):
         text = f"{value:.{digits}g}"
         if abs(float(text) - value) <= tolerance:
             return "0" if float(text) == 0 or abs(value) <= NOISE else text

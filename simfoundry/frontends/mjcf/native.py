@@ -6,6 +6,7 @@ from MuJoCo's default and the language has no word for it.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -99,14 +100,14 @@ class NativeReader:
         friction = tuple(model.geom_friction[geom].tolist())
         written = (part.contact.get("torsional_friction") or 0.005, part.contact.get("rolling_friction") or 0.0001)
         condim = native.get("condim", 3)
-        if friction[1:] != written or condim == 1 or not part.collides:
+        if part.collides and (friction[1:] != written or condim == 1):
             native["friction"] = friction
         if part.contact.get("torsional_friction") or part.contact.get("rolling_friction"):
             native["condim"] = condim
         fluid = model.geom_fluid[geom]
         if fluid[0] > 0:
             native |= {"fluidshape": "ellipsoid", "fluidcoef": tuple(fluid[1:6].tolist())}
-        if (kind := model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_ELLIPSOID):
+        if (kind := kinds(model.geom_type[geom])) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_ELLIPSOID):
             native["type"] = "plane" if kind == kinds.mjGEOM_PLANE else "ellipsoid"
             native["size"] = tuple(model.geom_size[geom].tolist())
         part.native = native
@@ -254,12 +255,12 @@ class NativeReader:
                      margin=float(model.pair_margin[k]), gap=float(model.pair_gap[k]), solref=plain(model.pair_solref[k]),
                      solimp=plain(model.pair_solimp[k]), solreffriction=reference if any(reference) else None)  # fmt: skip
 
+        for one, two in self.excluded:
+            self.add("contact", "exclude", body1=self.ref("body", one), body2=self.ref("body", two))
+
     def exclude(self, one: int, two: int) -> None:
         """Keep a pair of bodies that do not collide."""
         self.excluded.append((one, two))
-
-        for one, two in self.excluded:
-            self.add("contact", "exclude", body1=self.ref("body", one), body2=self.ref("body", two))
 
     def _tendons(self) -> None:
         model, wraps = self.model, self.mujoco.mjtWrap
@@ -322,7 +323,7 @@ class NativeReader:
             given |= {f"{place}1": self.ref(place, one), f"{place}2": self.ref(place, two)}
             if place == "body":
                 given["anchor"] = tuple(data[:3].tolist())
-                if tag == "weld":
+                if tag == "weld" and not (len(data) > 11 and data[11]):  # otherwise, it follows from the poses
                     given["relpose"] = tuple(data[3:10].tolist())
             if tag == "weld":
                 given["torquescale"] = float(data[10])
@@ -338,7 +339,7 @@ class NativeReader:
     # -- actuators -----------------------------------------------------------------------------------------------------
 
     def _actuators(self) -> None:
-        model, order, controls = self.model, [], []
+        model, order, controls, outside = self.model, [], [], False
         for k in range(len(model.actuator_trntype)):
             name = self.source.name("actuator", k) or f"actuator_{k}"
             control = float(self.source.data.ctrl[k]) if k < model.nu else 0.0
@@ -347,6 +348,10 @@ class NativeReader:
             joint = int(model.actuator_trnid[k, 0])
             if word is not None:
                 owner, draft = self.source.joints[joint]
+                low, high = word.get("control_range", (-math.inf, math.inf))
+                if not low <= control <= high:
+                    outside = True
+                    control = min(max(control, low), high)
                 data = word | ({"control": control} if control else {})
                 owner.actuators.append(AttachmentDraft(name, data, "joint", draft.name))
                 self.places["actuator", k] = CompiledName("actuator", owner.name, name)
@@ -355,7 +360,7 @@ class NativeReader:
                 self.add("actuator", "general", name=called, **self._general(k))
             order.append(self.places["actuator", k])
         self._keep_order("actuator", order)
-        if any(c for c, place in zip(controls, order, strict=True) if isinstance(place, str)):
+        if outside or any(c for c, place in zip(controls, order, strict=True) if isinstance(place, str)):
             self.data.setdefault("initial", {})["ctrl"] = tuple(controls)
 
     def _actuator_word(self, k: int) -> Data | None:
@@ -368,7 +373,7 @@ class NativeReader:
             and self.source.joints[joint][1].type != "ball"
             and model.actuator_dyntype[k] == mujoco.mjtDyn.mjDYN_NONE
             and model.actuator_gaintype[k] == mujoco.mjtGain.mjGAIN_FIXED
-            and model.actuator_biastype[k] in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+            and mujoco.mjtBias(model.actuator_biastype[k]) in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
             and not (gear[1:].any() or model.actuator_gainprm[k][1:].any() or model.actuator_actlimited[k])
             and not self._modern(k)
         )
@@ -558,6 +563,9 @@ class NativeReader:
     def _keyframes(self) -> None:
         """Keep what the document does not say of the first keyframe, and all other keyframes."""
         model = self.model
+        positions = {j: float(self.source.data.qpos[model.jnt_qposadr[j]]) for j in self.source.joints}
+        if any(positions[j] != d.position for j, (_, d) in self.source.joints.items() if d.type != "ball"):
+            self.data["initial"] = {"qpos": tuple(self.source.data.qpos.tolist())}  # a joint begins beyond its limits
         for k in range(model.nkey):
             state: Data = {"qpos": model.key_qpos[k], "qvel": model.key_qvel[k], "act": model.key_act[k],
                            "ctrl": model.key_ctrl[k], "mpos": model.key_mpos[k], "mquat": model.key_mquat[k]}  # fmt: skip
