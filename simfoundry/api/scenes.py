@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, robot, scene
+from simfoundry.spec.models import base, robot, scene, shapes
 
 if TYPE_CHECKING:
     import mujoco
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-ShapeSpec = (
-    base.BoxShape | base.SphereShape | base.CylinderShape | base.CapsuleShape | base.PrismShape | base.LatheShape
-)
 # A mapping of fields as in the YAML file, such as ``{"box": [0.1, 0.1, 0.1]}``.
 Values = Mapping[str, object]
 
@@ -38,7 +35,7 @@ OptionalNumber = ValueField[float | None, float | None]
 Flag = ValueField[bool, bool | None]
 Quantity = ValueField[float | base.Estimate | None, float | base.Estimate | Values | None]
 Position = ValueField[Vector, Sequence[float] | None]
-Color = ValueField[tuple[float, ...] | None, Sequence[float] | None]
+Color = ValueField[tuple[float, ...] | None, Sequence[float] | str | None]
 Origin = ValueField[base.Origin | None, base.Origin | Values | None]
 
 
@@ -53,11 +50,11 @@ class PoseEntry(DocumentEntry):
 
 
 class CameraPoseEntry(DocumentEntry):
-    """The pose of a camera: a position [m], and either a point to look at or a rotation."""
+    """The pose of a camera: a position [m], and either a target (a point or a name) or a rotation."""
 
     _model = base.CameraPose
     xyz = Position()
-    look_at = ValueField[Vector | None, Sequence[float] | None]()
+    look_at = ValueField[Vector | str | None, Sequence[float] | str | None]()
     quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
 
 
@@ -80,7 +77,7 @@ class ObjectEntry(DocumentEntry):
     category = Text()
     labels = Names()
     fixed = Flag()
-    shape = ValueField[ShapeSpec | None, ShapeSpec | Values | None]()
+    shape = ValueField[shapes.Shape | None, shapes.Shape | Values | None]()
     asset = Text()
     scale = Number()
     visual = Text()
@@ -112,12 +109,13 @@ class RobotEntry(DocumentEntry):
 
 
 class CameraEntry(DocumentEntry):
-    """A pinhole camera with an image size [px], focal lengths [px], a principal point [px], and a pose."""
+    """A pinhole camera with an image size [px], a field of view or focal lengths, a principal point, and a pose."""
 
     _model = scene.CameraSpec
     size = ValueField[tuple[int, int], Sequence[int]]()
-    fx = Number()
-    fy = Number()
+    fov_deg = OptionalNumber()
+    fx = OptionalNumber()
+    fy = OptionalNumber()
     cx = OptionalNumber()
     cy = OptionalNumber()
     pose = EntryField(CameraPoseEntry)

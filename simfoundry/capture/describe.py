@@ -17,6 +17,7 @@ from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, S
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
+from simfoundry.spec.models import shapes
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 
@@ -103,7 +104,7 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
     return ObjectSpec(
         category="table",
         fixed=True,
-        shape=spec.PrismShape(prism=spec.Prism(outline=outline, height=thickness)),
+        shape=shapes.PrismShape(prism=shapes.Prism(outline=outline, height=thickness)),
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
         pose=spec.PoseSpec(xyz=(0.0, 0.0, -thickness / 2)),
@@ -134,20 +135,20 @@ def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
     )
 
 
-def _shape_spec(shape: FittedShape) -> spec.Shape | None:
+def _shape_spec(shape: FittedShape) -> shapes.Shape | None:
     """Return a shape in the form used in specs, or None if only a mesh can represent the shape."""
     geometry = shape.geometry
     if shape.profile is not None:
-        return spec.LatheShape(lathe=spec.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
+        return shapes.LatheShape(lathe=shapes.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
     match geometry:
         case Box():
             x, y, z = (meters(v) for v in geometry.size)
-            return spec.BoxShape(box=(x, y, z))
+            return shapes.BoxShape(box=(x, y, z))
         case Cylinder():
-            size = spec.Round(radius=meters(geometry.radius), height=meters(geometry.height))
-            return spec.CylinderShape(cylinder=size)
+            size = shapes.Round(radius=meters(geometry.radius), height=meters(geometry.height))
+            return shapes.CylinderShape(cylinder=size)
         case Sphere():
-            return spec.SphereShape(sphere=meters(geometry.radius))
+            return shapes.SphereShape(sphere=meters(geometry.radius))
     return None
 
 

@@ -72,17 +72,15 @@ LINE_LENGTH = 100
 @output.subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas to this folder.")
-@click.option("--standard", is_flag=True,
-              help="Use only standard JSON Schema keywords, for strict validators such as ajv.")  # fmt: skip
-def schema_command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
+def schema_command(kind: str | None, out: Path | None, force: bool) -> None:
     """Print the JSON Schema for one kind of document, or write all schemas to a folder with -o.
 
-    The schemas contain editor-specific extensions: snippets, Markdown descriptions and messages. Use --standard for
-    validators that reject unknown keywords.
+    The schemas use only standard keywords. Their part `#/$defs/Editor` is the same schema with snippets and messages
+    for editors.
     """
     from simfoundry.spec.editor.schema import schemas
 
-    texts = schemas(standard)
+    texts = schemas()
     if out is not None:
         files = {out / name: text for name, text in texts.items()}
         for file, text in files.items():

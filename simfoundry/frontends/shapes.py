@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.shapes import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]

@@ -22,7 +22,8 @@ from simfoundry.predicates.judging.bodies import Bodies, NoCavityError, Predicat
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
-from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_cameras
+from simfoundry.scene.cameras import lower_cameras
+from simfoundry.scene.lower import OBJECT_PASSES, Lowering
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering

@@ -19,7 +19,7 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Faces, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.model import Collider, Link, Visual
-from simfoundry.spec.models import base
+from simfoundry.spec.models import base, shapes
 from simfoundry.spec.models.asset import Inertial, PartSpec
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class BodyBuilder:
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
 
-    def add_shape(self, name: str, shape: base.Shape, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
+    def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
         """Add a primitive at a pose in the link frame.
 
         ``show`` is False if a mesh is shown instead of the primitive.
@@ -234,7 +234,7 @@ class ShapeBody(NamedTuple):
 
 
 @lru_cache(maxsize=1024)
-def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
+def shape_body(shape: shapes.Shape, cache: Cache | None = None) -> ShapeBody:
     """Return the body of a shape.
 
     Decomposing a lathe or prism takes up to 40 ms and imports two large libraries, so ``cache`` stores the parts for
@@ -245,21 +245,21 @@ def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
     """
     geometry: Geometry
     match shape:
-        case base.BoxShape():
+        case shapes.BoxShape():
             geometry, solid = Box(frozen(shape.box)), mass.box(np.array(shape.box))
-        case base.SphereShape():
+        case shapes.SphereShape():
             geometry, solid = Sphere(shape.sphere), mass.sphere(shape.sphere)
-        case base.CylinderShape(cylinder=c):
+        case shapes.CylinderShape(cylinder=c):
             geometry, solid = Cylinder(c.radius, c.height), mass.cylinder(c.radius, c.height)
-        case base.CapsuleShape(capsule=c):
+        case shapes.CapsuleShape(capsule=c):
             geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
-        case base.PrismShape(prism=p):
+        case shapes.PrismShape(prism=p):
             from simfoundry.assets.solids import prism_mesh
 
             outline, parts, _ = _cut(shape, cache)
             whole = prism_mesh(outline, p.height)
             return ShapeBody(closed_mesh(*whole), mass.mesh(*whole), parts)
-        case base.LatheShape():
+        case shapes.LatheShape():
             from simfoundry.assets.solids import lathe_mesh
 
             profile, parts, error = _cut(shape, cache)
@@ -271,13 +271,13 @@ def shape_body(shape: base.Shape, cache: Cache | None = None) -> ShapeBody:
 _Cut = tuple[Array, tuple[Geometry, ...], float]
 
 
-def _cut(shape: base.PrismShape | base.LatheShape, cache: Cache | None) -> _Cut:
+def _cut(shape: shapes.PrismShape | shapes.LatheShape, cache: Cache | None) -> _Cut:
     key = key_of(CUT_VERSION, repr(shape))
     stored = cache.get(key) if cache is not None else None
     if stored is not None and (found := _unpack(stored)) is not None:
         return found
     parts: list[tuple[Array, Faces]]
-    if isinstance(shape, base.PrismShape):
+    if isinstance(shape, shapes.PrismShape):
         from simfoundry.assets.solids import checked_outline, convex_outlines, prism_mesh
 
         outline, error = checked_outline(np.array(shape.prism.outline)), 0.0

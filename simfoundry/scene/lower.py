@@ -19,15 +19,16 @@ from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
 from simfoundry.scene.attachments import Options
-from simfoundry.scene.model import Camera, LeftOut, Light, MountedCamera, Scene, SceneObject
+from simfoundry.scene.cameras import lower_cameras, viewer, viewer_target
+from simfoundry.scene.model import LeftOut, Light, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
+from simfoundry.scene.place import RELATIONS, PlaceError, needs, order, place_all
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.predicate import parse_call
-from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
+from simfoundry.spec.models.scene import LightSpec, Place, SceneSpec
 
 
 @dataclass
@@ -120,7 +121,8 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
     found: dict[str, SceneObject | None] = {}
-    first = () if lowering.draft else _containers_and_contents(lowering)
+    is_late = lowering.draft or viewer_target(spec) is not None  # the viewer is unknown until the target is placed
+    first = () if is_late else _containers_and_contents(lowering)
     misfits = _certain_misfits(lowering, first) if first else []
     work.cuts = not misfits
     for name in (*first, *(name for name in spec.objects if name not in first)):
@@ -178,6 +180,8 @@ def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diag
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Solve every `place` constraint and replace it with a pose."""
     places = lowering.places
+    if (target := viewer_target(lowering.spec)) is not None:
+        scene = replace(scene, viewer=_viewer_of_target(lowering, scene, target))
     if not places:
         return scene
     solved, errors = place_all(scene.by_name, places, scene.viewer)
@@ -194,6 +198,27 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     if errors:
         raise SpecError(_findings(lowering, errors))
     return replace(scene, objects=tuple(solved.values()))
+
+
+def _viewer_of_target(lowering: Lowering, scene: Scene, target: str) -> Pose | None:
+    """Return the frame of a viewpoint camera that looks at an object, which is placed first.
+
+    Raises:
+        SpecError: If the position of the object depends on the viewpoint.
+    """
+    places, chain = lowering.places, list[str]()
+    todo = [target.partition(".")[0]]
+    while todo:
+        if (name := todo.pop()) in places and name not in chain:
+            chain.append(name)
+            todo += needs(places[name])
+    for name in chain:
+        if any(getattr(places[name], word) is not None for word in RELATIONS):
+            message = f"the viewpoint looks at `{target}`, but the place of `{name}` depends on the viewpoint"
+            hint = "let the camera look at a point"
+            raise SpecError([lowering.loaded.finding("SF210", ("viewpoint",), message, hint)])
+    placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None)
+    return viewer(lowering.spec, placed)
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
@@ -241,24 +266,6 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
 
 
-def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the cameras, leaving out cameras mounted on a link that does not exist in the selected variant."""
-    fixed, mounted, lost = [], [], []
-    robots = {robot.name for robot in scene.robots}
-    for name, spec in lowering.spec.cameras.items():
-        if spec.mount is None:
-            fixed.append(camera(name, spec))
-            continue
-        carrier, _, link = spec.mount.partition(".")
-        item = scene.by_name.get(carrier)
-        if item is not None and link and link not in {each.name for each in item.links}:
-            reason = f"the variant `{item.variant}` of `{carrier}` has no link `{link}`"
-            lost.append(LeftOut(f"cameras.{name}", reason))
-        elif item is not None or carrier in robots:
-            mounted.append(MountedCamera(carrier, link, camera(name, spec)))
-    return replace(scene, cameras=tuple(fixed), mounted=tuple(mounted), left_out=(*scene.left_out, *lost))
-
-
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
@@ -290,19 +297,6 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 # -- parts of passes ---------------------------------------------------------------------------------------------------
 
 
-def viewer(spec: SceneSpec) -> Pose | None:
-    """Return the frame that defines left, right, front and behind, or None for the world frame.
-
-    In this frame, x points away from the viewer, and y points to the viewer's left. If the viewer is a robot or a
-    camera mounted on one, the viewer looks along the x axis of the robot's base.
-    """
-    seen = spec.cameras.get(spec.viewpoint or "")
-    if seen is not None and seen.mount is None:
-        return seen_by_camera(camera("", seen).X_WC)
-    robot = spec.robots.get(spec.viewpoint or "" if seen is None else (seen.mount or "").partition(".")[0])
-    return None if robot is None else pose(robot.pose)
-
-
 def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
     """Yield the object textures that cannot be used, along with the reasons."""
     from simfoundry.assets.textures import document_faults
@@ -314,18 +308,6 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
         if asset is not None and isinstance(asset.spec, AssetSpec):
             for _, fault in document_faults(asset, asset.spec):
                 yield LeftOut(f"objects.{name}.texture", fault)
-
-
-def camera(name: str, spec: CameraSpec) -> Camera:
-    """Return a camera whose principal point and pose are resolved."""
-    width, height = spec.size
-    cx = (width - 1) / 2 if spec.cx is None else spec.cx
-    cy = (height - 1) / 2 if spec.cy is None else spec.cy
-    if spec.pose.look_at is not None:
-        X_WC = look_at(np.array(spec.pose.xyz), np.array(spec.pose.look_at))
-    else:
-        X_WC = Pose.of(spec.pose.xyz, spec.pose.quat_wxyz or (1.0, 0.0, 0.0, 0.0))
-    return Camera(name, width, height, spec.fx, spec.fy, cx, cy, X_WC)
 
 
 def _light(name: str, spec: LightSpec) -> Light:

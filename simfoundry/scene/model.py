@@ -21,6 +21,7 @@ from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.attachments import Actuator, ObjectNative, Options, Sensor, Site
+from simfoundry.scene.source import Source as Source
 
 if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
@@ -115,8 +116,7 @@ class JointType(StrEnum):
 class Mimic:
     """A coupling to another ``joint`` in the same object.
 
-    The position of the coupled joint is ``multiplier * position + offset``, where ``position`` is the position of the
-    joint that it follows.
+    The position of the coupled joint is ``multiplier * position + offset``, with the ``position`` of that joint.
     """
 
     joint: str
@@ -132,9 +132,8 @@ class Mimic:
 class Drive:
     """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
-    The units are [N m/rad or N/m] for ``stiffness``, [N m s/rad or N s/m] for ``damping``, [rad or m] for ``target``,
-    and [N m or N] for ``force_limit``, which is None if the force is unlimited. ``actuator`` is the name of the actuator
-    that the drive stands for, or empty if the document specifies the drive itself.
+    Units: ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m], ``force_limit`` [N m
+    or N], which is None if the force is unlimited. ``actuator`` is the name of the actuator that the drive stands for.
     """
 
     stiffness: float
@@ -164,8 +163,9 @@ class Joint:
         position: The initial position of a single-axis joint [rad or m].
         motion: The initial state of a ball or free joint: the pose of the child frame relative to its pose at position
             zero.
-        closed: The limit at which the joint counts as closed. If None, the joint is closed at position zero or at the
-            limit nearest to zero.
+        closed: The limit at which the joint counts as closed. If None, it is closed at zero or the nearest limit to it.
+        effort: The maximum force of all actuators, including the drive [N m or N], or None if it is unlimited.
+        velocity: The maximum speed [rad/s or m/s], or None if it is unlimited.
     """
 
     name: str
@@ -183,6 +183,8 @@ class Joint:
     mimic: Mimic | None = None
     drive: Drive | None = None
     closed: ClosedEnd | None = None
+    effort: float | None = None
+    velocity: float | None = None
 
     @property
     def closed_position(self) -> float:
@@ -205,7 +207,7 @@ class SceneObject:
     Attributes:
         fixed: True if the object is welded to the world. All other objects have a free root.
         X_WO: The pose of the root link's frame in the world.
-        links: The links in topological order, so that parents come before their children.
+        links: The links in topological order (parents come first).
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
         labels: The semantic labels. If they are empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
@@ -298,8 +300,7 @@ class Light:
     X_WL: Pose
 
 
-# 3D Gaussians, exported here because backends may import the scene package but not the assets package.
-Splat = Gaussians
+Splat = Gaussians  # exported here because backends may import the scene package but not the assets package
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,8 +344,8 @@ class Scene:
         no_contact: The pairs of links in different objects whose contacts are disabled, by qualified name.
         source: The document, for targets that embed it.
         native: What only MJCF knows of the scene, by section, or None if MJCF is written in the usual way.
-        viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y points to the
-            viewer's left. If None, the world axes are used.
+        viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y to the left.
+            If None, the world axes are used.
     """
 
     name: str
@@ -393,19 +394,3 @@ def pair_resistance(a: float, b: float) -> float:
     The larger value is used, because a single soft surface is enough to cause resistance.
     """
     return max(a, b)
-
-
-@dataclass(frozen=True)
-class Source:
-    """The document from which a scene was lowered.
-
-    The source is opaque to backends, which may store the source but must not base any decisions on it.
-
-    Attributes:
-        file: The POSIX path of the document in its project.
-        data: The plain data of the document and of everything that it extends, in canonical order. The data consists of
-            mappings, tuples, strings and numbers.
-    """
-
-    file: str
-    data: Mapping[str, Any]

@@ -178,7 +178,8 @@ def _with_actuator(joint: Joint, spec: AssetSpec) -> Joint:
     target = servo.control / servo.gear if servo.type == "position" else 0.0
     if joint.limits is not None:
         target = min(max(target, joint.limits[0]), joint.limits[1])
-    limit = None if servo.force_range is None else max(map(abs, servo.force_range)) * abs(servo.gear)
+    limits = [max(map(abs, servo.force_range)) * abs(servo.gear)] if servo.force_range is not None else []
+    limit = min([*limits, *([] if joint.effort is None else [joint.effort])], default=None)
     gear = servo.gear**2
     return replace(joint, drive=Drive((servo.kp or 0.0) * gear, servo.kv * gear, target, limit or None, name))
 
@@ -221,7 +222,8 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
     if (motor := spec.drive) is not None:
         target = position if motor.target is None else motor.target
-        drive = Drive(motor.stiffness, motor.damping, target, motor.force_limit)
+        strongest = min((force for force in (motor.force_limit, spec.effort) if force is not None), default=None)
+        drive = Drive(motor.stiffness, motor.damping, target, strongest)
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,
@@ -234,6 +236,8 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
         damping=spec.damping,
         friction=spec.friction,
         armature=spec.armature,
+        effort=spec.effort,
+        velocity=spec.velocity if spec.velocity_deg is None else math.radians(spec.velocity_deg),
         position=position,
         motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),

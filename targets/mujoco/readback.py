@@ -125,6 +125,8 @@ class MujocoSession(rb.Session):
             law=law,
             drive=drive,
             effort=effort,
+            max_effort=rb.numbers(model.jnt_actfrcrange[joint][1:]) if model.jnt_actfrclimited[joint] else (),
+            max_velocity=(),
         )
 
     def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:

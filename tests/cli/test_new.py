@@ -49,7 +49,8 @@ def assert_clean(path: Path) -> None:
     assert not format_file(path).changed
     named = MODELINE.match(path.read_text())
     assert named is not None
-    assert (path.parent / named[1]).is_file()
+    file, _, part = named[1].partition("#")
+    assert (path.parent / file).is_file() and part == "/$defs/Editor"
 
 
 def test_there_is_a_start_for_every_kind() -> None:
@@ -65,7 +66,7 @@ def test_what_is_made_is_clean(kind: str) -> None:
         (path.parent / name).touch()
     assert_clean(path)
     schema = MODELINE.match(path.read_text())
-    assert schema is not None and schema[1].endswith(f"/{kind}.schema.json")
+    assert schema is not None and schema[1].endswith(f"/{kind}.schema.json#/$defs/Editor")
     assert path.read_text().count("#") > 3  # it teaches
 
 
@@ -149,7 +150,8 @@ def test_schemas_are_written_once_and_those_of_the_project_are_used(project: Pat
     (project / "schemas").mkdir()
     (project / "schemas" / "scene.schema.json").write_text(schemas()["scene.schema.json"])
     (project / "deep" / "er").mkdir(parents=True)
-    assert MODELINE.match(made("deep/er/c.scene.yaml").read_text())[1] == "../../schemas/scene.schema.json"  # type: ignore[index]
+    line = MODELINE.match(made("deep/er/c.scene.yaml").read_text())
+    assert line is not None and line[1] == "../../schemas/scene.schema.json#/$defs/Editor"
 
 
 def test_the_next_commands_are_said() -> None:

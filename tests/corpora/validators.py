@@ -1,5 +1,8 @@
 """Every build of ``specs/`` before the validators of others: ``python -m tests.corpora.validators``.
 
+- The schemas before ``ajv`` (strict mode, no other option) and ``check-jsonschema``, and by both each document of
+  ``specs/``. They are found on the path or by ``SIMFOUNDRY_AJV`` and ``SIMFOUNDRY_CHECK_JSONSCHEMA``. The name
+  ``schemas`` alone runs only these.
 - USD's own (``UsdValidation``, all that are registered) on each stage and on each object of OmniGibson.
 - NVIDIA's asset validator on the same files, but with each robot once, all other stages without theirs, and what is the
   same in many builds once. It warns of the robots' own meshes. It is found as ``omni_asset_validate`` on the path or by
@@ -24,6 +27,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from simfoundry.scene.lower import lower_file
+from simfoundry.spec.models.kinds import KINDS, suffix
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import find_target
 from tests.specs.documents import SCENES, SPECS, name_of
@@ -35,7 +39,12 @@ ALONE = "usd_without_robots"
 
 DESK = SPECS / "captures" / "desk" / "desk.scene.yaml"
 OMNI = "SIMFOUNDRY_OMNI"
+AJV, CHECK_JSONSCHEMA = "SIMFOUNDRY_AJV", "SIMFOUNDRY_CHECK_JSONSCHEMA"
+SCHEMAS = "schemas"
 INSTALL = {
+    "ajv": f"npm install ajv-cli, then {AJV}=node_modules/.bin/ajv",
+    "check-jsonschema": "python -m venv check && check/bin/pip install check-jsonschema, "
+    f"then {CHECK_JSONSCHEMA}=check/bin/check-jsonschema",
     "omni_asset_validate": "python -m venv omni && omni/bin/pip install omniverse-asset-validator usd-core, "
     f"then {OMNI}=omni/bin/omni_asset_validate",
     "check_urdf": "apt install liburdfdom-tools",
@@ -48,7 +57,10 @@ Validator = Callable[[Path], list[str]]
 
 
 def main() -> int:
-    """Print the table."""
+    """Print the tables."""
+    schemas = schema_failures()
+    if sys.argv[1:] == [SCHEMAS]:
+        return 1 if schemas else 0
     tools = {"omni_asset_validate": os.environ.get(OMNI) or shutil.which("omni_asset_validate")}
     tools["check_urdf"] = shutil.which("check_urdf")
     for name in (name for name, place in tools.items() if place is None):
@@ -79,7 +91,41 @@ def main() -> int:
                     cells.append(_run(validator, files, Path(build), failures, f"{name_of(path)}: {name}"))
             print(f"{name_of(path):<18}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
     print("\n".join(failures) or "no error")
-    return 1 if failures or None in tools.values() else 0
+    return 1 if schemas or failures or None in tools.values() else 0
+
+
+def schema_failures() -> list[str]:
+    """Print a line for each schema: what its validators say of it and of the documents of its kind; return failures."""
+    ajv = os.environ.get(AJV) or shutil.which("ajv")
+    checker = os.environ.get(CHECK_JSONSCHEMA) or shutil.which("check-jsonschema")
+    missing = [name for name, tool in {"ajv": ajv, "check-jsonschema": checker}.items() if tool is None]
+    for name in missing:
+        print(f"{name} is not here: {INSTALL[name]}")
+    failures = [f"{name} is not here" for name in missing]
+    for kind in KINDS:
+        schema = SPECS.parent / SCHEMAS / f"{kind.partition('/')[0]}.schema.json"
+        name = "capture.yaml" if kind == "capture/1" else f"*{suffix(kind)}"
+        documents = [str(path) for path in sorted(SPECS.rglob(name))]
+        commands = []
+        if ajv is not None:
+            strict = ["--spec=draft2020", "--strict=true", "-s", str(schema)]
+            commands.append([ajv, "compile", *strict])
+            given = [word for path in documents for word in ("-d", path)]
+            commands += [[ajv, "validate", *strict, *given]] if documents else []
+        if checker is not None:
+            commands.append([checker, "--check-metaschema", str(schema)])
+            commands += [[checker, "--schemafile", str(schema), *documents]] if documents else []
+        found = [said for command in commands for said in _refusal(command)]
+        print(f"{schema.name:<22}{len(documents):>4} documents: {'; '.join(found) or 'no error'}", flush=True)
+        failures += found
+    return failures
+
+
+def _refusal(command: Sequence[str]) -> list[str]:
+    """What a validator says if it refuses anything or warns, in its last words."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = done.stderr.strip() or (done.stdout.strip() if done.returncode else "")
+    return [f"{Path(command[0]).name}: {said[-300:]}"] if done.returncode or said else []
 
 
 def _unseen(files: Sequence[Path], robots: bool, known: bool, seen: set[tuple[str, ...] | bytes]) -> list[Path]:

@@ -40,7 +40,7 @@ class Editor:
         """Open a text under a name of its own; the line and column of its cursor."""
         kind = re.search(r"simfoundry: (\w+)/1", text)
         name = kind[1] if kind else "scene"
-        text = f"# yaml-language-server: $schema=schemas/{name}.schema.json\n{text}"
+        text = f"# yaml-language-server: $schema=schemas/{name}.schema.json#/$defs/Editor\n{text}"
         before, cursor, after = text.partition("|")
         path = self.folder / f"t{next(_count)}.{name}.yaml"
         self.server.open(path, before + after)
@@ -295,9 +295,10 @@ def test_no_spec_of_the_project_has_a_diagnostic(server: Server) -> None:
             kind = re.search(r"^simfoundry: (\w+)/", text, re.MULTILINE)
             assert kind is not None
             schema = os.path.relpath(REPOSITORY / "schemas" / f"{kind[1]}.schema.json", path.parent)
-            text = f"# yaml-language-server: $schema={schema}\n{text}"
+            text = f"# yaml-language-server: $schema={schema}#/$defs/Editor\n{text}"
         else:
-            assert (path.parent / named[1]).is_file(), path
+            file, _, part = named[1].partition("#")
+            assert (path.parent / file).is_file() and part == "/$defs/Editor", path
         server.open(path, text)
     found = {str(path): [problem["message"] for problem in server.diagnostics(path)] for path in SPECS}
     assert {path: problems for path, problems in found.items() if problems} == {}

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
 from simfoundry.scene.state import pose_spec, with_poses
-from simfoundry.spec.models.base import BoxShape, PoseSpec
+from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import BoxShape
 
 ANGLE = st.floats(-math.pi, math.pi)
 LENGTH = st.floats(-2, 2)

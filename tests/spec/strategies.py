@@ -8,25 +8,20 @@ from typing import Any
 from hypothesis import strategies as st
 
 from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec, LinkSpec, MimicSpec, PartSpec
-from simfoundry.spec.models.base import (
-    FARTHEST,
+from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, Origin, PoseSpec
+from simfoundry.spec.models.capture import MAX_FOCAL
+from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import (
     BoxShape,
-    CameraPose,
     CapsuleShape,
     CylinderShape,
-    Estimate,
     Lathe,
     LatheShape,
-    Material,
-    Origin,
-    PoseSpec,
     Prism,
     PrismShape,
     Round,
     SphereShape,
 )
-from simfoundry.spec.models.capture import MAX_FOCAL
-from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
     ["true", "null", "on", "no", "y", "e1"]
@@ -205,6 +200,7 @@ JOINT: dict[str, st.SearchStrategy[Any]] = {
 }
 ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
     **JOINT,
+    "effort": maybe(POSITIVE),
     "mimic": maybe(st.builds(MimicSpec, joint=NAMES, multiplier=NUMBERS, offset=NUMBERS)),
     "drive": maybe(
         st.builds(
@@ -219,8 +215,8 @@ ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
 JOINTS = st.one_of(
     st.builds(JointSpec, type=st.sampled_from(["fixed", "ball"]), **JOINT),
     st.builds(JointSpec, type=st.just("free"), parent=NAMES, child=NAMES, pose=POSES),
-    st.builds(JointSpec, type=st.just("continuous"), **ONE_AXIS),
-    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, closed=CLOSED, **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("continuous"), velocity_deg=maybe(POSITIVE), **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, closed=CLOSED, velocity=maybe(POSITIVE), **ONE_AXIS),
     st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, closed=CLOSED, **ONE_AXIS),
 )
 ASSETS = st.builds(

@@ -34,7 +34,7 @@ from simfoundry.backends.artifact import Artifact, Backend, exact, exacts, numbe
 from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
-from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object
+from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.native import NativeWriter
@@ -141,6 +141,7 @@ def compile_mjcf(
     losses += [
         *scene_contacts.contact_losses(geoms, contacts == EXACT),
         *stiffness_losses(scene, timestep, implicit_damping=True),
+        *joint_losses(scene),
         *_common_losses(scene),
     ]
     return Artifact("mjcf", "scene.xml", files, tuple(losses))

@@ -335,6 +335,8 @@ def _joint_attributes(item: SceneObject, joint: Joint, X_BJ: Pose) -> dict[str, 
         out["axis"] = exacts(X_BJ.rotation @ joint.axis)
     if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
         out["range"] = exacts(joint.limits)
+    if joint.effort is not None:
+        out["actuatorfrcrange"] = exacts([-joint.effort, joint.effort])
     values = [("damping", joint.damping), ("frictionloss", joint.friction), ("armature", joint.armature)]
     if native.get("drive") == "spring" and joint.drive is not None:
         values += [("stiffness", joint.drive.stiffness), ("springref", joint.drive.target)]

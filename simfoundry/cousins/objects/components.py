@@ -18,7 +18,7 @@ from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.cousins.recipe.candidate import free_name
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, LatheShape, SphereShape
+from simfoundry.spec.models.shapes import BoxShape, LatheShape, SphereShape
 
 # Identifier of a part: the name of its link and the name of the part.
 Key = tuple[str, str]

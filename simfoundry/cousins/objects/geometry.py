@@ -17,7 +17,7 @@ from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, 
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
-from simfoundry.spec.models.base import LatheShape, SphereShape
+from simfoundry.spec.models.shapes import LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6

@@ -10,12 +10,12 @@ import numpy as np
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import PartSpec
-from simfoundry.spec.models.base import (
+from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
     LatheShape,
-    PoseSpec,
     PrismShape,
     Round,
     Shape,

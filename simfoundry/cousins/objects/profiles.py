@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.geometry.frames import Array
-from simfoundry.spec.models.base import LatheShape
+from simfoundry.spec.models.shapes import LatheShape
 
 Rng = np.random.Generator
 

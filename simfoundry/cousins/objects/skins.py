@@ -17,7 +17,7 @@ from simfoundry.cousins.objects.profiles import FLAT, LOW, Profile, Rng, arc_len
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, SphereShape
+from simfoundry.spec.models.shapes import BoxShape, LatheShape, PrismShape, SphereShape
 
 # Width and height of a texture [px]. The resolution around a mug is then 1.3 mm, and PNG files have 20 to 60 kB.
 PIXELS = 192

@@ -16,7 +16,8 @@ from simfoundry.cousins.objects.parts import UP, aimed, at, bounds, capsule, cyl
 from simfoundry.cousins.objects.profiles import Profile, Rng, raised_foot
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, PoseSpec, SphereShape
+from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.models.shapes import BoxShape, SphereShape
 
 FORWARD = np.array([1.0, 0.0, 0.0])
 

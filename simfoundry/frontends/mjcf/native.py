@@ -119,8 +119,9 @@ class NativeReader:
         """Return the attributes of a joint with one axis or a ball joint."""
         model = self.model
         native = self.differing(_JOINT, joint) | self.differing(_DOF, int(model.jnt_dofadr[joint]))
-        if model.jnt_actfrclimited[joint]:
-            native["actuatorfrcrange"] = plain(model.jnt_actfrcrange[joint])
+        low, high = model.jnt_actfrcrange[joint].tolist()
+        if model.jnt_actfrclimited[joint] and low != -high:
+            native["actuatorfrcrange"] = (low, high)
         is_ball = model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_BALL
         if is_ball and is_limited:
             native["range"] = plain(model.jnt_range[joint])

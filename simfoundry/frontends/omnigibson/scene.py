@@ -20,7 +20,7 @@ from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.shapes import primitive
 from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
+from simfoundry.spec.models.shapes import BoxShape, CapsuleShape, CylinderShape, SphereShape
 
 # Size [m] of the box whose top represents the ground plane; it is larger than a robot's reach.
 TABLE = (4.0, 4.0, 0.04)

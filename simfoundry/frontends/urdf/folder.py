@@ -13,7 +13,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_json
 from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
-from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.shapes import CapsuleShape, CylinderShape, Round, SphereShape
 
 # Start of notes to omit because they apply to every compiled file.
 #

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.spec.diagnostics import SpecError, nearest
+from simfoundry.spec.editor.strict import EDITOR
 from simfoundry.spec.load import kind_of
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS, model_of
@@ -71,17 +72,27 @@ def schema_line(path: Path, document: Document, root: Path | None = None) -> str
     """
     named = next((m[1] for m in map(_MODELINE.match, _top_comments(document.text)) if m), None)
     folder = path.resolve().parent
-    if named is not None and ("://" in named or (folder / named).is_file()):
+    if named is not None and ("://" in named or (folder / named.partition("#")[0]).is_file()):
         return None
     kind = str(document.data[KIND]).partition("/")[0]
     root = project_root(path) if root is None else root
     for above in (folder, *folder.parents):
         for schemas in (above / "schemas", above / ".simfoundry" / "schemas"):
             if (schemas / f"{kind}.schema.json").is_file():
-                return Path(os.path.relpath(schemas / f"{kind}.schema.json", folder)).as_posix()
+                return schema_reference(schemas / f"{kind}.schema.json", folder)
         if above == root:
             break
     return None
+
+
+def schema_reference(schema: Path, folder: Path) -> str:
+    """Return the reference from a document in ``folder`` to the part of a schema file that is written for editors.
+
+    Schema files of other versions or origin, which do not have this part, are referred to as a whole.
+    """
+    relative = Path(os.path.relpath(schema, folder)).as_posix()
+    has_part = f'"{EDITOR}": {{'.encode() in schema.read_bytes()
+    return f"{relative}#/$defs/{EDITOR}" if has_part else relative
 
 
 def _top_comments(text: str) -> list[str]:

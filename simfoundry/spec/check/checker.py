@@ -12,18 +12,8 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, Loaded, reachable
-from simfoundry.spec.models.base import (
-    WORLD,
-    BodySpec,
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
-    Material,
-    Shape,
-    SphereShape,
-    quantity_value,
-)
+from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
+from simfoundry.spec.models.shapes import BoxShape, CapsuleShape, CylinderShape, LatheShape, Shape, SphereShape
 from simfoundry.spec.yaml.text import Document
 
 if TYPE_CHECKING:

@@ -50,6 +50,8 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     for name, camera in spec.cameras.items():
         if camera.mount is not None:
             _mount(c, names, camera.mount, ("cameras", name, "mount"))
+        if isinstance(camera.pose.look_at, str):
+            _target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
     if spec.viewpoint is not None:
         c.name(spec.viewpoint, [*c.names("cameras"), *names.robots], ("viewpoint",), "camera or robot")
     if spec.background is not None:
@@ -166,6 +168,22 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     known = robot.known() if robot is not None and link else None
     if known is not None:
         c.name(link, known.links, path, f"link of `{carrier}`")
+
+
+def _target(c: Checker, names: SceneNames, target: str, mount: str | None, path: Path_) -> None:
+    """Check the name of the object, link or robot that a camera looks at."""
+    owner, _, part = target.partition(".")
+    if mount is not None and mount.partition(".")[0] in names.robots:
+        message = "a camera on a robot cannot look at a name, because the robot moves it"
+        c.add("SF107", path, message, "give a point in the frame of the robot's link, or `quat_wxyz`")
+    elif not c.name(owner, [*names.objects, *names.robots], path, "object or robot"):
+        return
+    elif owner not in names.robots:
+        names.check_part(c, target, path)
+        if mount is not None and mount == target:
+            c.add("SF107", path, "a camera cannot look at the object that it is mounted on", "give a point")
+    elif part:
+        c.add("SF107", path, f"a camera can look at the base of a robot, but not at its link `{part}`", "give a point")
 
 
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:

@@ -14,7 +14,8 @@ from pydantic import ValidationError
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, nearest
-from simfoundry.spec.models.base import PATTERNS, SHAPE_KEYS, WIRE_KEY, Model
+from simfoundry.spec.models.base import PATTERNS, WIRE_KEY, Model
+from simfoundry.spec.models.shapes import SHAPE_KEYS
 from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
 from simfoundry.spec.yaml.text import Document, Path_, read

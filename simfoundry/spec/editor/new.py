@@ -13,11 +13,12 @@ from string import Template
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.format import format_text, schema_line
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.editor.strict import EDITOR
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.models.base import SphereShape
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import SphereShape
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.text import parse
@@ -94,7 +95,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
 
         folder = project.root / ".simfoundry" / "schemas"
         schemas = {folder / file: content for file, content in texts().items()}
-        line = _relative(folder / f"{kind}.schema.json", path)
+        line = f"{_relative(folder / f'{kind}.schema.json', path)}#/$defs/{EDITOR}"
     return New(path, format_text(text, str(path), line), schemas, markers(project))
 
 

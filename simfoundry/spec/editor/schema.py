@@ -16,6 +16,7 @@ from typing import Any
 
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.snippets import Body, predicates, robots, sentence
+from simfoundry.spec.editor.strict import EDITOR, strict_schema
 from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
@@ -48,33 +49,17 @@ def _predicate_pattern() -> str:
 LISTED = "Listed"
 
 
-# Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them.
-FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
-
-# Keywords whose value is a mapping with arbitrary keys, which may coincide with keywords.
-_BY_NAME = ("$defs", "patternProperties", "properties")
-
-
-def schemas(standard: bool = False) -> dict[str, str]:
+def schemas() -> dict[str, str]:
     """Return the name and content of every file in ``schemas/``.
 
-    If ``standard`` is set, editor-specific keywords are omitted.
+    The schema itself uses only standard keywords, so that strict validators accept it. The part `EDITOR` is the
+    equivalent schema for editors, with snippets and messages. Validators do not read it, because nothing refers to it.
     """
-    return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
-
-
-def without_editor_words(part: Any) -> Any:
-    """Return an equivalent schema that uses only standard keywords."""
-    if isinstance(part, list):
-        return [without_editor_words(item) for item in part]
-    if not isinstance(part, dict):
-        return part
-    named = {key: {name: without_editor_words(v) for name, v in part[key].items()} for key in _BY_NAME if key in part}
-    return {key: named.get(key) or without_editor_words(v) for key, v in part.items() if key not in FOR_EDITORS}
+    return {f"{kind.split('/')[0]}.schema.json": _text(kind) for kind in KINDS}
 
 
 def schema(kind: str) -> Schema:
-    """Return the JSON Schema for a document kind, such as ``scene/1``.
+    """Return the JSON Schema for editors for a document kind, such as ``scene/1``.
 
     A document that extends another document is validated against a relaxed copy of the schema, which has no required
     keys and in which null removes a value.
@@ -309,8 +294,13 @@ def _flow(body: Body) -> str:
 
 
 @cache
-def _text(kind: str, standard: bool) -> str:
-    whole = without_editor_words(schema(kind)) if standard else schema(kind)
+def _text(kind: str) -> str:
+    parts = "#/$defs/"
+    for_editors = schema(kind)
+    whole = strict_schema(for_editors)
+    nested = json.dumps({key: value for key, value in for_editors.items() if not key.startswith(("$schema", "$id"))})
+    nested = nested.replace(f'"$ref": "{parts}', f'"$ref": "{parts}{EDITOR}/$defs/')
+    whole["$defs"][EDITOR] = json.loads(nested)
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 

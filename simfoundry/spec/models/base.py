@@ -3,6 +3,7 @@
 # This module and the other model modules do not postpone annotations: pydantic would compile each string at start-up.
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, LiteralString, NamedTuple
@@ -10,13 +11,16 @@ from typing import Annotated, Any, Literal, LiteralString, NamedTuple
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
+    GetJsonSchemaHandler,
     StringConstraints,
     Tag,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import PydanticCustomError
 
 NAME = r"^[a-z][a-z0-9_]*$"
@@ -25,6 +29,8 @@ CODE = "^[A-Z]{2,8}[0-9]{3}$"
 JOINT_NAME = "^[A-Za-z_][A-Za-z0-9_./-]*$"
 WIRE_KEY = "^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
 VARIABLE = "^[A-Z_][A-Z0-9_]*$"
+# Hexadecimal sRGB color, as in CSS: red, green, blue and optionally opacity, with two digits each.
+HEX_COLOR = "^#([0-9A-Fa-f]{6}|[0-9A-Fa-f]{8})$"
 
 
 class PatternText(NamedTuple):
@@ -48,6 +54,11 @@ PATTERNS = {
     WIRE_KEY: PatternText("key", "key", "a key that the policy expects, such as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
         "VARIABLE", "environment variable", "the name of an environment variable (uppercase), not the key itself"
+    ),
+    HEX_COLOR: PatternText(
+        "#c8a070",
+        "hexadecimal color",
+        "a hexadecimal color has 6 or 8 digits, such as `#c8a070`, and must be in quotes",
     ),
 }
 
@@ -75,11 +86,6 @@ ImageSize = tuple[Pixels, Pixels]
 
 # Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers.
 WORLD = "world"
-Color = Annotated[
-    Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
-    | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
-    Discriminator(lambda v: "rgba" if isinstance(v, tuple | list) and len(v) == 4 else "rgb"),
-]
 
 
 @dataclass(frozen=True)
@@ -161,6 +167,37 @@ def _unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
 Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 
 
+def _color_values(color: Any) -> Any:
+    """Convert a hexadecimal color such as ``#c8a070`` to numbers, rounded to the six decimals of documents."""
+    if not isinstance(color, str):
+        return color
+    if not re.fullmatch(HEX_COLOR, color):
+        raise fault("sf106", f'`{color[:40]}` is not a color; write 6 or 8 hexadecimal digits, such as `"#c8a070"`')
+    return tuple(round(int(color[k : k + 2], 16) / 255, 6) for k in range(1, len(color), 2))
+
+
+class _HexColorSchema:
+    """A schema that also accepts hexadecimal colors, which the model itself stores as numbers."""
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        options = handler(core)
+        hexadecimal = {"type": "string", "pattern": HEX_COLOR}
+        numbers: list[Any] = options.get("oneOf", [options])
+        return {"anyOf": [*numbers, hexadecimal]}
+
+
+Color = Annotated[
+    Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
+    | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
+    Discriminator(lambda v: "rgba" if isinstance(v, tuple | list) and len(v) == 4 else "rgb"),
+    BeforeValidator(_color_values),
+    _HexColorSchema(),
+]
+
+# Description of a color; `{}` is replaced with what the color defaults to.
+COLOR = 'sRGB color: red, green, blue and optionally opacity, each 0 to 1, or hexadecimal in quotes: `"#c8a070"`{}.'
+
+
 class PoseSpec(Model):
     """The pose of a frame in its parent frame. At most one of the three rotation keys may be set."""
 
@@ -176,11 +213,23 @@ class PoseSpec(Model):
         exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
 
 
+# Point [m] that a camera looks at, or the name of an object, link or robot.
+Target = Annotated[
+    Annotated[Point3, Tag("point")] | Annotated[PartName, Tag("name")],
+    Discriminator(lambda v: "name" if isinstance(v, str) else "point"),
+]
+
+
 class CameraPose(Model):
-    """The pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
+    """The pose of a camera: a position, and either a target or a rotation (x right, y down, z forward)."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center [m].")
-    look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
+    look_at: Target | None = Field(
+        None,
+        description="Target on the optical axis; the image is kept upright. A point [m] in the same frame as `xyz`, "
+        "or a name: an object (`mug`) or its link (`cabinet.door`), of which the center of the bounding box in the "
+        "initial state is used, or a robot, of which the base is used.",
+    )
     quat_wxyz: Quaternion | None = Field(
         None, description="Rotation of the camera axes (x right, y down, z forward), w first."
     )
@@ -188,7 +237,7 @@ class CameraPose(Model):
     @consistent
     def _one_rotation(self) -> None:
         exclusive(self, "look_at", "quat_wxyz", needed=True)
-        if self.look_at is not None and math.dist(self.look_at, self.xyz) < 1e-6:
+        if isinstance(self.look_at, tuple) and math.dist(self.look_at, self.xyz) < 1e-6:
             raise fault("sf104", "a camera cannot look at its own position", "look_at")
 
 
@@ -214,90 +263,6 @@ Quantity = Annotated[
 def quantity_value(quantity: float | Estimate | None) -> float | None:
     """Return a quantity as a plain number."""
     return quantity.value if isinstance(quantity, Estimate) else quantity
-
-
-class Round(Model):
-    """The radius and height of a cylinder or capsule along z."""
-
-    radius: Length = Field(description="Radius [m].")
-    height: Length = Field(
-        description="Height [m]; for a capsule, the height of the cylindrical part without the caps."
-    )
-
-
-class Prism(Model):
-    """An outline extruded along z, such as a tabletop, tray or tile."""
-
-    outline: tuple[Point2, ...] = Field(
-        min_length=3, max_length=512, description="Corners in xy [m], in order; the last corner connects to the first."
-    )
-    height: Length = Field(description="Full height [m].")
-
-
-class Lathe(Model):
-    """A solid of revolution about z, such as a bowl, cup, bottle or plate."""
-
-    profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
-        min_length=3,
-        max_length=256,
-        description="Corners as (radius, height) pairs [m], in order; they start on the axis, trace the cross-section "
-        "and end on the axis.",
-    )
-
-
-class BoxShape(Model):
-    """A box centered on its frame."""
-
-    box: Size3 = Field(description="Full extents along x, y, z [m].")
-
-
-class SphereShape(Model):
-    """A sphere centered on its frame."""
-
-    sphere: Length = Field(description="Radius [m].")
-
-
-class CylinderShape(Model):
-    """A cylinder along z, centered on its frame."""
-
-    cylinder: Round
-
-
-class CapsuleShape(Model):
-    """A capsule along z, centered on its frame."""
-
-    capsule: Round
-
-
-class PrismShape(Model):
-    """An extrusion along z whose frame is at half its height."""
-
-    prism: Prism
-
-
-class LatheShape(Model):
-    """A solid of revolution about z. Its frame is at height zero of the profile."""
-
-    lathe: Lathe
-
-
-SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "prism", "lathe")
-
-
-def _shape_tag(value: Any) -> str:
-    keys = value.keys() if isinstance(value, dict) else type(value).model_fields if isinstance(value, Model) else ()
-    return next((k for k in SHAPE_KEYS if k in keys), "box")
-
-
-Shape = Annotated[
-    Annotated[BoxShape, Tag("box")]
-    | Annotated[SphereShape, Tag("sphere")]
-    | Annotated[CylinderShape, Tag("cylinder")]
-    | Annotated[CapsuleShape, Tag("capsule")]
-    | Annotated[PrismShape, Tag("prism")]
-    | Annotated[LatheShape, Tag("lathe")],
-    Discriminator(_shape_tag),
-]
 
 
 class CousinOf(Model):
@@ -341,7 +306,7 @@ class Material(Model):
     restitution: Fraction = Field(
         0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
     )
-    color: Color | None = Field(None, description="sRGB color: red, green, blue and optionally opacity, each 0 to 1.")
+    color: Color | None = Field(None, description=COLOR.format(""))
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]
@@ -356,7 +321,7 @@ class BodySpec(Model):
     density: Quantity | None = Field(None, description="Density [kg/m^3] of the solid volume.")
     friction: NonNegative | None = Field(None, description="Coulomb friction coefficient; default: the material's.")
     restitution: Fraction | None = Field(None, description="Restitution; default: the material's.")
-    color: Color | None = Field(None, description="sRGB color, 0 to 1; default: the material's, or the mesh's own.")
+    color: Color | None = Field(None, description=COLOR.format("; default: the material's, or the mesh's own"))
     collision: Collision = Field(
         "auto",
         description="Collision shapes of a mesh: `hull` uses one convex hull, `decompose` uses convex parts, and "

@@ -8,6 +8,7 @@ from pydantic import Discriminator, Field, Tag
 
 from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
+    COLOR,
     FARTHEST,
     BodySpec,
     CameraPose,
@@ -27,7 +28,6 @@ from simfoundry.spec.models.base import (
     Point3,
     PoseSpec,
     Positive,
-    Shape,
     Vec3,
     consistent,
     exclusive,
@@ -36,6 +36,7 @@ from simfoundry.spec.models.base import (
 from simfoundry.spec.models.capture import FocalLength, ImagePoint
 from simfoundry.spec.models.native import ObjectNative, SceneNative
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.shapes import Shape
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -178,12 +179,20 @@ class ObjectSpec(GeometrySpec):
             raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
 
+# Widest and narrowest field of view [deg]; at 179 degrees, the focal length is 1 % of half the image height.
+FieldOfView = Annotated[float, Field(ge=0.01, le=179, allow_inf_nan=False)]
+
+
 class CameraSpec(Model):
     """A pinhole camera."""
 
     size: ImageSize = Field(description="Width and height of the image [px].")
-    fx: FocalLength = Field(description="Focal length in x [px].")
-    fy: FocalLength = Field(description="Focal length in y [px].")
+    fov_deg: FieldOfView | None = Field(
+        None,
+        description="Vertical field of view [deg], as `fovy` in MuJoCo; the pixels are square. Replaces `fx` and `fy`.",
+    )
+    fx: FocalLength | None = Field(None, description="Focal length in x [px].")
+    fy: FocalLength | None = Field(None, description="Focal length in y [px].")
     cx: ImagePoint | None = Field(None, description="Principal point in x [px]; default: (width - 1) / 2, the center.")
     cy: ImagePoint | None = Field(None, description="Principal point in y [px]; default: (height - 1) / 2, the center.")
     pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
@@ -191,6 +200,20 @@ class CameraSpec(Model):
         None,
         description="Frame that the camera is attached to: a robot link (`arm.hand`), an object, or an object's link.",
     )
+
+    @consistent
+    def _one_lens(self) -> None:
+        exclusive(self, "fov_deg", "fx", needed=True)
+        exclusive(self, "fov_deg", "fy", needed=True)
+
+    @property
+    def focal_lengths(self) -> tuple[float, float]:
+        """The focal lengths in x and y [px]."""
+        if self.fx is not None and self.fy is not None:
+            return self.fx, self.fy
+        assert self.fov_deg is not None
+        focal = self.size[1] / 2 / math.tan(math.radians(self.fov_deg) / 2)
+        return focal, focal
 
 
 class LightSpec(Model):
@@ -200,7 +223,7 @@ class LightSpec(Model):
     intensity: NonNegative = Field(
         1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
     )
-    color: Color = Field((1.0, 1.0, 1.0), description="sRGB color, 0 to 1.")
+    color: Color = Field((1.0, 1.0, 1.0), description=COLOR.format(""))
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
 

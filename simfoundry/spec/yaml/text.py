@@ -160,15 +160,54 @@ def parse(text: str, file: str = "<text>") -> Document:
         while type(event := next_event()) is not yaml.StreamEndEvent:
             EVENTS[type(event)](composer, event)
     except yaml.YAMLError as error:
-        raise _syntax_error(error, text) from None
+        raise _unquoted_color(_before(error, text), None) or _syntax_error(error, text) from None
     root = composer.roots[0] if composer.roots else Node(None, 1, 1)
+    if (unquoted := _unquoted_color(text, root)) is not None:
+        raise unquoted
     return Document(file, text, root.value, root, tuple(composer.duplicates))
+
+
+# Color key followed by a hexadecimal color without quotes, which YAML reads as a comment.
+_UNQUOTED_COLOR = re.compile(
+    r"""^(?:[^#"'\n]|"[^"\n]*"|'[^'\n]*')*?\bcolor *: +(#(?:[0-9A-Fa-f]{8}|[0-9A-Fa-f]{6}))\b""", re.MULTILINE
+)
+
+
+def _unquoted_color(text: str, root: Node | None) -> YamlError | None:
+    """Return the error for a hexadecimal color without quotes, or None if there is none.
+
+    If the text could be parsed, ``root`` is its content, in which the key of the color must have no value.
+    """
+    for found in _UNQUOTED_COLOR.finditer(text) if "color: #" in text or "color:  #" in text else ():
+        line, column = _position(text[: found.start(1)])
+        if root is None or _has_null_at(root, line):
+            message = f"`{found[1]}` is a comment, because YAML comments start with `#`"
+            return YamlError("SF002", message, line, column, f'put the color in quotes: `color: "{found[1]}"`')
+    return None
+
+
+def _has_null_at(root: Node, line: int) -> bool:
+    todo = [root]
+    while todo:
+        node = todo.pop()
+        if isinstance(node.children, dict):
+            child = node.children.get("color")
+            if child is not None and child.value is None and node.keys["color"][0] == line:
+                return True
+        todo += node.members
+    return False
 
 
 @cache
 def _known_problems() -> tuple[dict[str, str], ...]:
     known: tuple[dict[str, str], ...] = read(Path(__file__).with_name("syntax.yaml")).data
     return known
+
+
+def _before(error: yaml.YAMLError, text: str) -> str:
+    """Return the lines of a text up to the one with a syntax error."""
+    mark = getattr(error, "problem_mark", None)
+    return text if mark is None else "\n".join(text.splitlines()[: mark.line + 1])
 
 
 def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:

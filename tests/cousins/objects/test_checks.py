@@ -18,8 +18,9 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, PoseSpec, Round, SphereShape
+from simfoundry.spec.models.base import Material, PoseSpec
 from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.shapes import BoxShape, CylinderShape, LatheShape, Round, SphereShape
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
 from tests.cousins.objects.test_rules import ASSETS, item

@@ -34,8 +34,9 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import Scene
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.load import load
-from simfoundry.spec.models.base import Estimate, LatheShape
+from simfoundry.spec.models.base import Estimate
 from simfoundry.spec.models.cousins import Change
+from simfoundry.spec.models.shapes import LatheShape
 from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.change.format import format_file, format_text
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.editor.schema import schemas
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.yaml.nodes import YamlError
@@ -298,7 +299,19 @@ def test_the_schema_is_named_where_it_is_found(tmp_path: Path, place: str, line:
     assert not format_file(path).changed
 
 
-@pytest.mark.parametrize("target", ["https://x.org/y.json", "own.json"])
+def test_the_part_for_editors_is_named_where_the_schema_has_it(tmp_path: Path) -> None:
+    (tmp_path / ".git").mkdir()
+    (tmp_path / "schemas").mkdir()
+    (tmp_path / "schemas" / "scene.schema.json").write_text(schemas()["scene.schema.json"])
+    path = tmp_path / "a.scene.yaml"
+    path.write_text(SCENE)
+    expected = f"# yaml-language-server: $schema=schemas/scene.schema.json#/$defs/Editor\n{SCENE}"
+    assert format_file(path).after == expected
+    path.write_text(expected)
+    assert not format_file(path).changed
+
+
+@pytest.mark.parametrize("target", ["https://x.org/y.json", "own.json", "own.json#/$defs/Editor"])
 def test_a_line_that_names_something_stays(tmp_path: Path, target: str) -> None:
     (tmp_path / ".git").mkdir()
     (tmp_path / "schemas").mkdir()

@@ -7,8 +7,8 @@ import pytest
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.spec.check.checker import HEAVIEST, LIGHTEST, implausible, volume
-from simfoundry.spec.models.base import (
-    BodySpec,
+from simfoundry.spec.models.base import BodySpec
+from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
     CylinderShape,

@@ -13,7 +13,8 @@ import pytest
 import yaml
 from hypothesis import given
 
-from simfoundry.spec.editor.schema import FOR_EDITORS, schema, schemas
+from simfoundry.spec.editor.schema import schema, schemas
+from simfoundry.spec.editor.strict import FOR_EDITORS, strict_schema
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse
@@ -69,7 +70,10 @@ def test_no_schema_is_left_over() -> None:
 def errors(kind: str, data: Any) -> list[str]:
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema checks what editors check")
     found = [e.message for e in jsonschema.Draft202012Validator(_schema(kind)).iter_errors(data)]
-    assert [e.message for e in jsonschema.Draft202012Validator(_standard(kind)).iter_errors(data)] == found
+    strict = jsonschema.Draft202012Validator(_file(kind))
+    editor = jsonschema.Draft202012Validator({"$ref": "#/$defs/Editor", "$defs": _file(kind)["$defs"]})
+    assert strict.is_valid(data) == (not found)
+    assert [e.message for e in editor.iter_errors(data)] == found
     return found
 
 
@@ -133,8 +137,8 @@ def _schema(kind: str) -> Any:
 
 
 @functools.cache
-def _standard(kind: str) -> Any:
-    return json.loads(schemas(standard=True)[f"{kind.partition('/')[0]}.schema.json"])
+def _file(kind: str) -> Any:
+    return json.loads(schemas()[f"{kind.partition('/')[0]}.schema.json"])
 
 
 KEYWORDS = {
@@ -166,16 +170,48 @@ def _keywords(part: Any) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("name", schemas())
-def test_standard_schemas_hold_keywords_of_the_standard_only(name: str) -> None:
+def test_schemas_hold_keywords_of_the_standard_only_but_for_the_part_of_editors(name: str) -> None:
     """Validators that are strict, as ajv is by default, refuse a schema with any other."""
-    assert set(_keywords(json.loads(schemas(standard=True)[name]))) <= KEYWORDS
-    assert set(_keywords(json.loads(schemas()[name]))) - KEYWORDS <= set(FOR_EDITORS)
+    whole = json.loads(schemas()[name])
+    editor = whole["$defs"].pop("Editor")
+    assert set(_keywords(whole)) <= KEYWORDS
+    assert "#/$defs/Editor" not in json.dumps(whole), "what nothing refers to, validators do not read"
+    assert set(_keywords(editor)) - KEYWORDS <= set(FOR_EDITORS)
+    references = {part["$ref"] for part in _mappings(editor) if "$ref" in part}
+    assert references and all(reference.startswith("#/$defs/Editor/$defs/") for reference in references)
 
 
-def test_schemas_of_either_kind_are_written(tmp_path: Path) -> None:
-    assert run("schema", "--standard", "-o", str(tmp_path)).code == 0
-    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == schemas(standard=True)
-    assert run("schema", "scene", "--standard").out == schemas(standard=True)["scene.schema.json"]
+@pytest.mark.parametrize("name", schemas())
+def test_a_part_has_one_type(name: str) -> None:
+    """As strict validators want it; a keyword that one of several types has must not be lost on the way."""
+    whole = json.loads(schemas()[name])
+    del whole["$defs"]["Editor"]
+    assert not [part for part in _mappings(whole) if isinstance(part.get("type"), list)]
+
+
+def _mappings(part: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(part, dict):
+        yield part
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from _mappings(inner)
+
+
+def test_a_part_of_several_types_is_divided_and_keeps_the_rest() -> None:
+    union = {"type": ["number", "object"], "minimum": 0, "properties": {"pattern": {"type": "string"}}, "title": "mass"}
+    number, mapping = (
+        {"type": "number", "minimum": 0},
+        {"type": "object", "properties": {"pattern": {"type": "string"}}},
+    )
+    assert strict_schema(union) == {"title": "mass", "anyOf": [number, mapping]}
+    both = strict_schema(union | {"anyOf": [{"enum": [1, {}]}]})
+    assert both == {"title": "mass", "anyOf": [{"enum": [1, {}]}], "allOf": [{"anyOf": [number, mapping]}]}
+    named = {"properties": {"defaultSnippets": {"type": "string", "defaultSnippets": [1]}}}
+    assert strict_schema(named) == {"properties": {"defaultSnippets": {"type": "string"}}}
+
+
+def test_schemas_are_written(tmp_path: Path) -> None:
+    assert run("schema", "-o", str(tmp_path)).code == 0
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == schemas()
     assert run("schema", "scene").out == schemas()["scene.schema.json"]
 
 

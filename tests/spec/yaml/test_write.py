@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import BoxShape, Model, PoseSpec
+from simfoundry.spec.models.base import Model, PoseSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import BoxShape
 from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import number, to_data, to_yaml
 from tests.spec.strategies import ASSETS, SCENES, TEXTS

@@ -33,7 +33,14 @@ def edited_camera(part: StageMember) -> Edited:
     if has_moved(part):
         data["pose"] = camera_pose(part.X_WP @ X_CU.inverse(), data.get("pose", {}))
     if any(differs(built[name], now.get(name)) for name in names if name in built):
-        data |= {k: v for k, v in lens(now, built).items() if differs(v, lens(built, built)[k])}
+        edited = lens(now, built)
+        data |= {k: v for k, v in edited.items() if differs(v, lens(built, built)[k])}
+        if "fov_deg" in data and any(key in data and data[key] != part.spec.get(key) for key in ("size", "fx", "fy")):
+            data |= {key: edited[key] for key in ("fx", "fy")}
+            del data["fov_deg"]
+            if not differs(data["fx"], data["fy"]):
+                focal = data.pop("fx"), data.pop("fy")
+                data["fov_deg"] = round(math.degrees(2 * math.atan(edited["size"][1] / 2 / focal[1])), 4)
     return Edited(data, tuple(rest(part, {("", name) for name in names})))
 
 
@@ -54,11 +61,11 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, using `look_at` if the image is upright.
 
-    The target point is at the same distance as in ``before``, or at a distance of one meter if there was no target.
+    The target point is at the same distance as in ``before``, or at a distance of one meter if there was no point.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
-    far = math.dist(old["look_at"], old.get("xyz", (0.0, 0.0, 0.0))) if "look_at" in old else 1.0
+    far = math.dist(old["look_at"], old.get("xyz", (0.0, 0.0, 0.0))) if isinstance(old.get("look_at"), tuple) else 1.0
     target = X_WC.apply(np.array([0.0, 0.0, far]))
     upright = look_at(X_WC.p, target)
     if upright.angle_to(X_WC) < UPRIGHT_RAD and "quat_wxyz" not in old:

@@ -109,7 +109,11 @@ class Describing:
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
             return ()
         elif not same(old.get("pose"), new.get("pose")):
-            verbs.add_motion(old.get("pose") or {}, new.get("pose") or {})
+            before, after = (side.get("pose") or {} for side in (old, new))
+            verbs.add_motion(before, after)
+            targets = [pose.get("look_at") for pose in (before, after)]
+            if not same(*targets) and any(isinstance(target, str) for target in targets):
+                verbs.append(_looking(*targets))
             if self.verbose and not verbs.moved:
                 facts.append("same pose, written differently")
         return ("pose", "place")
@@ -296,3 +300,9 @@ def _label(path: Path_) -> str:
         if path[start + k] in SECTIONS:
             parts[k] = parts[k].removesuffix("s")
     return " ".join(parts)
+
+
+def _looking(old: Any, new: Any) -> str:
+    """Describe a change of a camera's target, which is a name, a point, or None."""
+    shown = [f"at {values.value('', target)}" if target is not None else "by its rotation" for target in (old, new)]
+    return f"looks {shown[1]} (was {shown[0]})"

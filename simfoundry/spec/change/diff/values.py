@@ -199,6 +199,9 @@ class PoseChange:
 
 def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
     """Return the motion between two poses, which are given as document data."""
+    if any(isinstance(pose.get("look_at"), str) for pose in (old, new)):
+        # The rotation depends on the position of another object.
+        return PoseChange(_minus(_xyz(new), _xyz(old)), 0.0, (0.0, 0.0, 1.0))
     return PoseChange(_minus(_xyz(new), _xyz(old)), *_turn(_rotation(old), _rotation(new)))
 
 
@@ -223,7 +226,7 @@ def _rotation(pose: Mapping[str, Any]) -> Quaternion:
         w, x, y, z = pose["quat_wxyz"]
         return w, x, y, z
     angles = pose.get("rpy_deg") or (0.0, 0.0, pose.get("yaw_deg") or 0.0)
-    if pose.get("look_at") is not None:
+    if isinstance(pose.get("look_at"), tuple | list):
         angles = _view_angles(_minus(pose["look_at"], _xyz(pose)))
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(math.radians(v) / 2), math.sin(math.radians(v) / 2)) for v in angles)
     return (
