@@ -361,7 +361,7 @@ class Scene:
     no_contact: tuple[tuple[str, str], ...] = ()
     source: Source | None = None
     viewer: Pose | None = None
-    options: Options = Options()
+    options: Options = field(default_factory=Options)
     native: Mapping[str, Any] | None = None
 
     @cached_property

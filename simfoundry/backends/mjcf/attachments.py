@@ -21,6 +21,7 @@ _SENSORS = {
     "angular_velocity": "frameangvel",
 }
 
+
 def exact_pose(pose: Pose) -> dict[str, str]:
     """Return a pose as exact ``pos`` and ``quat`` (wxyz) attributes, omitting identity values."""
     p, q = exacts(pose.p), exacts(pose.q)

@@ -137,9 +137,7 @@ class NativeWriter:
         own = {key: native[key] for key in ("gravcomp", "mocap", "user") if key in native}
         return ET.SubElement(parent, "body", {"name": name} | exact_pose(X_PB) | attribute_texts(own))
 
-    def _fill(
-        self, body: ET.Element, tree: Tree, link: Link, X_BL: Pose, is_world: bool = False
-    ) -> Iterator[float]:
+    def _fill(self, body: ET.Element, tree: Tree, link: Link, X_BL: Pose, is_world: bool = False) -> Iterator[float]:
         """Add the content of a link to its body, followed by the bodies below it."""
         item = tree.owner
         native = item.native.links.get(link.name, {})
@@ -312,7 +310,7 @@ def _inertial(link: Link, X_BL: Pose, native: Mapping[str, Any] | None) -> dict[
 
 
 def _surface(collider: Collider, native: Mapping[str, Any]) -> dict[str, str]:
-    """Return the friction of a geom, whose sliding friction is that of the collider unless its contacts do not slide."""
+    """Return the friction of a geom. Its sliding friction is the collider's, unless its contacts do not slide."""
     spinning, rolling = collider.torsional_friction, collider.rolling_friction
     friction = [collider.friction, spinning or _RESISTANCE[0], rolling or _RESISTANCE[1]]
     if "friction" in native:

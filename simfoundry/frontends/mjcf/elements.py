@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.draft import CameraDraft, LightDraft
-from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.frontends.mjcf.native import NativeReader
 from simfoundry.geometry.frames import Pose
@@ -27,7 +26,7 @@ MAX_PAIRS = 2_000_000
 MAX_EXCLUDED = 500
 
 
-def add_elements(source: MjcfSource, roots: list[Element], native: NativeReader | None) -> None:
+def add_elements(source: MjcfSource, native: NativeReader | None) -> None:
     """Add all elements other than bodies to the draft, and record the unsupported ones.
 
     ``native`` keeps what documents cannot express, unless the file was compiled by SimFoundry.

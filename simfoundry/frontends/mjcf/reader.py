@@ -18,7 +18,8 @@ from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
-from simfoundry.frontends.mjcf.native import NativeReader, plain
+from simfoundry.frontends.mjcf.native import NativeReader
+from simfoundry.frontends.mjcf.native_state import plain
 from simfoundry.frontends.names import free_name
 from simfoundry.geometry.frames import IDENTITY, Pose
 
@@ -186,7 +187,7 @@ class _MjcfReader:
                 self.chain(draft, body, parent, X_LB, self.joints_of(body))
         if not self.draft.bodies:
             raise ImportRefusedError(self.path, "the model has no bodies and no geoms")
-        add_elements(self.source, self.roots, self.native)
+        add_elements(self.source, self.native)
         if self.own is not None:
             poses = {self.names["body"][b]: self.body_pose(b) for b in range(1, model.nbody)}
             restore(self.draft, self.own, poses, self.free_joints)
@@ -195,7 +196,7 @@ class _MjcfReader:
             return self.draft
         given = {link: self.measured(link) for body in self.draft.bodies for link in body.links.values()}
         repair_masses(self.draft, str(self.path))
-        for body, (owner, name, X_BL) in self.source.owners.items():
+        for body, (owner, name, _) in self.source.owners.items():
             link = owner.links[name]
             if given[link] != self.measured(link) and "massless" not in link.native:
                 link.native["inertial"] = self.inertial(body)

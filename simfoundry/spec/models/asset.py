@@ -272,7 +272,9 @@ class SensorSpec(Model):
     @consistent
     def _attached(self) -> None:
         exclusive(self, "site", "joint", "link", needed=True)
-        places = ("joint",) if self.type in SENSED_JOINT else ("site", "link") if self.type in SENSED_FRAME else ("site",)
+        places = (
+            ("joint",) if self.type in SENSED_JOINT else ("site", "link") if self.type in SENSED_FRAME else ("site",)
+        )
         if all(getattr(self, place) is None for place in places):
             listed = " or ".join(f"`{place}`" for place in places)
             raise fault("sf107", f"a sensor of type `{self.type}` needs {listed}")

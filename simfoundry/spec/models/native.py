@@ -39,8 +39,8 @@ class NativeData(Model):
 
     mjcf: Attributes = Field(
         {},
-        description="Attributes of MJCF by name. The reference of MuJoCo describes them; attributes for files, plug-ins "
-        "and default classes are not allowed.",
+        description="Attributes of MJCF by name, which MuJoCo's reference describes, except for those of files, plug-"
+        "ins and default classes.",
     )
 
     @consistent
@@ -128,11 +128,11 @@ def _check_element(element: Any, section: str, names: dict[str, Any]) -> None:
     path = attributes.get("path")
     if path is not None and tag in names["paths"]:
         for step in path if isinstance(path, list | tuple) else [None]:
-            inner = next(iter(step)) if isinstance(step, dict) and len(step) == 1 else None
-            if inner not in names["paths"][tag] or not isinstance(step[inner], dict):
+            inner, values = next(iter(step.items())) if isinstance(step, dict) and len(step) == 1 else ("", None)
+            if inner not in names["paths"][tag] or not isinstance(values, dict):
                 listed = ", ".join(f"`{n}`" for n in names["paths"][tag])
                 raise fault("sf107", f"each step of the `path` of `{tag}` must be one of {listed}", "mjcf")
-            check_attributes(step[inner], names["paths"][tag][inner], names, inner)
+            check_attributes(values, names["paths"][tag][inner], names, inner)
         attributes = {key: value for key, value in attributes.items() if key != "path"}
     check_attributes(attributes, allowed, names, tag)
 
