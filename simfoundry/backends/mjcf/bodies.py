@@ -167,16 +167,20 @@ class Assets:
         self._element = element
         self._counts: dict[str, int] = {}
         self._names: dict[object, str] = {}
+        self._files: dict[str, str] = {}
         self._taken: set[str] = set()
 
-    def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
-        """Return the name of the asset for ``mesh``. A new asset is named after ``wish``."""
-        key = (mesh.digest, collides)
+    def mesh(self, mesh: Mesh, wish: str, collides: bool, inertia: str = "") -> str:
+        """Return the name of the asset for ``mesh``. A new asset is named after ``wish``.
+
+        MuJoCo moves a mesh to its inertial frame, which it computes by the ``inertia`` mode or by a suitable default.
+        """
+        key = (mesh.digest, collides, inertia)
         if key not in self._names:
             name = self._names[key] = self._new_name(wish, numbered=collides)
-            file = self._names.get((mesh.digest, not collides), name)
+            file = self._files.setdefault(mesh.digest, name)
             # Visual meshes may be open or flat, which MuJoCo accepts only as shells. The computed mass is not used.
-            inertia = "convex" if collides else "shell"
+            inertia = inertia or ("convex" if collides else "shell")
             ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]

@@ -211,7 +211,7 @@ class NativeWriter:
             out |= {"contype": "0", "conaffinity": "0"}
         else:
             out |= _surface(collider, native)
-        return out | attribute_texts(native, "type", "size", "friction")
+        return out | attribute_texts(native, "type", "size", "friction", "mesh_inertia")
 
     def _shape(
         self, part: Visual | Collider, native: Mapping[str, Any], name: str, X_BL: Pose, collides: bool
@@ -234,7 +234,8 @@ class NativeWriter:
                 shape = {"type": "capsule", "size": exacts([radius, height / 2])}
             case Mesh():
                 convex = collides and isinstance(part, Collider)
-                shape = {"type": "mesh", "mesh": self.assets.mesh(geometry, name, convex)}
+                mesh = self.assets.mesh(geometry, name, convex, str(native.get("mesh_inertia", "")))
+                shape = {"type": "mesh", "mesh": mesh}
         return shape | exact_pose(X_BG)
 
     # -- what refers to bodies -----------------------------------------------------------------------------------------

@@ -60,6 +60,10 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         if (kind := kinds(model.geom_type[geom])) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_ELLIPSOID):
             native["type"] = "plane" if kind == kinds.mjGEOM_PLANE else "ellipsoid"
             native["size"] = tuple(model.geom_size[geom].tolist())
+        if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
+            native["mesh_inertia"] = self.mesh_inertia.get(
+                self.source.name("mesh", int(model.geom_dataid[geom])), "legacy"
+            )
         part.native = native
         owner = self.source.owners.get(int(model.geom_bodyid[geom]))
         if owner is not None:  # the world has no owner

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simfoundry.frontends.document_data import Data
 from simfoundry.frontends.draft import CompiledName
+from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.frontends.names import NameTable
 
@@ -26,13 +28,22 @@ def plain(value: Any) -> Any:
     return tuple(array.reshape(-1).tolist())
 
 
+def mesh_inertia_modes(roots: list[Element]) -> dict[str, str]:
+    """Return how MuJoCo computes the inertial frame of each mesh whose file specifies it, by the name of the mesh."""
+    meshes = [element for root in roots for element in root.walk() if element.tag == "mesh"]
+    usual = next((m.get("inertia") for m in meshes if m.get("inertia") and not (m.get("file") or m.get("name"))), "")
+    named = {m.get("name") or Path(m.get("file") or "").stem: m.get("inertia") or usual for m in meshes}
+    return {name: mode for name, mode in named.items() if name and mode}
+
+
 class NativeState:
     """What has been read of a model: the native data, and how it refers to elements."""
 
-    def __init__(self, source: MjcfSource) -> None:
+    def __init__(self, source: MjcfSource, roots: list[Element]) -> None:
         self.source, self.mujoco, self.model = source, source.mujoco, source.model
         self.usual = source.mujoco.MjModel.from_xml_string(_DEFAULTS)
         self.data: Data = {}
+        self.mesh_inertia = mesh_inertia_modes(roots)
         self.excluded: list[tuple[int, int]] = []  # pairs of bodies that documents cannot exclude
         self.places: dict[tuple[str, int], Any] = {}  # how native data refers to elements, by kind and number
         self.names = {kind: NameTable(kind) for kind in ("site", "tendon", "actuator", "sensor", "camera")}

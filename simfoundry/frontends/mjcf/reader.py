@@ -154,7 +154,7 @@ class _MjcfReader:
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
-        self.native = NativeReader(self.source) if self.own is None else None
+        self.native = NativeReader(self.source, roots) if self.own is None else None
         self.free_joints: dict[str, str] = {}  # names of free joints, by body name
         self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
