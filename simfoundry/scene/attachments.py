@@ -55,7 +55,7 @@ class Sensor:
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectNative:
+class NativeAttributes:
     """The MJCF attributes of an object's elements, by name; those of parts by link and part."""
 
     links: Mapping[str, Attributes] = field(default_factory=dict)

@@ -20,7 +20,7 @@ import numpy as np
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
-from simfoundry.scene.attachments import Actuator, ObjectNative, Options, Sensor, Site
+from simfoundry.scene.attachments import Actuator, NativeAttributes, Options, Sensor, Site
 from simfoundry.scene.source import Source as Source
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class SceneObject:
     sites: tuple[Site, ...] = ()
     actuators: tuple[Actuator, ...] = ()
     sensors: tuple[Sensor, ...] = ()
-    native: ObjectNative = field(default_factory=ObjectNative)
+    native: NativeAttributes = field(default_factory=NativeAttributes)
 
     @property
     def semantics(self) -> tuple[str, ...]:

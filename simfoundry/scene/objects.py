@@ -15,7 +15,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.scene.attachments import Actuator, ObjectNative, Sensor, Site
+from simfoundry.scene.attachments import Actuator, NativeAttributes, Sensor, Site
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
 from simfoundry.scene.state import pose
@@ -196,7 +196,7 @@ def attachments(spec: AssetSpec) -> dict[str, Any]:
     for name, s in spec.sensors.items():
         place = next(p for p in ("site", "joint", "link") if getattr(s, p) is not None)
         sensors.append(Sensor(name, s.type, place, getattr(s, place), s.noise, s.cutoff, _mjcf(s)))
-    native = ObjectNative(
+    native = NativeAttributes(
         {n: _mjcf(k) for n, k in spec.links.items() if _mjcf(k)},
         {n: _mjcf(j) for n, j in spec.joints.items() if _mjcf(j)},
         {(n, m): _mjcf(p) for n, k in spec.links.items() for m, p in k.parts.items() if _mjcf(p)},
@@ -204,12 +204,12 @@ def attachments(spec: AssetSpec) -> dict[str, Any]:
     return {"sites": tuple(sites), "actuators": tuple(actuators), "sensors": tuple(sensors), "native": native}
 
 
-def inline_native(item: scene.ObjectSpec) -> ObjectNative:
+def inline_native(item: scene.ObjectSpec) -> NativeAttributes:
     """Return the native data of an object with an inline shape, whose body and part share their attributes."""
     given = dict(_mjcf(item))
     merge = given.pop("merge", False)
     links = {"base": {"merge": merge}} if merge else {}
-    return ObjectNative(links, {}, {("base", "shape"): given} if given else {})
+    return NativeAttributes(links, {}, {("base", "shape"): given} if given else {})
 
 
 def _mjcf(spec: Any) -> Mapping[str, Any]:

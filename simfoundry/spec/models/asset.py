@@ -232,8 +232,12 @@ class ActuatorSpec(Model):
     kp: Positive | None = Field(None, description="Position gain of a `position` actuator [N/m, or N m/rad].")
     kv: NonNegative = Field(0.0, description="Velocity gain [N s/m, or N m s/rad].")
     control: Number = Field(0.0, description="Initial control [N, m or m/s, or N m, rad or rad/s].")
-    control_range: Interval | None = Field(None, description="Minimum and maximum control; default: unlimited.")
-    force_range: Interval | None = Field(None, description="Minimum and maximum force; default: unlimited.")
+    control_range: Interval | None = Field(
+        None, description="Minimum and maximum control [N, m or m/s, or N m, rad or rad/s]; default: unlimited."
+    )
+        None, description="Minimum and maximum control [N, m or m/s, or N m, rad or rad/s]; default: unlimited."
+    )
+    force_range: Interval | None = Field(None, description="Minimum and maximum force [N, or N m]; default: unlimited.")
     native: ActuatorNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent
