@@ -112,7 +112,7 @@ def exact(value: float) -> str:
     A number that is within this noise of a short decimal, such as most numbers that people write, becomes that decimal.
     """
     tolerance = NOISE * max(1.0, abs(value))
-    for digits in (6, 12, 15):
+    for digits in (6, 12):
         text = f"{value:.{digits}g}"
         if abs(float(text) - value) <= tolerance:
             return "0" if float(text) == 0 or abs(value) <= NOISE else text

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Mesh
 
 Attributes = Mapping[str, Any]
 
@@ -56,11 +57,15 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class NativeAttributes:
-    """The MJCF attributes of an object's elements, by name; those of parts by link and part."""
+    """The MJCF attributes of an object's elements, by name; those of parts by link and part.
+
+    ``meshes`` contains the whole meshes of parts that collide but are not shown, of which the scene has only hulls.
+    """
 
     links: Mapping[str, Attributes] = field(default_factory=dict)
     joints: Mapping[str, Attributes] = field(default_factory=dict)
     parts: Mapping[tuple[str, str], Attributes] = field(default_factory=dict)
+    meshes: dict[tuple[str, str], Mesh] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.links or self.joints or self.parts)

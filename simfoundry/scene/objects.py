@@ -15,6 +15,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.attachments import Actuator, NativeAttributes, Sensor, Site
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
@@ -97,9 +98,9 @@ class ObjectLowering:
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
-            links, joints = self.articulated(asset, asset.spec, item, name)
-            no_contact = asset.spec.no_contact
             attached = attachments(asset.spec)
+            links, joints = self.articulated(asset, asset.spec, item, name, attached["native"].meshes)
+            no_contact = asset.spec.no_contact
         else:
             links = self._rigid(item, place, name)
         if len(self.findings) > before:
@@ -123,9 +124,13 @@ class ObjectLowering:
         return self._built(builder, None, self.loaded, place, item.fixed, before, owner)
 
     def articulated(
-        self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str
-    ) -> tuple[list[Link], tuple[Joint, ...]]:
-        """Return an asset's links in topological order, and its joints at the positions set by the object."""
+        self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str,
+        hidden: dict[tuple[str, str], Mesh] | None = None,
+    ) -> tuple[list[Link], tuple[Joint, ...]]:  # fmt: skip
+        """Return an asset's links in topological order, and its joints at the positions set by the object.
+
+        The whole meshes of parts with native data that are not shown are added to ``hidden``.
+        """
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -137,6 +142,8 @@ class ObjectLowering:
                         builder.add_shape(part_name, part.shape, pose(part.pose), part)
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
+            if hidden is not None:
+                hidden |= {(name, part_name): mesh for part_name, mesh in builder.hidden.items()}
             links += self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
         return links, lower_joints(spec, item.joints)
 

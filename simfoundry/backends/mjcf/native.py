@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from simfoundry.backends.artifact import exact, exacts
@@ -186,6 +186,9 @@ class NativeWriter:
                 collider = colliders.pop(f"{visual.name}_0", None)  # MuJoCo uses the hull of the visual mesh
             yield self._geom(item, link, visual, collider, X_BL)
         for collider in colliders.values():
+            whole = item.native.meshes.get((link.name, collider.name))
+            if whole is not None and isinstance(collider.geometry, Mesh):
+                collider = replace(collider, geometry=whole)
             yield self._geom(item, link, None, collider, X_BL)
 
     def _geom(

@@ -235,8 +235,6 @@ class ActuatorSpec(Model):
     control_range: Interval | None = Field(
         None, description="Minimum and maximum control [N, m or m/s, or N m, rad or rad/s]; default: unlimited."
     )
-        None, description="Minimum and maximum control [N, m or m/s, or N m, rad or rad/s]; default: unlimited."
-    )
     force_range: Interval | None = Field(None, description="Minimum and maximum force [N, or N m]; default: unlimited.")
     native: ActuatorNative | None = Field(None, description="Data that only one format knows.")
 
