@@ -50,7 +50,7 @@ class NativeWriter:
         qpos = [value for item in self.scene.objects for value in self._object(item)]
         self._elements("worldbody", self.world)
         self._exclusions()
-        for section in ("contact", "tendon", "custom"):
+        for section in ("asset", "contact", "tendon", "custom"):
             self._elements(section)
         self._mimics()
         self._elements("equality")
@@ -214,17 +214,20 @@ class NativeWriter:
             out |= {"contype": "0", "conaffinity": "0"}
         else:
             out |= _surface(collider, native)
-        return out | attribute_texts(native, "type", "size", "friction", "mesh_inertia")
+        return out | attribute_texts(native, "type", "size", "friction", "mesh_inertia", "hfield", "top")
 
     def _shape(
         self, part: Visual | Collider, native: Mapping[str, Any], name: str, X_BL: Pose, collides: bool
     ) -> dict[str, str]:
         """Return the type, size and pose of a geom. A native plane is at the top of its box."""
         X_BG, geometry = X_BL @ part.X_LG, part.geometry
-        if native.get("type") == "plane" and isinstance(geometry, Box):
+        if native.get("type") == "plane" and "size" in native and isinstance(geometry, Box):
             top = Pose.of([0.0, 0.0, geometry.size[2] / 2])
             return {"type": "plane", "size": attribute_text(native["size"])} | exact_pose(X_BG @ top)
-        if "type" in native:
+        if native.get("type") == "hfield" and isinstance(geometry, Box):
+            origin = Pose.of([0.0, 0.0, geometry.size[2] / 2 - float(native.get("top", 0.0))])
+            return {"type": "hfield", "hfield": str(native.get("hfield"))} | exact_pose(X_BG @ origin)
+        if "type" in native and "size" in native:
             return {"type": str(native["type"]), "size": attribute_text(native["size"])} | exact_pose(X_BG)
         match geometry:
             case Box(size=size):

@@ -54,6 +54,13 @@ HIDDEN_GROUP = 3
 UNSET = (0.5, 0.5, 0.5, 1.0)
 
 
+def height_field_extents(model: Any, field: int) -> tuple[float, float, float, float]:
+    """Return the width, the depth, the height of the highest point and the depth of the base of a height field [m]."""
+    x, y, height, base = model.hfield_size[field].tolist()
+    start, count = int(model.hfield_adr[field]), int(model.hfield_nrow[field] * model.hfield_ncol[field])
+    return 2 * x, 2 * y, height * float(model.hfield_data[start : start + count].max(initial=0.0)), base
+
+
 class MjcfGeoms:
     """A converter from geoms to parts. Meshes shared by several geoms are written only once."""
 
@@ -87,6 +94,9 @@ class MjcfGeoms:
                 X_BG = X_BG @ X_GB
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
                 geometry, X_BG = self.mesh(geom, X_BG)
+            case types.mjGEOM_HFIELD if not self.source.is_own:
+                geometry, X_GB = self.height_field(geom, name)
+                X_BG = X_BG @ X_GB
             case _:
                 why = f"the scene language does not support the geom type {kind_name}"
                 self.draft.dropped(f"geom `{name or geom}`", why)
@@ -185,6 +195,13 @@ class MjcfGeoms:
         shape = (height, width) if channels == 1 else (height, width, channels)
         Image.fromarray(pixels.reshape(shape)).convert("RGB").save(stream, format="PNG")
         return stream.getvalue()
+
+    def height_field(self, geom: int, name: str) -> tuple[PrimitiveShape, Pose]:
+        """Return a box that represents a height field up to its highest point, and its pose in the geom."""
+        width, depth, top, bottom = height_field_extents(self.model, int(self.model.geom_dataid[geom]))
+        why = "the height field is represented by a box up to its highest point; only MJCF keeps its heights"
+        self.draft.changed(f"height field `{name or geom}`", why)
+        return primitive("box", width, depth, top + bottom), Pose.of([0.0, 0.0, (top - bottom) / 2])
 
     def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
         """Return a mesh that approximates an ellipsoid with three radii [m]."""

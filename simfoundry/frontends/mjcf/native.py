@@ -15,7 +15,7 @@ from simfoundry.frontends.draft import CompiledName, LinkDraft, PartDraft
 from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.actuators import ActuatorReader
 from simfoundry.frontends.mjcf.constraints import ConstraintReader
-from simfoundry.frontends.mjcf.geoms import HIDDEN_GROUP
+from simfoundry.frontends.mjcf.geoms import HIDDEN_GROUP, height_field_extents
 from simfoundry.frontends.mjcf.native_state import plain
 from simfoundry.frontends.mjcf.sensors import SensorReader
 from simfoundry.geometry.frames import Pose
@@ -60,6 +60,9 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         if (kind := kinds(model.geom_type[geom])) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_ELLIPSOID):
             native["type"] = "plane" if kind == kinds.mjGEOM_PLANE else "ellipsoid"
             native["size"] = tuple(model.geom_size[geom].tolist())
+        if kind == kinds.mjGEOM_HFIELD:
+            native |= {"type": "hfield", "hfield": self._height_field(int(model.geom_dataid[geom]))}
+            native["top"] = height_field_extents(model, int(model.geom_dataid[geom]))[2]
         if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
             native["mesh_inertia"] = self.mesh_inertia.get(
                 self.source.name("mesh", int(model.geom_dataid[geom])), "legacy"
@@ -68,6 +71,18 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         owner = self.source.owners.get(int(model.geom_bodyid[geom]))
         if owner is not None:  # the world has no owner
             self.places["geom", geom] = CompiledName("geom", owner[0].name, part)
+
+    def _height_field(self, field: int) -> str:
+        """Keep the heights of a height field, and return its name."""
+        model, name = self.model, self.source.name("hfield", field) or f"hfield_{field}"
+        start, shape = int(model.hfield_adr[field]), (int(model.hfield_nrow[field]), int(model.hfield_ncol[field]))
+        heights = model.hfield_data[start : start + shape[0] * shape[1]]
+        if not any(element["hfield"]["name"] == name for element in self.data.get("asset", ())):
+            # MuJoCo's files list the rows from the last to the first; a flat field needs no list.
+            rows = tuple(heights.reshape(shape)[::-1].ravel().tolist()) if heights.any() else None
+            size = tuple(model.hfield_size[field].tolist())
+            self.add("asset", "hfield", name=name, nrow=shape[0], ncol=shape[1], size=size, elevation=rows)
+        return name
 
     def joint(self, joint: int, is_limited: bool) -> Data:
         """Return the attributes of a joint with one axis or a ball joint."""
