@@ -56,8 +56,7 @@ def _add_mimics(source: MjcfSource) -> None:
         zero_one, zero_two = (float(model.jnt(joint).qpos0[0]) for joint in (one, two))
         mimic = Mimic(leader.name, ratio, zero_one + constant - ratio * zero_two)
         low, high = follower.limits or (-math.inf, math.inf)
-        position = mimic.position(leader.position)
-        if source.is_own or (math.isclose(position, follower.position, abs_tol=1e-9) and low <= position <= high):
+        if source.is_own or low <= mimic.position(leader.position) <= high:
             follower.mimic = mimic
             source.mimics.add(k)
 

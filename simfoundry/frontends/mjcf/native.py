@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from simfoundry.backends.artifact import NOISE
 from simfoundry.frontends.document_data import Data
-from simfoundry.frontends.draft import CompiledName, LinkDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, CompiledName, JointDraft, LinkDraft, PartDraft
 from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.actuators import ActuatorReader
 from simfoundry.frontends.mjcf.constraints import ConstraintReader
@@ -191,8 +192,9 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         """Keep what the document does not say of the first keyframe, and all other keyframes."""
         model = self.model
         positions = {j: float(self.source.data.qpos[model.jnt_qposadr[j]]) for j in self.source.joints}
-        if any(positions[j] != d.position for j, (_, d) in self.source.joints.items() if d.type != "ball"):
-            self.data["initial"] = {"qpos": tuple(self.source.data.qpos.tolist())}  # a joint begins beyond its limits
+        joints = {j: (owner, d) for j, (owner, d) in self.source.joints.items() if d.type != "ball"}
+        if any(not _is_written(owner, d, positions[j]) for j, (owner, d) in joints.items()):
+            self.data["initial"] = {"qpos": tuple(self.source.data.qpos.tolist())}
         for k in range(model.nkey):
             names = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")
             state = {name: getattr(model, f"key_{name}")[k] for name in names}
@@ -208,6 +210,14 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
 
     def _time(self, k: int) -> Data:
         return {"time": float(self.model.key_time[k])} if self.model.key_time[k] else {}
+
+
+def _is_written(owner: BodyDraft, joint: JointDraft, position: float) -> bool:
+    """Return False if a document places the joint elsewhere, at its limit or where it follows its leader."""
+    if joint.mimic is None:
+        return joint.position == position
+    leader = next(j for j in owner.joints if j.name == joint.mimic.joint)
+    return leader.mimic is None and abs(joint.mimic.position(leader.position) - position) < NOISE
 
 
 def _numbers(text: str) -> Any:
