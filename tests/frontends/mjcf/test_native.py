@@ -1,4 +1,4 @@
-"""MJCF in and out: counts, names, motion and settings come back; what people edit takes effect; other formats say so."""
+"""MJCF in and out: counts, motion and settings come back; edits take effect; other formats say what they lose."""
 
 from __future__ import annotations
 
@@ -93,7 +93,8 @@ def test_counts_and_motion_come_back(imported: tuple[Path, Scene], tmp_path: Pat
 
 def test_what_the_language_has_is_in_its_words(imported: tuple[Path, Scene]) -> None:
     torso = imported[1].object("torso")
-    assert [(a.name, a.type, a.joint) for a in torso.actuators] == [("hop", "motor", "knee"), ("wag", "position", "tail")]
+    actuators = [(a.name, a.type, a.joint) for a in torso.actuators]
+    assert actuators == [("hop", "motor", "knee"), ("wag", "position", "tail")]
     assert [s.type for s in torso.sensors] == ["gyro", "joint_position"]
     assert [(s.name, s.link) for s in torso.sites] == [("imu", "torso"), ("sole", "mark")]
     tail = next(j for j in torso.joints if j.name == "tail")

@@ -228,7 +228,7 @@ PURE = {
     *("open", "closed", "threshold", "retries", "index", "multiplier", "gear"),
     *("noise", "cutoff", "solver_iterations"),
 }
-"""Keys of numbers without a unit (the ends of a range are in the unit of the range, and noise in that of the quantity)."""
+"""Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor)."""
 
 
 def _numbers(kind: str, body: Any) -> bool:
