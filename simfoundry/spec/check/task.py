@@ -36,7 +36,7 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
         c.warn("SF433", ("horizon",), message, hint)
     if names is None:
         return
-    if not names.robots:
+    if not names.robots and spec.origin is None:  # generated tasks inherit this from a scene that a person wrote
         message = f"`{spec.scene}` has no robot, so no policy can be evaluated on this task"
         c.warn("SF442", ("scene",), message, "add one under `robots` in the scene")
     for k, robot in enumerate(spec.robots or ()):
