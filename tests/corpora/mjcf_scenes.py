@@ -7,8 +7,8 @@ within their ranges, and constant for 0.1 s; controls without a range are within
 position and rotation every 10 ms.
 
 Contacts can amplify rounding errors. Therefore, the table also lists how far the original moves away from itself if
-its first state is changed by 1e-15 to 1e-10; this does not change the bar. Scenes that MuJoCo resets because they become
-unstable amplify even more. Exit code 1 if fewer than nine of ten files pass.
+its first state is changed by 1e-15 to 1e-10; this does not change the bar. Scenes that MuJoCo resets because they
+become unstable amplify even more. Exit code 1 if fewer than nine of ten files pass.
 """
 
 from __future__ import annotations
