@@ -120,7 +120,7 @@ def test_other_formats_say_what_they_lose(imported: tuple[Path, Scene]) -> None:
     for target in ("urdf", "usd", "pybullet"):
         losses = {loss.feature: loss for loss in compile_scene(imported[1], target).losses}
         assert {"sites", "sensors", "actuators", "native"} <= losses.keys()
-        assert "1 spatial" in losses["native"].reason and losses["native"].path == "native.mjcf"
+        assert "2 tendons" in losses["native"].reason and losses["native"].path == "native.mjcf"
     assert not any(loss.feature == "native" for loss in compile_scene(imported[1], "mjcf").losses)
 
 
