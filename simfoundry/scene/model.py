@@ -148,7 +148,8 @@ ClosedEnd = Literal["lower", "upper"]
 class Joint:
     """A joint between two links of one object.
 
-    A free joint does not constrain its child, which is a separate body whose pose is relative to the parent.
+    A free joint does not constrain its child, which is a separate body whose pose is relative to the parent. Several
+    joints with the same child have one axis each and act in order; the identity is the ``X_PC`` of all but the first.
 
     Attributes:
         X_PC: The pose of the child link frame in the parent link frame at position zero.
@@ -233,9 +234,12 @@ class SceneObject:
         return self.links[0]
 
     @cached_property
-    def joint_above(self) -> dict[str, Joint]:
-        """The joint between each link and its parent, keyed by link name. The root link has no entry."""
-        return {joint.child: joint for joint in self.joints}
+    def joints_above(self) -> dict[str, tuple[Joint, ...]]:
+        """The joints between each link and its parent, in order from the parent on. The root link has no entry."""
+        found: dict[str, tuple[Joint, ...]] = {}
+        for joint in self.joints:
+            found[joint.child] = (*found.get(joint.child, ()), joint)
+        return found
 
     def qualified(self, link_or_joint: str) -> str:
         """Return the qualified name of a link or joint: ``object.name``, or only ``object`` for the root link."""

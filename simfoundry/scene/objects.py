@@ -157,8 +157,15 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, scene.Written]) -> tuple[Joint, ...]:
-    """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders."""
-    return tuple(_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
+    """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders.
+
+    Each axis of a joint with several axes is a joint of its own, of which only the first has a pose.
+    """
+    joints = [
+        _joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.single_joints.items()
+    ]
+    first = {joint.child: joint for joint in reversed(joints)}
+    return tuple(joint if first[joint.child] is joint else replace(joint, X_PC=IDENTITY) for joint in joints)
 
 
 def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scene.Written]) -> Joint:

@@ -36,11 +36,11 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
     c.densities(spec.materials)
     _tree(c, spec)
-    _mimics(c, spec)
-    for name, joint in spec.joints.items():
+    places = _places(c, spec)
+    _mimics(c, spec, places)
+    for name, joint in spec.single_joints.items():
         if joint.drive is not None and joint.drive.target is not None:
-            place = ("joints", name, "drive", "target")
-            _within(c, f"the target of `{name}`", joint, joint.drive.target, place)
+            _within(c, f"the target of `{name}`", joint, joint.drive.target, (*places[name], "drive", "target"))
     check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 
 
@@ -79,14 +79,30 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
             return
 
 
-def _mimics(c: Checker, spec: AssetSpec) -> None:
+def _places(c: Checker, spec: AssetSpec) -> dict[str, Path_]:
+    """Return the path of each joint and of each axis, and check that no two of them have the same name."""
+    places: dict[str, Path_] = {name: ("joints", name) for name in spec.joints}
+    for name, joint in spec.joints.items():
+        for axis in joint.axes:
+            path = ("joints", name, "axes", axis)
+            if axis in places:
+                other = "another axis" if len(places[axis]) > 2 else "a joint"
+                message = f"`{axis}` is also the name of {other}, so that its position would be ambiguous"
+                c.add("SF206", path, message, "give each axis a name of its own")
+            places[axis] = path
+    return places
+
+
+def _mimics(c: Checker, spec: AssetSpec, places: Mapping[str, Path_]) -> None:
     """Check that each mimic joint follows a joint with one axis, and that there are no cycles."""
-    leaders = {name: joint.mimic.joint for name, joint in spec.joints.items() if joint.mimic is not None}
+    joints = spec.single_joints
+    leaders = {name: joint.mimic.joint for name, joint in joints.items() if joint.mimic is not None}
+    known = {*joints, *(name for name in c.names("joints") if name not in spec.joints)}
     for name, leader in leaders.items():
-        path = ("joints", name, "mimic", "joint")
-        if not c.name(leader, c.names("joints"), path, "joint"):
+        path = (*places[name], "mimic", "joint")
+        if not c.name(leader, known, path, "joint"):
             continue
-        kind = spec.joints[leader].type if leader in spec.joints else ""
+        kind = joints[leader].type if leader in joints else ""
         if kind in ("fixed", "ball", "free"):
             c.add("SF211", path, f"`{leader}` is a {kind} joint, which has no single position to follow")
         elif name == leader:
@@ -112,8 +128,8 @@ def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], pat
     If ``resting`` is set, missing positions are checked as 0.
     """
     for name in given:
-        c.name(name, asset.joints, (*path, name), "joint")
-    for name, joint in asset.joints.items():
+        c.name(name, asset.single_joints, (*path, name), "joint")
+    for name, joint in asset.single_joints.items():
         if name not in given and not resting:
             continue
         place = (*path, name)

@@ -265,7 +265,7 @@ class SceneNames:
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
-            one, two = (asset.joints[part].child if part in asset.joints else part for part in (one, two))
+            one, two = (asset.single_joints[part].child if part in asset.single_joints else part for part in (one, two))
         return owner == other and (not one or not two or one == two)
 
     def check_condition(self, c: Checker, condition: Any, path: Path_) -> None:
@@ -279,7 +279,7 @@ class SceneNames:
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)
             if asset is not None:
-                c.name(part, [*asset.links, *asset.joints], path, f"link or joint of `{name}`")
+                c.name(part, [*asset.links, *asset.single_joints], path, f"link or joint of `{name}`")
             elif self.is_known(name):
                 c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
@@ -289,9 +289,9 @@ class SceneNames:
         if not c.name(name, self.objects, path, "object"):
             return
         asset = self.asset(name)
-        moving = [n for n, j in asset.joints.items() if j.type != "fixed"] if asset is not None else []
+        moving = [n for n, j in asset.single_joints.items() if j.type != "fixed"] if asset is not None else []
         if joint and asset is not None and asset.joints:
-            c.name(joint, asset.joints, path, f"joint of `{name}`")
+            c.name(joint, asset.single_joints, path, f"joint of `{name}`")
         elif not moving and self.is_known(name):
             so = f", so there is no joint `{joint}`" if joint else ""
             c.add("SF201", path, f"`{name}` does not have any joints{so}")
