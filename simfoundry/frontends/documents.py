@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPath, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, LinkDraft, LinkPath, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.joint_data import joint_entry, pose_data
 from simfoundry.frontends.meshes import FileShelf
 from simfoundry.frontends.names import NameTable, plain_name
-from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.scene import SceneSpec
@@ -24,9 +23,6 @@ from simfoundry.spec.yaml.write import to_data, write_tree
 
 # Number of significant digits in imported numbers: more than any simulator keeps, but without rounding noise.
 DIGITS = 9
-
-# Positions [m] and quaternion components below these values are rounding noise in double precision.
-NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
 
 
 @dataclass
@@ -61,23 +57,6 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 def document_text(spec: Model) -> str:
     """Return the canonical text of a document, in which numbers are rounded to :data:`DIGITS` significant digits."""
     return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
-
-
-def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """Return a pose as document data, with its rotation in the simplest possible representation."""
-    out: dict[str, Any] = {}
-    if np.abs(X_AB.p).max() > NO_LENGTH_M:
-        out["xyz"] = tuple(X_AB.p.tolist())
-    if abs(abs(X_AB.q[0]) - 1) < 1e-15 or np.abs(X_AB.q[1:]).max() < NO_TURN:
-        return out
-    rpy = tuple(math.degrees(v) for v in rpy_from_quat(X_AB.q))
-    if np.abs(X_AB.q[1:3]).max() < NO_TURN:
-        out["yaw_deg"] = rpy[2]
-    elif all(abs(v - round(v, 3)) < 1e-7 for v in rpy):
-        out["rpy_deg"] = rpy
-    else:
-        out["quat_wxyz"] = tuple(X_AB.q.tolist())
-    return out
 
 
 def color_data(color: tuple[float, ...]) -> tuple[float, ...]:
@@ -165,7 +144,7 @@ class _SceneBuilder:
         data: Data = {"asset": f"{self.folder}/{called}.asset.yaml", **_placement(body)}
         states = {
             name: pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
-            for name, joint in zip(asset.joints, body.joints, strict=True)
+            for name, joint in zip(asset.single_joints, chain(*body.joint_groups), strict=True)
             if joint.mimic is None
         }
         return data | _without_empty({"joints": {name: state for name, state in states.items() if state}})
@@ -235,7 +214,7 @@ def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocume
         "name": name,
         "materials": materials,
         "links": {link_names[n]: _link_data(body.links[n], shelf, materials) for n in body.link_order},
-        "joints": {joint_names[j.name]: _joint_data(j, link_names, joint_names) for j in body.joints},
+        "joints": dict(joint_entry(group, link_names, joint_names, joints) for group in body.joint_groups),
         "no_contact": tuple((link_names[a], link_names[b]) for a, b in body.no_contact),
         **_category(body),
     }
@@ -336,33 +315,6 @@ def _part_data(part: PartDraft, shelf: FileShelf) -> Data:
         out["color"] = color_data(part.color)
     if part.use != "both":
         out["use"] = part.use
-    return out
-
-
-def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str, str]) -> Data:
-    out: Data = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
-    out |= _without_empty({"pose": pose_data(joint.X_PC)})
-    if joint.type in ("fixed", "free"):
-        return out
-    if joint.type != "ball":
-        out["axis"] = tuple(joint.axis.tolist())
-    if joint.limits is not None and joint.type == "prismatic":
-        out["limits"] = tuple(map(float, joint.limits))
-    elif joint.limits is not None and joint.type == "revolute":
-        out["limits_deg"] = tuple(map(math.degrees, joint.limits))
-    if joint.closed is not None and joint.type in ("revolute", "prismatic"):
-        out["closed"] = joint.closed
-    out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
-    if joint.effort is not None and joint.type != "ball":
-        out["effort"] = float(joint.effort)
-    if joint.velocity is not None and joint.type == "prismatic":
-        out["velocity"] = float(joint.velocity)
-    elif joint.velocity is not None and joint.type != "ball":
-        out["velocity_deg"] = math.degrees(joint.velocity)
-    if joint.mimic is not None:
-        out["mimic"] = asdict(joint.mimic) | {"joint": joints[joint.mimic.joint]}
-    if joint.drive is not None:
-        out["drive"] = to_data(joint.drive)
     return out
 
 

@@ -179,7 +179,7 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,
-        type=JointType(spec.type),
+        type=JointType(spec.type or "fixed"),  # a single joint always has a type
         parent=spec.parent,
         child=spec.child,
         X_PC=pose(spec.pose),

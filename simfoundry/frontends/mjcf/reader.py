@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 
 from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
@@ -19,7 +20,8 @@ from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restor
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.frontends.names import free_name
-from simfoundry.geometry.frames import IDENTITY, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.spec.models.asset import AxisSpec, check_axes
 
 # Maximum number of included files, which stops infinite chains; public models include at most a tenth of that.
 MAX_INCLUDES = 100
@@ -249,12 +251,22 @@ class _MjcfReader:
     def chain(self, draft: BodyDraft, body: int, parent: str, X_PB: Pose, joints: list[int]) -> None:
         """Convert a body and its joints.
 
-        If the body has several joints, links with negligible mass are inserted between them.
+        Several joints become the axes of one joint. If they do not intersect, or if one of them is a ball joint, links
+        with negligible mass are inserted between them.
         """
         model, name = self.model, self.names["body"][body]
         if not joints:
             self.add_link(draft, body)
             draft.joints.append(JointDraft(self.new_name("joint", f"{name}_mount"), "fixed", parent, name, X_PB))
+            return
+        if len(joints) > 1 and (anchor := self.common_anchor(joints)) is not None:
+            X_PL = X_PB @ Pose.of(anchor)
+            for joint in joints:
+                drafted = self.joint(joint, parent, name, X_PL)
+                draft.joints.append(drafted)
+                self.source.joints[joint] = (draft, drafted)
+                X_PL = Pose.of()
+            self.add_link(draft, body, Pose.of(anchor))
             return
         anchor = np.zeros(3)
         for k, joint in enumerate(joints):
@@ -270,6 +282,23 @@ class _MjcfReader:
                 why = "a link can have only one parent joint, so a link with negligible mass was inserted"
                 self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         self.add_link(draft, body, Pose.of(model.jnt_pos[joints[-1]]))
+
+    def common_anchor(self, joints: list[int]) -> Array | None:
+        """Return the point in which the axes of a body's joints intersect, or None if they cannot be one joint."""
+        model, kinds = self.model, self.mujoco.mjtJoint
+        hinges = [j for j in joints if model.jnt_type[j] == kinds.mjJNT_HINGE]
+        slides = [j for j in joints if model.jnt_type[j] == kinds.mjJNT_SLIDE]
+        points = [np.array(model.jnt_pos[j]) for j in hinges or slides]
+        offset = any(model.qpos0[model.jnt_qposadr[j]] for j in joints[1:])  # with `ref`, zero is another pose
+        if len(hinges) + len(slides) < len(joints) or offset or max(np.ptp(points, axis=0)) > NO_LENGTH:
+            return None
+        sliding = {str(j): AxisSpec.model_construct(type="prismatic", axis=tuple(model.jnt_axis[j])) for j in slides}
+        turning = {str(j): AxisSpec.model_construct(type="continuous", axis=tuple(model.jnt_axis[j])) for j in hinges}
+        try:
+            check_axes(sliding | turning)
+        except PydanticCustomError:
+            return None
+        return points[0]
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
         """Convert a joint without changing its coordinate.

@@ -242,7 +242,7 @@ class JointSpec(_Motion, _Connection):
                 raise fault("sf107", f"`{name}` belongs to one of the `axes`, because this joint has several", name)
         if len(self.axes) < 2:
             raise fault("sf107", "a joint with one axis is written with `type` instead of `axes`", "axes")
-        _check_axes(self.axes)
+        check_axes(self.axes)
 
     def single_axis(self, name: str) -> "JointSpec":
         """Return one of the axes as a joint with a single axis at the pose of this joint."""
@@ -261,8 +261,12 @@ class JointSpec(_Motion, _Connection):
 _DEPENDENT = 1e-3
 
 
-def _check_axes(axes: dict[str, AxisSpec]) -> None:
-    """Raise an error if two of the axes allow the same motion, which would leave the joint without a unique state."""
+def check_axes(axes: dict[str, AxisSpec]) -> None:
+    """Raise an error if two of the axes allow the same motion, which would leave the joint without a unique state.
+
+    Raises:
+        PydanticCustomError: With the names of the axes.
+    """
     slides = {name: axis for name, axis in axes.items() if axis.type == "prismatic"}
     turns = {name: axis for name, axis in axes.items() if axis.type != "prismatic"}
     for kind, found in (("prismatic", slides), ("rotating", turns)):
