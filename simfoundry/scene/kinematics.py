@@ -46,6 +46,17 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
     return poses
 
 
+def axis_frame(item: SceneObject, joint: Joint, X_OL: Mapping[str, Pose]) -> Pose:
+    """Return the pose of a joint in the object frame, in which its axis is expressed, given the poses of the links.
+
+    This is the pose of the child, without the motion along and about the axes after this one.
+    """
+    X_OJ, above = X_OL[joint.child], item.joints_above[joint.child]
+    for after in reversed(above[above.index(joint) + 1 :]):
+        X_OJ = X_OJ @ joint_transform(after, after.position if after.has_axis else after.motion).inverse()
+    return X_OJ
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
     """The links of an object that are connected by constraining joints. The first link is the root.
@@ -155,7 +166,8 @@ def _columns(tree: Tree) -> list[_Column]:
         origin = X_OL[tree.root.name].p
         columns += [(None, origin, axis, slides) for slides in (True, False) for axis in np.eye(3)]
     for joint in tree.joints:
-        origin, rotation = X_OL[joint.child].p, X_OL[joint.child].rotation
+        X_OJ = axis_frame(tree.owner, joint, X_OL)
+        origin, rotation = X_OJ.p, X_OJ.rotation
         if joint.type is JointType.BALL:
             columns += [(joint, origin, axis, False) for axis in rotation.T]
         elif joint.has_axis:
