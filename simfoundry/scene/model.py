@@ -188,9 +188,7 @@ class Joint:
     def closed_position(self) -> float:
         """The closed position [rad or m]. By default, it is zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
-        if self.closed is not None:
-            return low if self.closed == "lower" else high
-        return min(max(0.0, low), high)
+        return {"lower": low, "upper": high, None: min(max(0.0, low), high)}[self.closed]
 
     @property
     def has_axis(self) -> bool:
@@ -208,7 +206,7 @@ class SceneObject:
         links: The links in topological order (parents come first).
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
         labels: The semantic labels, by default the category.
-        variant: The name of the selected variant, or empty if there are no variants.
+        variant: The name of the selected variant, or empty.
         variants: All other variants, which are complete objects with the same name.
     """
 
