@@ -5,36 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
 
-import numpy as np
-
+from simfoundry.frontends.document_data import Data, native_data, pose_data, without_empty
 from simfoundry.frontends.draft import JointDraft
 from simfoundry.frontends.names import NameTable
-from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.yaml.write import to_data
-
-Data = dict[str, Any]
-
-# Positions [m] and quaternion components below these values are rounding noise in double precision.
-NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
-
-
-def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """Return a pose as document data, with its rotation in the simplest possible representation."""
-    out: dict[str, Any] = {}
-    if np.abs(X_AB.p).max() > NO_LENGTH_M:
-        out["xyz"] = tuple(X_AB.p.tolist())
-    if abs(abs(X_AB.q[0]) - 1) < 1e-15 or np.abs(X_AB.q[1:]).max() < NO_TURN:
-        return out
-    rpy = tuple(math.degrees(v) for v in rpy_from_quat(X_AB.q))
-    if np.abs(X_AB.q[1:3]).max() < NO_TURN:
-        out["yaw_deg"] = rpy[2]
-    elif all(abs(v - round(v, 3)) < 1e-7 for v in rpy):
-        out["rpy_deg"] = rpy
-    else:
-        out["quat_wxyz"] = tuple(X_AB.q.tolist())
-    return out
 
 
 def joint_entry(
@@ -53,8 +28,7 @@ def joint_entry(
 
 def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str, str]) -> Data:
     out: Data = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
-    if pose := pose_data(joint.X_PC):
-        out["pose"] = pose
+    out |= without_empty({"pose": pose_data(joint.X_PC)}) | native_data(joint.native)
     if joint.type in ("fixed", "free"):
         return out
     if joint.type != "ball":

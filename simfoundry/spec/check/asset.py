@@ -46,6 +46,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         check_travel(c, joint.limits, places[name])
         if joint.drive is not None and joint.drive.target is not None:
             _within(c, f"the target of `{name}`", joint, joint.drive.target, (*places[name], "drive", "target"))
+    _attachments(c, spec)
     check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 
 
@@ -98,11 +99,16 @@ def _places(c: Checker, spec: AssetSpec) -> dict[str, Path_]:
     return places
 
 
+def _joint_names(c: Checker, spec: AssetSpec) -> set[str]:
+    """Return the names of joints with one axis and of axes, including those of invalid joints in the text."""
+    return {*spec.single_joints, *(name for name in c.names("joints") if name not in spec.joints)}
+
+
 def _mimics(c: Checker, spec: AssetSpec, places: Mapping[str, Path_]) -> None:
     """Check that each mimic joint follows a joint with one axis, and that there are no cycles."""
     joints = spec.single_joints
     leaders = {name: joint.mimic.joint for name, joint in joints.items() if joint.mimic is not None}
-    known = {*joints, *(name for name in c.names("joints") if name not in spec.joints)}
+    known = _joint_names(c, spec)
     for name, leader in leaders.items():
         path = (*places[name], "mimic", "joint")
         if not c.name(leader, known, path, "joint"):
@@ -117,6 +123,22 @@ def _mimics(c: Checker, spec: AssetSpec, places: Mapping[str, Path_]) -> None:
             cycle = " → ".join(f"`{joint}`" for joint in (name, *between, name))
             message = f"`{name}` follows itself through other joints: {cycle}"
             c.add("SF211", path, message, "remove `mimic` from one of them")
+
+
+def _attachments(c: Checker, spec: AssetSpec) -> None:
+    """Check that sites, actuators and sensors name existing elements."""
+    for name, site in spec.sites.items():
+        c.name(site.link, c.names("links"), ("sites", name, "link"), "link")
+    for name, actuator in spec.actuators.items():
+        path = ("actuators", name, "joint")
+        kind = spec.single_joints[actuator.joint].type if actuator.joint in spec.single_joints else ""
+        if c.name(actuator.joint, _joint_names(c, spec), path, "joint") and kind in ("fixed", "ball", "free"):
+            c.add("SF107", path, f"`{actuator.joint}` is a {kind} joint, which has no single axis to drive")
+    for name, sensor in spec.sensors.items():
+        for key in ("site", "joint", "link"):
+            if (target := getattr(sensor, key)) is not None:
+                names = _joint_names(c, spec) if key == "joint" else c.names(f"{key}s")
+                c.name(target, names, ("sensors", name, key), key)
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
