@@ -98,6 +98,11 @@ def _of_joints(label: str, test: Callable[[Joint], object], quantity: str = "") 
     return Feature("joint", label, users, quantity)
 
 
+def _several_axes(scene: Scene) -> list[str]:
+    found = [(item, above) for item in scene.objects for above in item.joints_above.values() if len(above) > 1]
+    return [f"{item.name}.{joint.name}" for item, above in found for joint in above]
+
+
 def _of_lights(label: str, kind: LightType) -> Feature:
     return Feature("scene", label, lambda scene: [light.name for light in scene.lights if light.type is kind])
 
@@ -227,6 +232,7 @@ FEATURES: dict[str, Feature] = {
     "prismatic": _of_joints("prismatic joints", lambda j: j.type is JointType.PRISMATIC),
     "ball": _of_joints("ball joints", lambda j: j.type is JointType.BALL),
     "free": _of_joints("free joints", lambda j: j.type is JointType.FREE),
+    "several_axes": Feature("joint", "joints with several axes", _several_axes, "axes"),
     "mimic": _of_joints("mimic joints", lambda j: j.mimic is not None, "mimic"),
     "drive": _of_joints("joint drives", lambda j: j.drive is not None, "drive"),
     "joint_position": _of_joints("joint positions", lambda j: j.type is not JointType.FIXED, "position"),

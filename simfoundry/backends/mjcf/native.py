@@ -8,7 +8,7 @@ native attributes add to them. There are no default classes, and numbers are exa
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -152,14 +152,14 @@ class NativeWriter:
         for mounted in self.scene.mounted:
             if mounted.carrier == item.name and (mounted.link or item.root.name) == link.name:
                 ET.SubElement(body, "camera", camera_attributes(mounted.camera, X_BL))
-        for joint in (joint for joint in tree.joints if joint.parent == link.name):
-            yield from self._child(body, tree, joint, X_BL)
+        for child in dict.fromkeys(joint.child for joint in tree.joints if joint.parent == link.name):
+            yield from self._child(body, tree, item.joints_above[child], X_BL)
 
-    def _child(self, parent: ET.Element, tree: Tree, joint: Joint, X_PL: Pose) -> Iterator[float]:
-        """Add the body below a joint, including the joints of the links that are merged into it."""
-        item, chain = tree.owner, [joint]
+    def _child(self, parent: ET.Element, tree: Tree, above: Sequence[Joint], X_PL: Pose) -> Iterator[float]:
+        """Add the body below a link, including its joints and those of the links that are merged into it."""
+        item, chain = tree.owner, [*above]
         while (below := _passed_on(item, chain[-1])) is not None:
-            chain.append(below)
+            chain += item.joints_above[below.child]
         link = next(k for k in item.links if k.name == chain[-1].child)
         native = item.native.links.get(link.name, {})
         refs = [item.native.joints.get(j.name, {}).get("ref", 0.0) for j in chain]
@@ -334,7 +334,11 @@ def _passed_on(item: SceneObject, joint: Joint) -> Joint | None:
     link = next(k for k in item.links if k.name == joint.child)
     below = [j for j in item.joints if j.parent == joint.child]
     is_empty = not (link.visuals or link.colliders or any(site.link == link.name for site in item.sites))
-    return below[0] if is_empty and len(below) == 1 and below[0].type not in (JointType.FIXED, JointType.FREE) else None
+    return (
+        below[0]
+        if is_empty and len({j.child for j in below}) == 1 and below[0].type not in (JointType.FIXED, JointType.FREE)
+        else None
+    )
 
 
 def _inertial(link: Link, X_BL: Pose, native: Mapping[str, Any] | None) -> dict[str, str]:
