@@ -133,7 +133,7 @@ UNLIMITED_TRAVEL = 2000.0
 def check_travel(c: Checker, limits: tuple[float, float] | None, path: Path_) -> None:
     """Check that the limits of a prismatic joint are plausible in meters."""
     if limits is not None and LONGEST_TRAVEL < (travel := limits[1] - limits[0]) < UNLIMITED_TRAVEL:
-        message = f"`{path[1]}` travels {travel:.4g} m, from {limits[0]:g} to {limits[1]:g}"
+        message = f"`{path[-1]}` travels {travel:.4g} m, from {limits[0]:g} to {limits[1]:g}"
         hint = f"limits are in m: [{limits[0] / 1000:g}, {limits[1] / 1000:g}], if these are in mm"
         c.warn("SF435", (*path, "limits"), message, hint)
 
