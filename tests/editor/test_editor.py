@@ -203,7 +203,7 @@ def test_a_key_brings_a_first_value_in_the_canonical_form(editor: Editor) -> Non
         (f"{SCENE}objects:\n  cu|p: {{mass: 1}}", "An object in the scene"),
         (f"{SCENE}cameras:\n  front: {{f|x: 600}}", "Focal length in x [px]."),
         (f"{OVERLAY}objects:\n  cup: {{ma|ss: 0.3}}", "Mass [kg]."),
-        (f"{OVERLAY}objects:\n  cup: {{po|se: {{yaw_deg: 10}}}}", "Pose of the object's frame in the world, or in `frame`."),
+        (f"{OVERLAY}objects:\n  cup: {{po|se: {{yaw_deg: 10}}}}", "Pose of the object's frame in"),
         ("ext|ends: b.scene.yaml\n" + SCENE, "`null` removes"),
         (f"{TASK}goal: OnTop(a, b)\ncontrol|_hz: 15", "Control frequency [Hz]; default: 15."),
         (f"{TASK}goal: OnTop(a, b)\nreset: {{objects: {{cup: {{x|: [0, 1], y: [0, 1]}}}}}}", "in the world [m]"),
