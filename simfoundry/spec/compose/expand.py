@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from simfoundry.spec.change.diff.changes import names_in, renamed_reference
-from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, scalar_at
+from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, scalar_at, states_position
 from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
@@ -273,7 +273,7 @@ class _Expansion:
         copies = {copy.name for found in own.values() for copy in found.copies}
         new, places = dict[str, Node](), dict(objects.keys)
         for name, item in items.items():
-            for copy, node in self._copies(name, item, own[name]).items() if name in own else ():
+            for copy, node in self._copies(name, item, own[name], items).items() if name in own else ():
                 self.generated["objects", copy] = Generated(("objects", name), node.value)
                 places.setdefault(copy, objects.keys[name])
                 over = items.get(copy)
@@ -333,8 +333,8 @@ class _Expansion:
                     del own[each]
                 return
 
-    def _copies(self, name: str, item: Node, found: Group) -> dict[str, Node]:
-        """Return the nodes of the copies of an object."""
+    def _copies(self, name: str, item: Node, found: Group, items: Mapping[str, Node]) -> dict[str, Node]:
+        """Return the nodes of the copies of an object, without the entries that change them."""
         item = _without(item, "repeat")
         beside = [(other, same) for other, same in self.groups.items() if same.root == found.root and other != name]
         out = dict[str, Node]()
@@ -343,6 +343,8 @@ class _Expansion:
             if found.root == name and found.repeat.stack is not None and copy.index[-1] > 1:
                 below = f"{name}_{'_'.join(map(str, (*copy.index[:-1], copy.index[-1] - 1)))}"
             names = {other: same.named(copy.index) for other, same in beside}
+            if states_position(items.get(copy.name)):  # it is not an offset from the position of the first copy
+                copy = replace(copy, offset=(0.0, 0.0, 0.0))
             out[copy.name] = copied_object(item, copy, below, {key: new for key, new in names.items() if new})
         return out
 
@@ -367,10 +369,9 @@ class _Expansion:
         if not roots:
             return [item]
         paired = len(named) == 2 and named[0] == named[1]  # all pairs of copies of one object
+        ranges = [self.groups[root].copies for root in roots]
         out = []
-        for chosen in product(
-            *(self.groups[root].copies for root in roots), *([self.groups[named[0]].copies] * paired)
-        ):
+        for chosen in product(*ranges, *(ranges if paired else [])):
             index = dict(zip(roots, (copy.index for copy in chosen), strict=False))
             new = {
                 name: self.groups[name].named(index[self.groups[name].root]) for name in named if name in self.groups

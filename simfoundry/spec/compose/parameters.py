@@ -72,7 +72,7 @@ def _parsed(text: str) -> ast.expr:
 def evaluate(text: str, values: Mapping[str, float]) -> float:
     """Return the value of an expression.
 
-    Operations on integers return integers, except for divisions with a remainder.
+    A whole number is returned as an integer, because numbers of copies are integers.
 
     Raises:
         ParameterError: If the text is not an expression, a parameter is undefined, or the result is not finite.
@@ -86,7 +86,12 @@ def evaluate(text: str, values: Mapping[str, float]) -> float:
         finite = False
     if not finite:
         raise ParameterError("SF214", f"the value of `{text}` is not finite", "change a parameter")
-    return value if isinstance(value, int) else float(f"{value:.{DIGITS}g}")
+    return whole(value if isinstance(value, int) else float(f"{value:.{DIGITS}g}"))
+
+
+def whole(value: float) -> float:
+    """Return a number as an integer if it is whole and has no more than :data:`DIGITS` digits."""
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 10**DIGITS else value
 
 
 def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
@@ -173,7 +178,7 @@ def parameter_values(
     waiting: dict[str, Node] = {}
     for name, node in section.items():
         if name in given:
-            values[name] = given[name]
+            values[name] = whole(given[name])  # a model may have made the number a float
         elif isinstance(node.value, int | float) and not isinstance(node.value, bool):
             values[name] = node.value
         elif isinstance(node.value, str) and is_expression(node.value):
