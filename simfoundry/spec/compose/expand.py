@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from simfoundry.spec.change.diff.changes import names_in, renamed_reference
-from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, scalar_at, states_position
+from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, states_position
 from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
+from simfoundry.spec.compose.lists import with_copied_lists
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.models.reuse import IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
@@ -54,12 +53,15 @@ class Reuse:
         generated: The members that were written out, by section and name.
         groups: The copies of repeated objects, by the name of the object.
         files: The files of included scenes.
+        unresolved: Files, lines and columns of expressions that could not be evaluated, for a reason reported
+            elsewhere.
     """
 
     written: Any
     generated: Mapping[Member, Generated]
     groups: Mapping[str, Group]
     files: tuple[Path, ...]
+    unresolved: tuple[tuple[str, int, int], ...] = ()
 
     def source(self, section: str, name: str) -> Member | None:
         """Return the repeated object or the include that a member comes from, or None if it was written itself."""
@@ -93,7 +95,7 @@ def expand(
         root = work.with_templates(root)
         root = work.with_copies(root)
         root = work.without_removals(root)
-    reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files))
+    reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files), tuple(work.unresolved))
     expanded = replace(document, data=root.value, root=root, added=document.added | work.joining.added)
     return expanded, [*work.findings, *work.joining.findings], reuse
 
@@ -108,6 +110,7 @@ class _Expansion:
     generated: dict[Member, Generated] = field(default_factory=dict)
     groups: dict[str, Group] = field(default_factory=dict)
     files: list[Path] = field(default_factory=list)
+    unresolved: list[tuple[str, int, int]] = field(default_factory=list)
 
     def fault(self, code: str, node: Node, path: tuple[str | int, ...], message: str, hint: str = "") -> None:
         """Add an error at a node."""
@@ -125,11 +128,14 @@ class _Expansion:
         for name in given.keys() - members(section).keys():
             hint = nearest(name, members(section)) if members(section) else "the scene does not define any"
             self.fault("SF201", section or root, ("parameters",), f"no parameter is called `{name}`", hint)
-        values, findings = parameter_values(members(section), given, self.document.file)
-        self.findings += findings
-        substitution = Substitution(values, self.document.file)
+        solved = parameter_values(members(section), given, self.document.file)
+        values = solved.values
+        known = section is None or isinstance(section.children, dict)
+        names = members(section) if known else None
+        substitution = Substitution(values, self.document.file, names, solved.findings, solved.unresolved)
         new = {key: node if key == "parameters" else substitution.apply(node, (key,)) for key, node in keys.items()}
         self.findings += substitution.findings
+        self.unresolved += substitution.unresolved
         if section is not None and isinstance(section.children, dict):
             numbers = {
                 name: replace(node, value=values[name], plain="") if name in values else node
@@ -159,6 +165,7 @@ class _Expansion:
                 self.fault("SF107", node, path, message, hint)
             reuse = composed.reuse
             self.files += [Path(composed.document.file), *composed.bases, *(reuse.files if reuse is not None else ())]
+            self.unresolved += reuse.unresolved if reuse is not None else ()
             for inner, copies in reuse.groups.items() if reuse is not None else ():
                 self.groups[f"{name}_{inner}"] = copies.renamed(name)
         return self._joined(root, scenes) if scenes else root
@@ -168,7 +175,7 @@ class _Expansion:
         keys, places = dict(members(root)), dict(root.keys)
         for section in SECTIONS:
             theirs = [(scene.name, part) for scene in scenes if (part := scene.sections.get(section)) is not None]
-            if theirs:
+            if theirs and (section not in keys or isinstance(keys[section].children, dict)):
                 keys[section] = self._joined_section(section, theirs, keys.get(section))
                 places.setdefault(section, keys[section].place)
         for key in LISTS:
@@ -266,7 +273,7 @@ class _Expansion:
         for name, item in items.items():
             self._add_group(name, item, items, own, ())
         if objects is None or not own:
-            return self._with_lists(root)
+            return with_copied_lists(root, self.groups)
         self._within_limit(items, own, root.weight)
         own = self._without_removed(items, own)
         self.groups |= own
@@ -280,7 +287,8 @@ class _Expansion:
                 new[copy] = node if over is None else self.joining.join(node, over, ("objects", copy))
             if name not in own and name not in copies:
                 new[name] = item
-        return self._with_lists(root.with_members({**keys, "objects": objects.with_members(new, places)}))
+        root = root.with_members({**keys, "objects": objects.with_members(new, places)})
+        return with_copied_lists(root, self.groups)
 
     def _without_removed(self, items: dict[str, Node], own: Mapping[str, Group]) -> dict[str, Group]:
         """Drop the copies that an entry removes, and the copies that repeat with them."""
@@ -346,44 +354,6 @@ class _Expansion:
             if states_position(items.get(copy.name)):  # it is not an offset from the position of the first copy
                 copy = replace(copy, offset=(0.0, 0.0, 0.0))
             out[copy.name] = copied_object(item, copy, below, {key: new for key, new in names.items() if new})
-        return out
-
-    def _with_lists(self, root: Node) -> Node:
-        """Replace a repeated object in relations and pairs by its copies."""
-        if not self.groups:
-            return root
-        keys = members(root)
-        new = dict(keys)
-        for key in ("relations", "no_contact"):
-            node = keys.get(key)
-            if node is not None and isinstance(node.children, list):
-                items = [copy for item in node.children for copy in self._of_copies(key, item)]
-                new[key] = node.with_members(items)
-        return root.with_members(new)
-
-    def _of_copies(self, key: str, item: Node) -> list[Node]:
-        """Return one item for each combination of copies that the names in a relation or pair stand for."""
-        texts = [item] if isinstance(item.value, str) else item.children if isinstance(item.children, list) else []
-        named = [name for node in texts if isinstance(node.value, str) for name in names_in(key, node.value)]
-        roots = list(dict.fromkeys(self.groups[name].root for name in named if name in self.groups))
-        if not roots:
-            return [item]
-        paired = len(named) == 2 and named[0] == named[1]  # all pairs of copies of one object
-        ranges = [self.groups[root].copies for root in roots]
-        out = []
-        for chosen in product(*ranges, *(ranges if paired else [])):
-            index = dict(zip(roots, (copy.index for copy in chosen), strict=False))
-            new = {
-                name: self.groups[name].named(index[self.groups[name].root]) for name in named if name in self.groups
-            }
-            if None in new.values() or (paired and chosen[0].index >= chosen[1].index):
-                continue
-            spaces = {"objects": {name: copy for name, copy in new.items() if copy is not None}}
-            values = [renamed_reference(key, node.value, spaces) for node in texts]
-            if paired and len(texts) == 2:
-                values[1] = chosen[1].name
-            nodes = [scalar_at(value, node) for value, node in zip(values, texts, strict=True)]
-            out.append(nodes[0] if not isinstance(item.children, list) else item.with_members(nodes))
         return out
 
     # -- removals ---------------------------------------------------------------------------------------------------
