@@ -111,8 +111,11 @@ class Checker:
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
 
     def densities(self, materials: Mapping[str, Material]) -> None:
-        """Check that the densities of materials are plausible."""
+        """Check that the densities and frictions of materials are plausible."""
+        from simfoundry.spec.check.plausible import check_friction
+
         for name, material in materials.items():
+            check_friction(self, material, ("materials", name))
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))
 

@@ -36,13 +36,13 @@ def check_reference(c: Checker, names: SceneNames, reference: str, path: Path_) 
     if reference in names.frames:
         return
     if c.name(owner, [*names.frames, *names.objects], path, "frame or object"):
-        names.check_part(c, reference, path)
+        names.check_link(c, reference, path)
 
 
 def _check_frame(c: Checker, names: SceneNames, name: str, frame: ReferenceFrame, spec: SceneSpec) -> None:
     path = ("frames", name)
     if frame.on is not None:
-        names.check_part(c, frame.on, (*path, "on"), with_parts=True)
+        names.check_link(c, frame.on, (*path, "on"), with_parts=True)
     if frame.frame is None:
         return
     check_reference(c, names, frame.frame, (*path, "frame"))

@@ -14,6 +14,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, volume
 from simfoundry.spec.check.frames import check_frames, check_reference
+from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
+from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
@@ -51,7 +53,9 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     keys = {name: "pose" if isinstance(place, FramedPose) else "place" for name, place in places.items()}
     names.check_places(c, places, {name: ("objects", name, key) for name, key in keys.items()})
     check_frames(c, names, spec)
+    check_gravity(c, spec.gravity)
     for name, camera in spec.cameras.items():
+        check_camera(c, camera, ("cameras", name))
         if camera.mount is not None:
             _mount(c, names, camera.mount, ("cameras", name, "mount"))
         if isinstance(camera.pose.look_at, str):
@@ -81,6 +85,9 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
 
 def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path_) -> None:
     c.material(item, path)
+    check_friction(c, item, path)
+    if item.shape is not None:
+        check_size(c, item.shape, (*path, "shape"), item.fixed)
     c.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
     if item.asset is not None:
         _asset(c, item, item.asset, path)
@@ -166,7 +173,7 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     carrier, _, link = mount.partition(".")
     if carrier not in names.robots:
         if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
-            names.check_part(c, mount, path)
+            names.check_link(c, mount, path)
         return
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
     known = robot.known() if robot is not None and link else None
@@ -210,6 +217,14 @@ def asset_in(used: Loaded | None) -> AssetSpec | None:
 EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
+def _selected(item: ObjectSpec) -> ObjectSpec:
+    """Return the variant of an object that a scene selects, or the object itself if the variant is invalid."""
+    if item.variant in item.variants:
+        with suppress(ValidationError):
+            return variant_of(item, str(item.variant))
+    return item
+
+
 class SceneNames:
     """Names in a scene, including those of invalid objects, robots, frames and cameras, and their parts."""
 
@@ -219,7 +234,7 @@ class SceneNames:
         self.objects, self.robots, self.frames, self.cameras = (
             scene.document.section(name) for name in ("objects", "robots", "frames", "cameras")
         )
-        self._items = spec.objects if spec is not None else {}
+        self._items = {name: _selected(item) for name, item in spec.objects.items()} if spec is not None else {}
 
     def asset(self, name: str) -> AssetSpec | None:
         """Return the asset document of an object, or None if the document does not exist or is invalid."""
@@ -279,29 +294,47 @@ class SceneNames:
         for text, below in texts(condition):
             self.check_call(c, text, (*path, *below))
 
-    def check_part(self, c: Checker, argument: str, path: Path_, with_parts: bool = False) -> None:
-        """Check the name of an object, a link, or a joint, which stands for the link that it moves.
-
-        If ``with_parts`` is set, the name of a part of a link is valid as well.
-        """
+    def check_part(self, c: Checker, argument: str, path: Path_) -> None:
+        """Check the name of an object, a link, or a joint. A joint stands for the link that it moves."""
         name, _, part = argument.partition(".")
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)
             if asset is not None:
-                inner = [part for link in asset.links.values() for part in link.parts] if with_parts else []
-                c.name(part, [*asset.links, *asset.joints, *inner], path, f"link or joint of `{name}`")
+                c.name(part, [*asset.links, *asset.joints], path, f"link or joint of `{name}`")
             elif self.is_known(name):
                 c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
+    def check_link(self, c: Checker, argument: str, path: Path_, with_parts: bool = False) -> None:
+        """Check the name of an object, or of a link. Here, a joint does not stand for the link that it moves.
+
+        If ``with_parts`` is set, the name of a part of a link is valid as well.
+        """
+        name, _, part = argument.partition(".")
+        asset = self.asset(name)
+        if part and name in self.objects and asset is not None:
+            inner = [piece for link in asset.links.values() for piece in link.parts] if with_parts else []
+            c.name(
+                part, [*asset.links, *inner], path, f"link or part of `{name}`" if with_parts else f"link of `{name}`"
+            )
+        else:
+            self.check_part(c, argument, path)
+
     def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object with joints, or of one of its joints."""
+        """Check the name of an object with joints, or of one of its joints, that have limits and so can be closed."""
         name, _, joint = argument.partition(".")
         if not c.name(name, self.objects, path, "object"):
             return
         asset = self.asset(name)
         moving = [n for n, j in asset.joints.items() if j.type != "fixed"] if asset is not None else []
+        limited = [n for n in moving if asset is not None and asset.joints[n].type in ("prismatic", "revolute")]
         if joint and asset is not None and asset.joints:
-            c.name(joint, asset.joints, path, f"joint of `{name}`")
+            if c.name(joint, asset.joints, path, f"joint of `{name}`") and joint not in limited:
+                message = (
+                    f"`{joint}` is a {asset.joints[joint].type} joint without limits, so it has no closed position"
+                )
+                c.add("SF201", path, message, nearest("", limited) if limited else "use a joint with limits")
+        elif moving and not limited:
+            c.add("SF201", path, f"no joint of `{name}` has limits, so its closed position is undefined")
         elif not moving and self.is_known(name):
             so = f", so there is no joint `{joint}`" if joint else ""
             c.add("SF201", path, f"`{name}` does not have any joints{so}")
@@ -330,7 +363,7 @@ class SceneNames:
         named = {key: other for key in PLACE_REFERENCES if (other := getattr(place, key)) is not None}
         for key, other in named.items():
             if key in ("on", "inside"):
-                self.check_part(c, other, (*path, key), with_parts=True)
+                self.check_link(c, other, (*path, key), with_parts=True)
             else:
                 c.name(other, self.objects, (*path, key), "object")
         if place.frame is not None:

@@ -59,7 +59,7 @@ def _parsed(text: str) -> ast.expr:
         ParameterError: If the text is not an expression.
     """
     wrong = ParameterError(
-        "SF214",
+        "SF109",
         f"`{text[:60]}` is not an expression",
         "combine numbers and parameters such as `$gap` with +, -, *, / and parentheses",
     )
@@ -84,11 +84,11 @@ def evaluate(text: str, values: Mapping[str, float]) -> float:
         value = _value(_parsed(text), values)
         finite = math.isfinite(value)
     except ZeroDivisionError:
-        raise ParameterError("SF214", f"`{text}` divides by zero", "change a parameter") from None
+        raise ParameterError("SF109", f"`{text}` divides by zero", "change a parameter") from None
     except OverflowError:
         finite = False
     if not finite:
-        raise ParameterError("SF214", f"the value of `{text}` is not finite", "change a parameter")
+        raise ParameterError("SF109", f"the value of `{text}` is not finite", "change a parameter")
     return whole(value if isinstance(value, int) else float(f"{value:.{DIGITS}g}"))
 
 
@@ -115,7 +115,7 @@ def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
         case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _OPERATORS:
             return _checked(_OPERATORS[type(sign)](_value(left, values), _value(right, values)))
     message = "only +, -, *, / and parentheses are available"
-    raise ParameterError("SF214", "the expression uses another operator", message)
+    raise ParameterError("SF109", "the expression uses another operator", message)
 
 
 def _checked(value: float) -> float:
@@ -204,5 +204,5 @@ def parameter_values(section: Mapping[str, Node], given: Mapping[str, float], fi
     for name, node in waiting.items():
         message = f"the value of `{name}` depends on itself: `{node.value}`"
         place = (node.file or file, node.line, node.column, f"parameters.{name}", "write one of them as a number")
-        solving.findings.append(Diagnostic("SF214", Severity.ERROR, message, *place))
+        solving.findings.append(Diagnostic("SF109", Severity.ERROR, message, *place))
     return solving

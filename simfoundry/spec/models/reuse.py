@@ -196,5 +196,4 @@ class IncludeSpec(Model):
     def _level(self) -> None:
         pose = self.pose
         if pose is not None and (pose.rpy_deg is not None or pose.quat_wxyz is not None):
-            key = "rpy_deg" if pose.rpy_deg is not None else "quat_wxyz"
-            raise fault("sf107", "an included scene can only be turned about z; use `yaw_deg`", f"pose.{key}")
+            raise fault("sf107", "an included scene can only be turned about z; use `yaw_deg`", "pose")

@@ -9,6 +9,7 @@ from typing import Any
 from simfoundry.spec.change.diff.words import MemberChange, describe
 from simfoundry.spec.compose.copies import Group
 from simfoundry.spec.compose.expand import Reuse
+from simfoundry.spec.compose.join import LISTS
 from simfoundry.spec.models.reuse import RepeatSpec
 from simfoundry.spec.models.scene import SceneSpec
 
@@ -33,6 +34,10 @@ def with_reuse(
         return tuple(_with_groups(rest, groups_before, groups_after))
     before, after = ({k: v for k, v in _written(side).items() if k in _WRITTEN} for side in (old, new))
     written = describe(before, after, SceneSpec, verbose=verbose)
+    if not {"include"} & {*_written(old), *_written(new)}:  # otherwise, the lists also contain those of other files
+        before, after = ({k: v for k, v in _written(side).items() if k in LISTS} for side in (old, new))
+        written += describe(before, after, SceneSpec, verbose=verbose)
+        rest = [e for e in rest if e.name or not e.facts or not e.facts[0].startswith(LISTS)]
     includes = {*_written(old).get("include", {}), *_written(new).get("include", {})}
     rest = [e for e in rest if e.section != "frames" or e.name not in includes]
     rest, templates = _without_inherited(rest, written, new)
@@ -128,12 +133,12 @@ def _combined(name: str, entries: list[MemberChange], old: Group | None, new: Gr
         marks = ("changed",) if facts else ()
         out.append(MemberChange("objects", name, "", marks, (), facts))
         rest = [e for e in entries if e not in counted]
+    elif old is not None and new is not None and old.repeat != new.repeat:
+        rest = [e for e in entries if e not in counted]  # the object repeats with another one, which is described
     elif counted and (group := new or old) is not None and len(counted) == len(group.copies):
         verb = counted[0].verbs[0].partition(":")[0]
         out.append(MemberChange("objects", name, "", counted[0].marks, (f"{verb}: {len(counted)} copies",), ()))
         rest = [e for e in entries if e not in counted]
-    elif old is not None and new is not None and old.repeat != new.repeat:
-        rest = [e for e in entries if e not in counted]  # the object repeats with another one, which is described
     else:
         rest = entries
     if len(rest) < 2:
