@@ -18,6 +18,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
 from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
 from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light
@@ -68,6 +69,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         timestep = scene.options.timestep
     check_timestep(timestep)
     check_names(scene)
+    given, scene = scene, with_light_links(scene)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
     robots, robot_losses = bullet_robots(
@@ -95,7 +97,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*bullet_losses(scene, timestep, resistances), *robot_losses))
+    losses = (*bullet_losses(given, timestep, resistances), *light_link_losses(given, "URDF"), *robot_losses)
+    return Artifact("pybullet", "load.py", files, losses)
 
 
 def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, rounded
+from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.features import FEATURES, usd_losses
@@ -37,12 +38,15 @@ def compile_usd(scene: Scene) -> Artifact:
         InvalidSceneError: If a name is invalid or not unique.
     """
     check_names(scene)
+    given, scene = scene, with_light_links(scene)
     world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
-    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *robots.losses))
+    return Artifact(
+        "usd", "scene.usda", contents, (*usd_losses(given), *light_link_losses(given, "USD"), *robots.losses)
+    )
 
 
 def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
