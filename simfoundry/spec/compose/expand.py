@@ -18,7 +18,7 @@ from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
 from simfoundry.spec.compose.lists import with_copied_lists
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
-from simfoundry.spec.models.reuse import IncludeSpec
+from simfoundry.spec.models.reuse import MAX_DEPTH, IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
 from simfoundry.spec.yaml.text import Document, Path_
 
@@ -248,6 +248,9 @@ class _Expansion:
             cycle = " is like ".join(f"`{each}`" for each in (*users[users.index(name) :], name))
             self.fault("SF207", like, path, f"{cycle}, which is a cycle", "remove `like` from one of them")
             return None
+        if len(users) > MAX_DEPTH:
+            self.fault("SF005", like, path, f"templates are alike more than {MAX_DEPTH} levels deep")
+            return None
         if name not in templates:
             hint = nearest(name, templates) if templates else "define it under `templates`"
             self.fault("SF201", like, path, f"no template is called `{name}`", hint)
@@ -273,7 +276,7 @@ class _Expansion:
         for name, item in items.items():
             self._add_group(name, item, items, own, ())
         if objects is None or not own:
-            return with_copied_lists(root, self.groups)
+            return with_copied_lists(root, self.groups, self.fault)
         self._within_limit(items, own, root.weight)
         own = self._without_removed(items, own)
         self.groups |= own
@@ -288,7 +291,7 @@ class _Expansion:
             if name not in own and name not in copies:
                 new[name] = item
         root = root.with_members({**keys, "objects": objects.with_members(new, places)})
-        return with_copied_lists(root, self.groups)
+        return with_copied_lists(root, self.groups, self.fault)
 
     def _without_removed(self, items: dict[str, Node], own: Mapping[str, Group]) -> dict[str, Group]:
         """Drop the copies that an entry removes, and the copies that repeat with them."""
@@ -317,6 +320,9 @@ class _Expansion:
         leader = repeat.value
         if leader in (*users, name):
             self.fault("SF207", repeat, path, f"`{name}` repeats with itself", "give one of them a `count`")
+            return
+        if len(users) > MAX_DEPTH:
+            self.fault("SF005", repeat, path, f"objects repeat with each other more than {MAX_DEPTH} levels deep")
             return
         if leader not in items:
             self.fault("SF201", repeat, path, f"no object is called `{leader}`", nearest(leader, items))
