@@ -24,6 +24,7 @@ from simfoundry.backends.mjcf.attachments import (
 )
 from simfoundry.backends.mjcf.bodies import JOINT_TYPES, Assets, free_joint_name
 from simfoundry.backends.mjcf.surroundings import camera_attributes
+from simfoundry.backends.names import InvalidSceneError
 from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.kinematics import Tree, joint_transform, trees
@@ -290,6 +291,35 @@ class NativeWriter:
         if ctrl:
             self.root.append(parent)
         return ctrl
+
+
+# Attributes that refer to elements, by the tag of these elements.
+_REFERENCES = {
+    **dict.fromkeys(("joint", "joint1", "joint2", "jointinparent"), "joint"),
+    **dict.fromkeys(("body", "body1", "body2", "subtree1", "subtree2"), "body"),
+    **dict.fromkeys(("site", "site1", "site2", "sidesite", "refsite", "cranksite", "slidersite"), "site"),
+    **dict.fromkeys(("geom", "geom1", "geom2"), "geom"),
+    **dict.fromkeys(("tendon", "tendon1", "tendon2"), "tendon"),
+    "camera": "camera",
+}
+
+
+def check_references(root: ET.Element) -> None:
+    """Raise :class:`InvalidSceneError` if an element refers to another one that does not exist."""
+    names: dict[str, set[str]] = {"body": {"world"}}
+    for tag in ("body", "joint", "geom", "site", "camera"):
+        names.setdefault(tag, set()).update(e.get("name", "") for e in root.findall(f"./worldbody//{tag}"))
+    names["tendon"] = {e.get("name", "") for e in root.findall("./tendon/*")}
+    for section in ("contact", "tendon", "equality", "actuator", "sensor"):
+        for element in root.findall(f"./{section}/*"):
+            what = f"`{element.get('name') or element.tag}` of `native.mjcf.{section}`"
+            for each in element.iter():
+                for key, tag in _REFERENCES.items():
+                    if (name := each.get(key)) is not None and name not in names[tag]:
+                        known = ", ".join(f"`{n}`" for n in sorted(names[tag])[:8]) or "none"
+                        raise InvalidSceneError(
+                            f"{what} refers to the {tag} `{name}`, which does not exist; there are {known}"
+                        )
 
 
 def _body_frame(native: Mapping[str, Any]) -> Pose:

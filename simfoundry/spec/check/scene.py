@@ -172,7 +172,9 @@ def _robot_file(c: Checker, reference: str, path: Path_) -> None:
 def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     carrier, _, link = mount.partition(".")
     if carrier not in names.robots:
-        if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
+        if c.name(carrier, [*names.robots, *names.objects], path, "robot or object") and link not in names.links(
+            carrier
+        ):
             names.check_link(c, mount, path)
         return
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
@@ -252,6 +254,14 @@ class SceneNames:
     def _used(self, name: str) -> Loaded | None:
         reference = self._items[name].asset if name in self._items else None
         return self.scene.used(reference) if reference is not None else None
+
+    def links(self, name: str) -> set[str]:
+        """Return the links that an object has in any of its variants. Cameras are mounted on those that exist."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        given = [item, *item.variants.values()] if item is not None else []
+        references = [each.asset for each in given if each.asset is not None and is_document(each.asset)]
+        assets = [asset_in(self.scene.used(reference)) for reference in references]
+        return {link for asset in assets if asset is not None for link in asset.links}
 
     # -- findings -----------------------------------------------------------------------------------------------
 
