@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 
 import yaml
 
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
@@ -154,6 +154,8 @@ FEATURES: dict[str, Feature] = {
     "sphere": _of_colliders("collision spheres", lambda c: isinstance(c.geometry, Sphere)),
     "cylinder": _of_colliders("collision cylinders", lambda c: isinstance(c.geometry, Cylinder)),
     "capsule": _of_colliders("collision capsules", lambda c: isinstance(c.geometry, Capsule)),
+    "ellipsoid": _of_colliders("collision ellipsoids", lambda c: isinstance(c.geometry, Ellipsoid)),
+    "cone": _of_colliders("collision cones", lambda c: isinstance(c.geometry, Cone)),
     "convex_mesh": _of_colliders("convex collision meshes", lambda c: isinstance(c.geometry, Mesh)),
     "collision_shape": _of_objects("round and hollow shapes with simplified colliders",
                                    lambda o: any(k.collision_error for k in o.links), "colliders", "body"),

@@ -14,9 +14,15 @@ from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectS
 from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
+    CompoundPart,
+    CompoundShape,
+    ConeShape,
     CylinderShape,
+    EllipsoidShape,
     Lathe,
     LatheShape,
+    OpenBox,
+    OpenBoxShape,
     Prism,
     PrismShape,
     Round,
@@ -69,14 +75,21 @@ def _unit(values: tuple[float, float, float, float]) -> tuple[float, ...]:
 
 
 QUATERNIONS = st.tuples(*[st.floats(0.1, 1)] * 4).map(_unit)
+ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
 POSES = st.one_of(
     st.builds(PoseSpec, xyz=POINT3),
     st.builds(PoseSpec, xyz=POINT3, yaw_deg=NUMBERS),
     st.builds(PoseSpec, xyz=POINT3, rpy_deg=VEC3),
     st.builds(PoseSpec, xyz=POINT3, quat_wxyz=QUATERNIONS),
 )
-ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
-SHAPES = st.one_of(
+PART_SHAPES = st.one_of(
+    st.builds(EllipsoidShape, ellipsoid=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
+    st.builds(ConeShape, cone=ROUNDS),
+    st.builds(
+        lambda x, y, z, share: OpenBoxShape(open_box=OpenBox(size=(x, y, z), wall=share * min(x, y, z))),
+        *(st.floats(1e-6, FARTHEST),) * 3,
+        st.floats(0.01, 0.49),
+    ),
     st.builds(BoxShape, box=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
     st.builds(SphereShape, sphere=LENGTHS),
     st.builds(CylinderShape, cylinder=ROUNDS),
@@ -94,6 +107,21 @@ SHAPES = st.one_of(
             outline=st.lists(st.tuples(COORDINATES, COORDINATES), min_size=3, max_size=30).map(tuple),
             height=LENGTHS,
         ),
+    ),
+)
+SHAPES = PART_SHAPES | st.builds(
+    CompoundShape,
+    compound=st.dictionaries(
+        NAMES,
+        st.builds(
+            CompoundPart,
+            shape=PART_SHAPES,
+            pose=POSES,
+            material=st.none() | NAMES,
+            color=st.none() | COLORS,
+        ),
+        min_size=1,
+        max_size=4,
     ),
 )
 QUANTITIES = POSITIVE | st.builds(
@@ -177,7 +205,7 @@ SCENES = st.builds(
     origin=maybe(ORIGINS),
 )
 PARTS = st.one_of(
-    st.builds(PartSpec, shape=SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
+    st.builds(PartSpec, shape=PART_SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
     st.builds(PartSpec, mesh=TEXTS, scale=POSITIVE, pose=POSES),
 )
 LINKS = st.builds(

@@ -30,6 +30,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, number, numbers
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import read_cells, splat_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object
@@ -41,6 +42,7 @@ from simfoundry.backends.names import InvalidSceneError, check_names, check_time
 from simfoundry.backends.robot_models.robot_object import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
+from simfoundry.geometry.shapes import Ellipsoid
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Scene
 
@@ -79,7 +81,7 @@ def compile_mjcf(
         scene: The lowered scene.
         timestep: The simulation time step [s].
         cylinder_sides: If this whole number is not zero, cylinders collide as prisms with this many sides (at least
-            three), for readers that do not support cylinder collisions.
+            three), and ellipsoids as hulls, for readers that do not support their collisions.
         contacts: `exact` to write contact pairs, or `native` to omit them, in which case MuJoCo uses the larger of the
             two friction coefficients.
 
@@ -89,7 +91,9 @@ def compile_mjcf(
     _check_options(timestep, cylinder_sides, contacts)
     check_names(scene)
     sides = int(cylinder_sides)
-    losses = list(prism_losses(scene, sides)) if sides >= 3 else []
+    hulled = (*REPLACED["mjcf"], *([Ellipsoid] if sides >= 3 else []))
+    losses = [*hull_losses(scene, hulled), *(prism_losses(scene, sides) if sides >= 3 else ())]
+    scene = with_hulls(scene, hulled)
     scene = with_prisms(scene, sides) if sides >= 3 else scene
     materials = scene_contacts.MaterialClasses(scene)
     root = _settings(scene, timestep, materials)

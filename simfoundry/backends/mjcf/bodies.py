@@ -10,7 +10,7 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
 from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_bytes
 from simfoundry.scene.model import Background, Collider, Drive, Joint, JointType, Link, Scene, SceneObject, Visual
@@ -123,12 +123,14 @@ def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False
             return {"type": "box", "size": numbers(size / 2)}
         case Sphere(radius=radius):
             return {"type": "sphere", "size": number(radius)}
+        case Ellipsoid(radii=radii):
+            return {"type": "ellipsoid", "size": numbers(radii)}
         case Cylinder(radius=radius, height=height):
             return {"type": "cylinder", "size": numbers([radius, height / 2])}
         case Capsule(radius=radius, height=height):
             return {"type": "capsule", "size": numbers([radius, height / 2])}
-        case Mesh():
-            return {"type": "mesh", "mesh": assets.mesh(geometry, name, collides)}
+        case Mesh() | Cone():  # a cone is only shown; see :mod:`simfoundry.backends.convex_hulls`
+            return {"type": "mesh", "mesh": assets.mesh(tessellate(geometry), name, collides)}
 
 
 def pose_attributes(pose: Pose) -> dict[str, str]:

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
@@ -66,6 +67,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     """
     check_timestep(timestep)
     check_names(scene)
+    hulls = tuple(hull_losses(scene, REPLACED["pybullet"]))
+    scene = with_hulls(scene, REPLACED["pybullet"])
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
     robots, robot_losses = bullet_robots(
@@ -93,7 +96,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*bullet_losses(scene, timestep, resistances), *robot_losses))
+    return Artifact("pybullet", "load.py", files, (*bullet_losses(scene, timestep, resistances), *hulls, *robot_losses))
 
 
 def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:

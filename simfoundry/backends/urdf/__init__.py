@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_models.mujoco_robot import document_fields
@@ -35,10 +36,12 @@ def compile_urdf(scene: Scene) -> Artifact:
         InvalidSceneError: If a name is invalid.
     """
     check_names(scene)
+    hulls = hull_losses(scene, REPLACED["urdf"])
+    scene = with_hulls(scene, REPLACED["urdf"])
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)
     poses = {tree.name: poses_entry(tree) for item in scene.objects for tree in trees(item)}
-    losses: list[Loss] = list(urdf_losses(scene))
+    losses: list[Loss] = [*urdf_losses(scene), *hulls]
     robots: dict[str, RobotUrdf] = {}
     for robot in scene.robots:
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))

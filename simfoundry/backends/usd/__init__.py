@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, rounded
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.features import FEATURES, usd_losses
@@ -37,12 +38,14 @@ def compile_usd(scene: Scene) -> Artifact:
         InvalidSceneError: If a name is invalid or not unique.
     """
     check_names(scene)
+    hulls = hull_losses(scene, REPLACED["usd"])
+    scene = with_hulls(scene, REPLACED["usd"])
     world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
-    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *robots.losses))
+    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *hulls, *robots.losses))
 
 
 def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:

@@ -17,7 +17,7 @@ from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, 
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
-from simfoundry.spec.models.shapes import LatheShape, SphereShape
+from simfoundry.spec.models.shapes import ConeShape, LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6
@@ -97,7 +97,7 @@ def _round_about_z(part: PartSpec) -> bool:
     if not _is_square(turn):
         return rod(part) is None
     upright = abs(turn[2, 2]) > 1 - SQUARE
-    return (isinstance(part.shape, LatheShape) or rod(part) is not None) and upright
+    return (isinstance(part.shape, LatheShape | ConeShape) or rod(part) is not None) and upright
 
 
 def _is_square(rotation: Array) -> bool:

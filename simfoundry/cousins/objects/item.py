@@ -19,6 +19,7 @@ from simfoundry.spec.load import load
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
 from simfoundry.spec.models.base import BodySpec, Material
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, variant_names, variant_of
+from simfoundry.spec.models.shapes import CompoundShape
 from simfoundry.spec.yaml.write import to_yaml
 
 # Name of the single link in the asset of a shape or mesh.
@@ -94,10 +95,16 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
     assert isinstance(scene.spec, SceneSpec)
     body = {key: getattr(written, key) for key in BodySpec.model_fields if key in written.model_fields_set}
     mesh = Path(written.asset or "")
-    part = PartSpec(shape=written.shape) if written.shape is not None else PartSpec(mesh=mesh.name, scale=written.scale)
+    parts = {LINK: PartSpec(mesh=mesh.name, scale=written.scale)}
+    if isinstance(written.shape, CompoundShape):
+        pieces = written.shape.compound.items()
+        parts = {n: PartSpec(shape=p.shape, pose=p.pose, material=p.material, color=p.color) for n, p in pieces}
+    elif written.shape is not None:
+        parts = {LINK: PartSpec(shape=written.shape)}
     files = {} if written.shape is not None else {mesh.name: scene.file(written.asset or "")}
-    used = {} if written.material is None else {written.material: scene.spec.materials[written.material]}
-    links = {LINK: LinkSpec(**body, parts={"body": part})}
+    named = dict.fromkeys((written.material, *(part.material for part in parts.values())))
+    used = {key: scene.spec.materials[key] for key in named if key is not None}
+    links = {LINK: LinkSpec(**body, parts=parts)}
     category = written.category or name
     spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials=used, links=links)
     return ObjectAsset(name, category, spec, f"{scene.spec.name}.{name}", MappingProxyType(files))

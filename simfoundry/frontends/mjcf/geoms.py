@@ -79,7 +79,7 @@ class MjcfGeoms:
             case types.mjGEOM_CYLINDER | types.mjGEOM_CAPSULE:
                 geometry = primitive(kind_name, a, 2 * b)
             case types.mjGEOM_ELLIPSOID:
-                geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
+                geometry = primitive("ellipsoid", a, b, c)
             case types.mjGEOM_PLANE:
                 geometry, X_GB = self.draft.plane(f"plane `{name or geom}`", 2 * a, 2 * b)
                 X_BG = X_BG @ X_GB
@@ -183,12 +183,3 @@ class MjcfGeoms:
         shape = (height, width) if channels == 1 else (height, width, channels)
         Image.fromarray(pixels.reshape(shape)).convert("RGB").save(stream, format="PNG")
         return stream.getvalue()
-
-    def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
-        """Return a mesh that approximates an ellipsoid with three radii [m]."""
-        import trimesh
-
-        ball = trimesh.creation.icosphere(subdivisions=3)
-        self.draft.changed(f"ellipsoid `{name}`", "the ellipsoid is represented by a mesh with 1280 triangles")
-        part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
-        return mesh_of_parts([part], plain_name(name, "ellipsoid"))

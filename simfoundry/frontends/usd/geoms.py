@@ -76,8 +76,8 @@ class UsdGprims:
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
-        if is_orthogonal and np.linalg.det(R_LG) < 0:  # all primitives are mirror-symmetric
-            R_LG = R_LG @ np.diag([1.0, 1.0, -1.0])
+        if is_orthogonal and np.linalg.det(R_LG) < 0:
+            R_LG = R_LG @ _mirror(prim)
         found = self.primitive(prim, kind, scales) if is_orthogonal else None
         if found is not None:
             shape, X_GS = found
@@ -92,11 +92,13 @@ class UsdGprims:
                 return primitive("box", *(prim.GetAttribute("size").Get() * scales).tolist()), IDENTITY
             case "Sphere" if _is_even(scales):
                 return primitive("sphere", prim.GetAttribute("radius").Get() * float(scales[0])), IDENTITY
-            case "Cylinder" | "Capsule":
+            case "Sphere":
+                return primitive("ellipsoid", *(prim.GetAttribute("radius").Get() * scales).tolist()), IDENTITY
+            case "Cylinder" | "Capsule" | "Cone":
                 axis = prim.GetAttribute("axis").Get()
                 along = "XYZ".index(axis)
                 across = np.delete(scales, along)
-                if not _is_even(across if kind == "Cylinder" else scales):
+                if not _is_even(scales if kind == "Capsule" else across):
                     return None
                 sizes = zip(("radius", "height"), (across[0], scales[along]), strict=True)
                 size = (prim.GetAttribute(name).Get() * float(scale) for name, scale in sizes)
@@ -156,7 +158,7 @@ class UsdGprims:
             return float(prim.GetAttribute(name).Get())
 
         match kind:
-            case "Sphere":
+            case "Sphere":  # sheared
                 made = trimesh.creation.icosphere(subdivisions=3, radius=value("radius"))
             case "Cylinder" | "Capsule" | "Cone":
                 make = getattr(trimesh.creation, kind.lower())
@@ -227,6 +229,14 @@ def is_collider(pxr: Any, prim: Any) -> bool:
 
 def _pose(rotation: Array, p: Array | tuple[float, ...] = (0.0, 0.0, 0.0)) -> Pose:
     return Pose.of(p, quat_from_matrix(rotation))
+
+
+def _mirror(prim: Any) -> Array:
+    """Return a reflection that maps a primitive to itself; a cone is symmetric only across its axis."""
+    axis = prim.GetAttribute("axis").Get() if prim.GetTypeName() == "Cone" else "X"
+    signs = np.ones(3)
+    signs["XYZ".index(axis) - 1] = -1.0
+    return np.diag(signs)
 
 
 def _is_even(scales: Array) -> bool:

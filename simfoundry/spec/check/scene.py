@@ -12,12 +12,21 @@ from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
-from simfoundry.spec.check.checker import Checker, Path_, volume
+from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
+from simfoundry.spec.models.scene import (
+    DEFAULT_VARIANT,
+    PLACE_REFERENCES,
+    GeometrySpec,
+    ObjectSpec,
+    Place,
+    SceneSpec,
+    variant_of,
+)
+from simfoundry.spec.models.shapes import shape_parts
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -40,7 +49,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
         _variants(c, name, item, spec)
     c.densities(spec.materials)
     objects = spec.objects.values()
-    c.unused(spec.materials, {o.material for o in (*objects, *(v for item in objects for v in item.variants.values()))})
+    c.unused(spec.materials, {name for o in objects for item in (o, *o.variants.values()) for name in _materials(item)})
     for name, robot in spec.robots.items():
         _robot(c, robot, ("robots", name))
     names = SceneNames(c.loaded, spec)
@@ -75,8 +84,20 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
         c.add("SF213", ("viewpoint",), message, "rename one of them")
 
 
+def _materials(item: GeometrySpec) -> list[str | None]:
+    """Return the materials that an object or a variant names for itself and for the parts of its shape."""
+    parts = shape_parts(item.shape).values() if item.shape is not None else ()
+    return [item.material, *(part.material for part in parts)]
+
+
 def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path_) -> None:
     c.material(item, path)
+    parts = shape_parts(item.shape) if item.shape is not None else {}
+    for part_name, part in parts.items():
+        c.material(part, (*path, "shape", "compound", part_name))
+    if (clash := piece_clash({key: part.shape for key, part in parts.items()})) is not None:
+        message = f"a piece of the part `{clash[0]}` is also called `{clash[1]}`"
+        c.add("SF213", (*path, "shape", "compound", clash[1]), message, "rename one of the parts")
     c.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
     if item.asset is not None:
         _asset(c, item, item.asset, path)
@@ -84,7 +105,8 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
         c.add("SF201", (*path, "joints"), f"`{name}` is a primitive, so it cannot have joints")
     if item.asset is None or not is_document(item.asset):
         if not item.fixed:
-            c.mass(item, [item.material], spec.materials, path)
+            made_of = [part.material or item.material for part in parts.values()] or [item.material]
+            c.mass(item, made_of, spec.materials, path)
         if item.mass is not None or item.density is not None:
             c.density(item, path, volume(item.shape) if item.shape is not None else None)
 

@@ -26,13 +26,13 @@ from simfoundry.spec.models.base import (
     exclusive,
     fault,
 )
-from simfoundry.spec.models.shapes import Shape
+from simfoundry.spec.models.shapes import PartShape
 
 
 class PartSpec(Model):
     """A part of a link: a shape or a mesh with a pose in the link's frame."""
 
-    shape: Shape | None = Field(None, description="A primitive.")
+    shape: PartShape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
     scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")

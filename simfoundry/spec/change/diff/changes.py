@@ -141,7 +141,7 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
 
 # Keys whose value is a mapping with named members.
-SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
+SECTIONS = (*NAMED, "parts", "compound", "variants", "place", "pose")
 
 # Minimum fraction of equal values for which two members are treated as a rename.
 ALIKE = 0.6

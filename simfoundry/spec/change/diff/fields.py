@@ -70,6 +70,8 @@ class Describing:
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old, new, self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
+            if "compound" in old and "compound" in new:
+                return list(self._mapping((*path, "compound"), old["compound"], new["compound"]))
             return [_shape(old, new)]
         if path == ("origin", "cousin") and {"recipe", "index", "seed"} <= dict(after).keys():
             return [f"origin: cousin {new['index']} of recipe {new['recipe']}, seed {new['seed']}"]
