@@ -83,6 +83,8 @@ def assert_joints(scene: Scene, found: WorldReadback, rel: float) -> None:
         for quantity in ("damping", "friction", "armature"):
             told = getattr(held, quantity)
             assert told is None or told == pytest.approx(getattr(joint, quantity), rel=rel, abs=1e-9), quantity
+        for limit, wanted in ((held.max_effort, joint.effort), (held.max_velocity, joint.velocity)):
+            assert not limit or wanted is None or limit == pytest.approx((wanted,), rel=rel)
         mimic, drive = joint.mimic, joint.drive
         if held.law is not None:
             assert held.law == pytest.approx(() if mimic is None else (mimic.multiplier, mimic.offset), rel=rel)

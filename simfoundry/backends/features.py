@@ -178,6 +178,8 @@ FEATURES: dict[str, Feature] = {
     "joint_damping": _of_joints("viscous joint damping", lambda j: j.damping > 0, "damping"),
     "joint_friction": _of_joints("Coulomb joint friction", lambda j: j.friction > 0, "friction"),
     "armature": _of_joints("armature", lambda j: j.armature > 0, "armature"),
+    "joint_effort": _of_joints("effort limits of joints", lambda j: j.effort is not None, "effort"),
+    "joint_velocity": _of_joints("velocity limits of joints", lambda j: j.velocity is not None, "velocity"),
 }  # fmt: skip
 
 

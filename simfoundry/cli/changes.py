@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +16,7 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.compare import DocumentComparison
+    from simfoundry.spec.change.git.history import HistoryEntry
     from simfoundry.spec.change.merge.texts import MergedText
 
 
@@ -106,25 +106,44 @@ def _plain(comparison: DocumentComparison) -> dict[str, Any]:
 def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
     """Show what each commit changed in a document, in terms of the scene, latest first.
 
-    Changes to documents that the document extends or refers to are included. The history can be limited to a revision,
-    or to a range such as `main..feature`. The default is HEAD.
+    Each version is read with the documents that it extended and referred to at that time, so their changes are
+    included. Changes that are not committed come first. The history can be limited to a revision, or to a range such as
+    `main..feature`, which lists commits only.
     """
     from simfoundry.spec.change.git.arguments import document_history
 
-    steps = islice(document_history(what, verbose), max_count)
-    commits = []
-    for step in steps:
-        commit = step.commit
-        head = {"commit": commit.id, "date": commit.date, "author": commit.author, "subject": commit.subject}
-        commits.append(head | _plain(step.comparison) if as_json else head)
+    entries = []
+    for entry in _at_most(max_count, document_history(what, verbose)):
+        commit = entry.commit
+        head = {
+            "commit": commit and commit.id,
+            "date": commit and commit.date,
+            "author": commit and commit.author,
+            "subject": commit.subject if commit else UNCOMMITTED,
+        }
+        entries.append(head | {"note": entry.note or None} | _plain(entry.comparison) if as_json else head)
         if not as_json:
-            click.echo(printable(f"{commit.id[:10]} {commit.date[:10]} {commit.author}: {commit.subject}"))
-            for line in step.comparison.lines():
+            click.echo(printable(f"{commit.id[:10]} {commit.date[:10]} {commit.author}: {commit.subject}")
+                       if commit else UNCOMMITTED)  # fmt: skip
+            for line in entry.lines():
                 click.echo(f"  {printable(line)}")
     if as_json:
-        output.print_json({"commits": commits})
-    elif not commits:
+        output.print_json({"commits": entries})
+    elif not entries:
         raise SimfoundryError(f"no commit in this history changes {what[-1]}")
+
+
+UNCOMMITTED = "uncommitted changes"
+
+
+def _at_most(count: int | None, entries: Iterator[HistoryEntry]) -> Iterator[HistoryEntry]:
+    """Yield the uncommitted changes, if there are any, and the first ``count`` commits."""
+    for entry in entries:
+        yield entry
+        if entry.commit is not None and count is not None:
+            count -= 1
+            if count == 0:
+                return
 
 
 @output.subcommand(force=True)

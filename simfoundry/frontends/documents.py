@@ -353,6 +353,12 @@ def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str
     if joint.closed is not None and joint.type in ("revolute", "prismatic"):
         out["closed"] = joint.closed
     out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
+    if joint.effort is not None and joint.type != "ball":
+        out["effort"] = float(joint.effort)
+    if joint.velocity is not None and joint.type == "prismatic":
+        out["velocity"] = float(joint.velocity)
+    elif joint.velocity is not None and joint.type != "ball":
+        out["velocity_deg"] = math.degrees(joint.velocity)
     if joint.mimic is not None:
         out["mimic"] = asdict(joint.mimic) | {"joint": joints[joint.mimic.joint]}
     if joint.drive is not None:

@@ -155,7 +155,8 @@ class JointDraft:
     ``X_PC`` is the pose of the child frame in the parent frame at joint position zero, and ``axis`` is expressed in the
     child frame. ``type`` is fixed, revolute, continuous, prismatic, ball, or free. ``limits`` and ``position`` are in
     radians or meters; the state of a ball or free joint is stored in ``motion`` instead, as the pose of the child frame
-    relative to its zero pose. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the
+    relative to its zero pose. ``effort`` [N m or N] and ``velocity`` [rad/s or m/s] are the largest force and speed, or
+    None if they are unlimited. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the
     file does not specify it.
     """
 
@@ -169,6 +170,8 @@ class JointDraft:
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
+    effort: float | None = None
+    velocity: float | None = None
     mimic: Mimic | None = None
     drive: DriveSpec | None = None
     closed: str | None = None

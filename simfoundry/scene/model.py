@@ -114,8 +114,7 @@ class JointType(StrEnum):
 class Mimic:
     """A coupling to another ``joint`` in the same object.
 
-    The position of the coupled joint is ``multiplier * position + offset``, where ``position`` is the position of the
-    joint that it follows.
+    The position of the coupled joint is ``multiplier * position + offset``, with the ``position`` of that joint.
     """
 
     joint: str
@@ -131,8 +130,8 @@ class Mimic:
 class Drive:
     """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
-    The units are [N m/rad or N/m] for ``stiffness``, [N m s/rad or N s/m] for ``damping``, [rad or m] for ``target``,
-    and [N m or N] for ``force_limit``, which is None if the force is unlimited.
+    Units: ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m], ``force_limit`` [N m
+    or N], which is None if the force is unlimited.
     """
 
     stiffness: float
@@ -161,8 +160,9 @@ class Joint:
         position: The initial position of a single-axis joint [rad or m].
         motion: The initial state of a ball or free joint: the pose of the child frame relative to its pose at position
             zero.
-        closed: The limit at which the joint counts as closed. If None, the joint is closed at position zero or at the
-            limit nearest to zero.
+        closed: The limit at which the joint counts as closed. If None, it is closed at zero or the nearest limit to it.
+        effort: The maximum force of all actuators, including the drive [N m or N], or None if it is unlimited.
+        velocity: The maximum speed [rad/s or m/s], or None if it is unlimited.
     """
 
     name: str
@@ -180,6 +180,8 @@ class Joint:
     mimic: Mimic | None = None
     drive: Drive | None = None
     closed: ClosedEnd | None = None
+    effort: float | None = None
+    velocity: float | None = None
 
     @property
     def closed_position(self) -> float:
@@ -202,7 +204,7 @@ class SceneObject:
     Attributes:
         fixed: True if the object is welded to the world. All other objects have a free root.
         X_WO: The pose of the root link's frame in the world.
-        links: The links in topological order, so that parents come before their children.
+        links: The links in topological order (parents come first).
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
         labels: The semantic labels. If they are empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
@@ -290,8 +292,7 @@ class Light:
     X_WL: Pose
 
 
-# 3D Gaussians, exported here because backends may import the scene package but not the assets package.
-Splat = Gaussians
+Splat = Gaussians  # exported here because backends may import the scene package but not the assets package
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,8 +335,8 @@ class Scene:
         left_out: The parts of the spec that could not be lowered. Every target reports them as lost.
         no_contact: The pairs of links in different objects whose contacts are disabled, by qualified name.
         source: The document, for targets that embed it.
-        viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y points to the
-            viewer's left. If None, the world axes are used.
+        viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y to the left.
+            If None, the world axes are used.
     """
 
     name: str
@@ -388,7 +389,7 @@ def pair_resistance(a: float, b: float) -> float:
 class Source:
     """The document from which a scene was lowered.
 
-    The source is opaque to backends, which may store the source but must not base any decisions on it.
+    Backends may store the source, but must not base any decisions on it.
 
     Attributes:
         file: The POSIX path of the document in its project.

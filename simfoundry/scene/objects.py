@@ -167,7 +167,8 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
     if (motor := spec.drive) is not None:
         target = position if motor.target is None else motor.target
-        drive = Drive(motor.stiffness, motor.damping, target, motor.force_limit)
+        strongest = min((force for force in (motor.force_limit, spec.effort) if force is not None), default=None)
+        drive = Drive(motor.stiffness, motor.damping, target, strongest)
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,
@@ -180,6 +181,8 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
         damping=spec.damping,
         friction=spec.friction,
         armature=spec.armature,
+        effort=spec.effort,
+        velocity=spec.velocity if spec.velocity_deg is None else math.radians(spec.velocity_deg),
         position=position,
         motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),

@@ -23,6 +23,7 @@ QUANTITIES = (
     *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
     *("friction", "restitution", "torsional_friction", "rolling_friction"),
     *("axis", "limits", "damping", "joint_friction", "armature", "joint_position", "law", "drive", "effort"),
+    *("max_effort", "max_velocity"),
 )
 
 # The behaviors that `simfoundry verify` measures.

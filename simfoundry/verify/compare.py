@@ -25,10 +25,12 @@ from simfoundry.verify.expected import RobotReadback, expected_readback, expecte
 from simfoundry.verify.readback import WorldReadback, pose_of
 
 # Magnitudes in SI units below which errors are absolute; smaller values do not matter in a tabletop scene.
-FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "law", "drive", "effort"), 1.0) | {
+FLOORS = dict.fromkeys(
+    ("position", "rotation", "gravity", "axis", "limits", "law", "drive", "effort", "max_effort", "max_velocity"), 1.0
+) | {
     **{"mass": 1e-3, "com": 0.01, "inertia": 1e-9, "bounds": 0.1, "friction": 0.1, "restitution": 0.1},
     **{"torsional_friction": 1e-3, "rolling_friction": 1e-3, "damping": 1e-3, "joint friction": 1e-3},
-    **{"armature": 1e-4, "joint position": 1.0},
+    **{"armature": 1e-4, "joint position": 1.0, "max_effort": 1.0, "max_velocity": 1.0},
 }
 
 # Maximum deviation of an approximated collision shape from the shape in the scene [m], which allows for Bullet's margin
@@ -65,10 +67,15 @@ _JOINT = {
     "law": ("law", ("mimic",)),
     "drive": ("drive", ("drive",)),
     "effort": ("effort", ("drive",)),
+    "max_effort": ("max_effort", ("joint_effort",)),
+    "max_velocity": ("max_velocity", ("joint_velocity",)),
 }
 
 # The profile features whose names differ from the compared quantities.
-_FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
+_FEATURES = {
+    **{"joint friction": "joint_friction", "bounds": "convex_mesh"},
+    **{"max_effort": "joint_effort", "max_velocity": "joint_velocity"},
+}
 
 # The feature and element of every loss that could explain a difference; see :class:`Loss`.
 Keys = frozenset[tuple[str, str]]

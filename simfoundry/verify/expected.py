@@ -29,6 +29,9 @@ from simfoundry.verify.readback import JointReadback, LinkReadback, WorldReadbac
 # Targets that write a capsule as a cylinder and two spheres, which together have the same shape.
 SPLIT_CAPSULES = ("urdf",)
 
+# Targets in which the force limit of a drive is the effort limit of its joint.
+_EFFORT_OF_DRIVES = ("urdf", "pybullet")
+
 # Joint types that are not reported; a free joint is represented by the parent and pose of its link.
 _NO_JOINT = (JointType.FIXED, JointType.FREE)
 
@@ -47,7 +50,7 @@ def expected_readback(scene: Scene, target: str) -> WorldReadback:
         for link in item.links:
             X_WL = item.X_WO @ X_OL[link.name]
             links[item.qualified(link.name)] = _link(X_WL, link, _held_by(item, link), target)
-        joints |= {f"{item.name}.{j.name}": _joint(item, j) for j in item.joints if j.type not in _NO_JOINT}
+        joints |= {f"{item.name}.{j.name}": _joint(item, j, target) for j in item.joints if j.type not in _NO_JOINT}
     return WorldReadback(links, joints, numbers(scene.gravity), dict(_pairs(scene)), tuple(_silent(scene)))
 
 
@@ -81,9 +84,11 @@ def _collider(collider: Collider, target: str) -> Iterator[rb.ColliderReadback]:
         yield rb.ColliderReadback(collider.name + suffix, type(geometry).__name__.lower(), bounds, *surface)
 
 
-def _joint(item: SceneObject, joint: Joint) -> JointReadback:
+def _joint(item: SceneObject, joint: Joint, target: str) -> JointReadback:
     limited = joint.limits is not None and joint.type is not JointType.CONTINUOUS
-    mimic, drive = joint.mimic, joint.drive
+    mimic, drive, effort = joint.mimic, joint.drive, joint.effort
+    if effort is None and drive is not None and target in _EFFORT_OF_DRIVES:
+        effort = drive.force_limit
     return JointReadback(
         type="revolute" if joint.type is JointType.CONTINUOUS else joint.type.value,
         axis=numbers(joint.axis / np.linalg.norm(joint.axis)) if joint.has_axis else None,
@@ -96,6 +101,8 @@ def _joint(item: SceneObject, joint: Joint) -> JointReadback:
         law=(mimic.multiplier, mimic.offset) if mimic is not None else (),
         drive=(drive.stiffness, drive.damping, drive.target) if drive is not None else (),
         effort=() if drive is None or drive.force_limit is None else (drive.force_limit,),
+        max_effort=() if effort is None else (effort,),
+        max_velocity=() if joint.velocity is None else (joint.velocity,),
     )
 
 

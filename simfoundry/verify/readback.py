@@ -68,7 +68,8 @@ class JointReadback:
     joint without limits may be read back as continuous, and vice versa. ``position`` is an angle, a length, or the
     quaternion of a ball joint. ``follows`` is the joint that a mimic joint follows, or empty for other joints, and
     ``law`` contains its multiplier and offset. ``drive`` contains the stiffness, damping and target of the motor, and
-    ``effort`` contains its maximum force. Both are empty for a joint without a motor.
+    ``effort`` contains its maximum force. Both are empty for a joint without a motor. ``max_effort`` and
+    ``max_velocity`` contain the limits of the joint itself, and are empty for a joint without these limits.
     """
 
     type: str | None = None
@@ -82,6 +83,8 @@ class JointReadback:
     law: Numbers | None = None
     drive: Numbers | None = None
     effort: Numbers | None = None
+    max_effort: Numbers | None = None
+    max_velocity: Numbers | None = None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ from pydrake.systems.framework import Diagram
 from simfoundry.geometry.frames import Pose
 from simfoundry.verify import readback as rb
 
+_UNLIMITED = 1e6
+"""Velocity that the URDF states for joints without a limit, because it requires a number."""
+
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the diagram that the loader creates."""
@@ -117,6 +120,7 @@ class DrakeSession(rb.Session):
             position=self._position(joint),
             drive=drive,
             effort=(limit,) if drive and math.isfinite(limit) else (),
+            max_velocity=_limit(joint.velocity_upper_limit()),
         )
 
     def _actuator(self, joint: Any) -> Any:
@@ -138,6 +142,11 @@ class DrakeSession(rb.Session):
             return ()
         rank = [int(k) for k in self.plant.GetJointActuatorIndices(model)].index(int(actuator.index()))
         return (float(port.Eval(self._context)[rank]),)
+
+
+def _limit(value: float) -> rb.Numbers:
+    """Return a velocity limit, or nothing for the value that the URDF states for joints without a limit."""
+    return (float(value),) if value < _UNLIMITED else ()
 
 
 def _collider(inspector: Any, geometry: Any) -> rb.ColliderReadback:

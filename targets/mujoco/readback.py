@@ -11,13 +11,12 @@ from types import ModuleType
 import mujoco
 import numpy as np
 
-from simfoundry.backends.mjcf.contact_rules import PROXY
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
 from simfoundry.verify import readback as rb
 
 _contacts = import_file(Path(__file__).with_name("contacts.py"))
-Meetings = _contacts.Meetings
+Meetings, PROXY = _contacts.Meetings, _contacts.PROXY
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -36,9 +35,11 @@ class MujocoSession(rb.Session):
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data, self.timestep = model, data, float(model.opt.timestep)
-        self._bodies = {name: k for k in range(1, model.nbody) if PROXY not in (name := model.body(k).name)}
+        names = {model.body(k).name: k for k in range(1, model.nbody)}
+        # In USD, a body whose name is a path is the prim that contains the links of a fixed object.
+        self._bodies = {name: k for name, k in names.items() if PROXY not in name and "/" not in name}
         self._meetings = Meetings(model)
-        self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
+        self._roots = {name: k for name, k in self._bodies.items() if "." not in name or self._held(k) == rb.FREE}
         joints = {model.joint(k).name: k for k in range(model.njnt)}
         self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
 
@@ -76,7 +77,8 @@ class MujocoSession(rb.Session):
         parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
         if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
             return rb.FREE
-        return self.model.body(parent).name if parent else rb.WORLD
+        name = self.model.body(parent).name
+        return name if name in self._bodies else rb.WORLD
 
     def _link(self, name: str, body: int) -> rb.LinkReadback:
         model = self.model
@@ -126,6 +128,8 @@ class MujocoSession(rb.Session):
             law=law,
             drive=drive,
             effort=effort,
+            max_effort=rb.numbers(model.jnt_actfrcrange[joint][1:]) if model.jnt_actfrclimited[joint] else (),
+            max_velocity=(),
         )
 
     def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:

@@ -19,6 +19,9 @@ NO_LIMIT = 1e9
 Newton's importers write such values for joints without limits.
 """
 
+UNLIMITED = 1e6
+"""Newton's value for the effort and velocity limits of joints without these limits."""
+
 _Joint, _Geo = newton.JointType, newton.GeoType
 _TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
 _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): "cylinder",
@@ -29,16 +32,16 @@ class Names(NamedTuple):
     """The mapping from an importer's labels to the links, colliders and joints in the scene.
 
     ``collider`` returns the link and the name of the collider, or None for visuals. ``joint`` returns None for joints
-    added by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping``
-    contains the damping of each joint without its motor, or is None if Newton stores the damping of motors, the
-    resistance to spinning and rolling, and the restitution in MuJoCo's custom attributes.
+    added by the importer. ``static`` contains the poses of links that Newton merged into the world. ``custom`` is
+    True if Newton stores motors, the resistance to spinning and rolling, and the restitution in MuJoCo's custom
+    attributes.
     """
 
     link: Callable[[str], str]
     collider: Callable[[str], tuple[str, str] | None]
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
-    own_damping: Mapping[str, float] | None = None
+    custom: bool = True
 
 
 class NewtonSession(rb.Session):
@@ -94,7 +97,7 @@ class NewtonSession(rb.Session):
             links[name] = rb.LinkReadback(rb.pose_numbers(pose), colliders=tuple(colliders.get(name, ())))
         joints = {name: self._joint(name, k) for name, k in self._joints.items()}
         driven = None
-        if self.names.own_damping is not None:
+        if not self.names.custom:
             driven = rb.driven(joints)
         return rb.WorldReadback(
             links, joints, rb.numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven
@@ -154,7 +157,7 @@ class NewtonSession(rb.Session):
             kind = _KINDS.get(int(kinds[k]), "other")
             bounds = self._bounds(k, kind, scales[k], X_LG)
             surface: tuple[float | None, ...] = (float(restitution[k]), float(spinning[k]), float(rolling[k]))
-            if self.names.own_damping is None:  # in MJCF, the solver's own attributes define these
+            if self.names.custom:  # in MJCF, the solver's own attributes define these
                 surface = (None, None, None)
             facts = rb.ColliderReadback(name, kind, bounds, float(mu[k]), *surface)
             found.setdefault(link, []).append(facts)
@@ -167,28 +170,33 @@ class NewtonSession(rb.Session):
         return rb.shape_bounds(kind, size, X_LG)
 
     def _joint(self, name: str, joint: int) -> rb.JointReadback:
-        """Return the values of a joint. MJCF damping is passive, but USD has a single damping for joint and drive."""
+        """Return the values of a joint. Newton limits a motor to the smaller of its own limit and that of its joint."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
         start, ball = int(self._q_start[joint]), self._kinds[joint] == int(_Joint.BALL)
-        damping = float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof])
-        own = (self.names.own_damping or {}).get(name)
-        drive: rb.Numbers | None = None if self.names.own_damping is None else ()
-        if own is not None:
-            stiffness, target = model.joint_target_ke.numpy()[dof], model.joint_target_q.numpy()[start]
-            damping, drive = own, (float(stiffness), damping - own, float(target))
+        gains = float(model.joint_target_ke.numpy()[dof]), float(model.joint_target_kd.numpy()[dof])
+        drive: rb.Numbers | None = None if self.names.custom else ()
+        if any(gains) and not self.names.custom:
+            drive = (*gains, float(model.joint_target_q.numpy()[start]))
+        effort, velocity = (
+            (value,) if value < UNLIMITED else ()
+            for value in (float(model.joint_effort_limit.numpy()[dof]), float(model.joint_velocity_limit.numpy()[dof]))
+        )
         return rb.JointReadback(
             type=_TYPES[self._kinds[joint]],
             axis=None if ball else rb.numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
             limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),
-            damping=damping,
+            damping=float(model.joint_damping.numpy()[dof]),
             friction=float(model.joint_friction.numpy()[dof]),
             armature=float(model.joint_armature.numpy()[dof]),
             position=rb.numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
             if ball
             else float(model.joint_q.numpy()[start]),
             drive=drive,
+            effort=None if drive is None else effort if drive else (),
+            max_effort=None if drive else effort,
+            max_velocity=velocity,
         )
 
 

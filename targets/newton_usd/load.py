@@ -25,7 +25,7 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
     stage = open_stage(scene)
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # otherwise the importer ignores joint friction
-    builder.add_usd(stage)
+    builder.add_usd(stage, schema_resolvers=[newton.usd.SchemaResolverNewton(), newton.usd.SchemaResolverMjc()])
     turn_balls(builder, stage)
     return builder.finalize(device=device)
 

@@ -41,9 +41,7 @@ def _names(stage: Usd.Stage) -> Any:
     def link(path: str) -> str:
         return str(names.get(path, path))  # a robot in its own file keeps its own names
 
-    found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(_usd.OWN_DAMPING)}
-    own = {found[path] or "": _usd.own_damping(stage.GetPrimAtPath(path)) for path in found}
-    return _newton.Names(link, collider, joint, poses, own)
+    return _newton.Names(link, collider, joint, poses, custom=False)
 
 
 def _pose(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Pose:

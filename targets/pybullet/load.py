@@ -82,6 +82,9 @@ def load_object(client: int, item: dict[str, Any]) -> int:
             set_joint(client, body, index, item, joint)
         elif joint in item.get("balls", {}):
             set_ball(client, body, index, item, joint)
+    for joint, most in item.get("velocities", {}).items():
+        index = joint_index(client, body, joint)
+        pybullet.changeDynamics(body, index, maxJointVelocity=most, physicsClientId=client)
     for joint, mimic in item.get("mimics", {}).items():
         follow(client, body, joint_index(client, body, joint), joint_index(client, body, mimic["joint"]), mimic)
     for joint, drive in item.get("drives", {}).items():

@@ -26,6 +26,14 @@ _KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEO
           pybullet.GEOM_CAPSULE: "capsule", pybullet.GEOM_MESH: "mesh"}  # fmt: skip
 
 
+_UNLIMITED = 1e6
+"""Effort and velocity that the URDF states for joints without these limits, because it requires a number."""
+
+
+def _limit(value: float) -> rb.Numbers:
+    return (float(value),) if 0 < value < _UNLIMITED else ()
+
+
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the build in ``folder``, which is opened by its loader."""
     client = pybullet.connect(pybullet.DIRECT)
@@ -153,6 +161,8 @@ class PybulletSession(rb.Session):
             limits=(low, high) if low <= high and not ball else (),
             damping=float(info[6]),
             friction=float(info[7]),
+            max_effort=_limit(info[10]),
+            max_velocity=_limit(info[11]),
             position=self._turned(body, index) if ball else float(self._call("getJointState", body, index)[0]),
         )
 

@@ -205,18 +205,18 @@ def _joint(name: str, prim: Usd.Prim) -> rb.JointReadback:
     typed = UsdPhysics.PrismaticJoint(prim) if kind == "prismatic" else UsdPhysics.RevoluteJoint(prim)
     lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
     drive = UsdPhysics.DriveAPI.Get(prim, instance)
-    damping = float(drive.GetDampingAttr().Get()) / unit if drive else 0.0
-    driven, own = drive and prim.HasAttribute(OWN_DAMPING), own_damping(prim)
-    spring = (float(drive.GetStiffnessAttr().Get()) / unit, damping - own) if driven else ()
-    target = (float(drive.GetTargetPositionAttr().Get()) * unit,) if driven else ()
-    limit = float(drive.GetMaxForceAttr().Get()) if driven else math.inf
+    gains = (drive.GetStiffnessAttr(), drive.GetDampingAttr()) if drive else ()
+    spring = tuple(float(gain.Get()) / unit for gain in gains)
+    target = (float(drive.GetTargetPositionAttr().Get()) * unit,) if drive else ()
+    limit = float(drive.GetMaxForceAttr().Get()) if drive else math.inf
+    effort, velocity = (_numbers(prim, name) for name in ("mjc:actuatorfrcrange:max", "newton:velocityLimit"))
     unit_axis = np.eye(3)["XYZ".index(str(typed.GetAxisAttr().Get()))]
     follows, law = _law(name, prim)
     return rb.JointReadback(
         type=kind,
         axis=rb.numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
         limits=(lower, upper) if math.isfinite(lower) and math.isfinite(upper) else (),
-        damping=own if driven else damping,
+        damping=_number(prim, "newton:damping") / unit,
         friction=_number(prim, f"physxJointAxis:{instance}:dynamicFrictionEffort"),
         armature=_number(prim, f"physxJointAxis:{instance}:armature"),
         position=_position(prim),
@@ -224,19 +224,9 @@ def _joint(name: str, prim: Usd.Prim) -> rb.JointReadback:
         law=law,
         drive=spring + target,
         effort=(limit,) if math.isfinite(limit) else (),
+        max_effort=effort,
+        max_velocity=tuple(speed * unit for speed in velocity),
     )
-
-
-OWN_DAMPING = "simfoundry:damping"
-"""The attribute that stores a joint's own damping, excluding its motor.
-
-Only joints with a motor have this attribute.
-"""
-
-
-def own_damping(joint: Usd.Prim) -> float:
-    """Return the damping of a joint, excluding that of its motor."""
-    return _number(joint, OWN_DAMPING)
 
 
 def _law(name: str, prim: Usd.Prim) -> tuple[str, tuple[float, ...]]:
@@ -261,6 +251,12 @@ def _position(prim: Usd.Prim) -> float:
 def _number(prim: Usd.Prim, name: str) -> float:
     value = prim.GetAttribute(name).Get()
     return 0.0 if value is None else float(value)
+
+
+def _numbers(prim: Usd.Prim, name: str) -> rb.Numbers:
+    """Return the value of an attribute, or nothing if it is not authored."""
+    value = prim.GetAttribute(name).Get()
+    return () if value is None else (float(value),)
 
 
 def _wxyz(q: Gf.Quatf) -> list[float]:

@@ -64,6 +64,16 @@ def scene(tmp_path: Path) -> Scene:
     return lower(load_scene(tmp_path / "room.scene.yaml"))
 
 
+def test_limits_of_force_and_speed_are_lowered(tmp_path: Path) -> None:
+    limited = ASSET.replace("drive: {stiff", "effort: 1.5, velocity_deg: 90, drive: {stiff")
+    (tmp_path / "lamp.asset.yaml").write_text(limited)
+    (tmp_path / "room.scene.yaml").write_text(SCENE)
+    scene = lower(load_scene(tmp_path / "room.scene.yaml"))
+    neck = next(joint for joint in scene.object("lamp").joints if joint.name == "neck")
+    assert neck.effort == 1.5 and neck.velocity == pytest.approx(math.pi / 2)
+    assert neck.drive is not None and neck.drive.force_limit == 1.5  # the joint's limit is the smaller one
+
+
 def test_states_of_all_joints_are_lowered(scene: Scene) -> None:
     joints = {joint.name: joint for joint in scene.object("lamp").joints}
     neck = math.radians(30)

@@ -228,6 +228,7 @@ JOINT: dict[str, st.SearchStrategy[Any]] = {
 }
 ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
     **JOINT,
+    "effort": maybe(POSITIVE),
     "mimic": maybe(st.builds(MimicSpec, joint=NAMES, multiplier=NUMBERS, offset=NUMBERS)),
     "drive": maybe(
         st.builds(
@@ -242,8 +243,8 @@ ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
 JOINTS = st.one_of(
     st.builds(JointSpec, type=st.sampled_from(["fixed", "ball"]), **JOINT),
     st.builds(JointSpec, type=st.just("free"), parent=NAMES, child=NAMES, pose=POSES),
-    st.builds(JointSpec, type=st.just("continuous"), **ONE_AXIS),
-    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, closed=CLOSED, **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("continuous"), velocity_deg=maybe(POSITIVE), **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, closed=CLOSED, velocity=maybe(POSITIVE), **ONE_AXIS),
     st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, closed=CLOSED, **ONE_AXIS),
 )
 ASSETS = st.builds(

@@ -64,7 +64,8 @@ joints:
   slide: {type: prismatic, parent: frame, child: drawer, axis: [1, 0, 0], limits: [0, 0.2], damping: 3, friction: 0.5,
           armature: 0.01,
           drive: {stiffness: 50, damping: 5}}
-  hinge: {type: revolute, parent: frame, child: door, limits_deg: [0, 90], closed: upper, damping: 0.1, friction: 0.05}
+  hinge: {type: revolute, parent: frame, child: door, limits_deg: [0, 90], closed: upper, damping: 0.1, friction: 0.05,
+          effort: 12, velocity_deg: 180}
   turn: {type: continuous, parent: door, child: knob, pose: {xyz: [0.03, 0.1, 0.1]}}
   nod: {type: ball, parent: frame, child: head, pose: {xyz: [0, 0, 0.4]}}
   loose: {type: free, parent: frame, child: lid, pose: {xyz: [0, 0, 0.6]}}

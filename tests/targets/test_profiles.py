@@ -27,8 +27,9 @@ from tests.targets.everything import write_everything
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATORS = {"mujoco", "mjx", "pybullet", "isaacsim", "isaaclab", "newton", "sapien", "maniskill", "genesis", "drake"}
-SIMULATORS |= {"newton_usd", "omnigibson", "usdview"}
-MODULES = {"drake": "pydrake", "usdview": "pxr", "mjx": "mujoco.mjx", "newton_usd": "newton"}
+SIMULATORS |= {"mujoco_usd", "newton_usd", "omnigibson", "usdview"}
+MODULES = {"drake": "pydrake", "usdview": "pxr", "mjx": "mujoco.mjx", "newton_usd": "newton",
+           "mujoco_usd": "mujoco._usd"}  # fmt: skip
 """What to import to know that a simulator is here, where it is called otherwise."""
 
 NEWTONS = ("newton", "newton_usd")

@@ -198,6 +198,29 @@ def test_a_drive_holds_its_force_limit(engine: Engine, limit: float) -> None:
     assert moved == pytest.approx((limit - 0.5 * 9.81) / 0.5 * 0.5**2 / 2, rel=0.02)
 
 
+def test_an_effort_limit_is_the_limit_of_the_drive(engine: Engine) -> None:
+    """MuJoCo's motor of 9 N is held to the 5.3 N of its joint; lowering writes the smaller limit for other engines."""
+    upright = pose(0, 0, 1, 0.2, -math.pi / 2, 0.0)
+    scene = slider(Drive(5000.0, 0.0, 0.9, 9.0 if engine is MujocoWorld else 5.3), upright)
+    joint = dataclasses.replace(scene.objects[0].joints[0], effort=5.3)
+    item = dataclasses.replace(scene.objects[0], joints=(joint,))
+    with engine(dataclasses.replace(scene, objects=(item,))) as world:
+        run(world, 0.5)
+        moved = world.state().joints["chain.slide_0"]
+    assert moved == pytest.approx((5.3 - 0.5 * 9.81) / 0.5 * 0.5**2 / 2, rel=0.02)
+
+
+def test_bullet_keeps_a_velocity_limit() -> None:
+    upright = pose(0, 0, 1, 0.2, -math.pi / 2, 0.0)
+    joint = dataclasses.replace(chain(2, gap=0.5, X_WO=upright).joints[0], velocity=0.4)
+    with PybulletWorld(scene_of(dataclasses.replace(chain(2, gap=0.5, X_WO=upright), joints=(joint,)))) as world:
+        run(world, 1.0)
+        before = world.state().joints["chain.slide_0"]
+        run(world, 0.5)
+        after = world.state().joints["chain.slide_0"]
+    assert after - before == pytest.approx(-0.2, rel=0.01)
+
+
 def test_a_brake_slows_a_fall(engine: Engine) -> None:
     upright = pose(0, 0, 1, 0.2, -math.pi / 2, 0.0)
     with engine(slider(Drive(stiffness=0.0, damping=20.0), upright)) as world:

@@ -33,7 +33,7 @@ from simfoundry.backends.artifact import Artifact, Backend, number, numbers
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import read_cells, splat_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
-from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object
+from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
@@ -138,6 +138,7 @@ def compile_mjcf(
         *scene_contacts.contact_losses(geoms, contacts == EXACT),
         *scene_contacts.restitution_losses(scene),
         *stiffness_losses(scene, timestep, implicit_damping=True),
+        *joint_losses(scene),
         *light_losses(scene),
         *variant_losses(scene, "MJCF"),
         *splat_losses(scene, "MuJoCo"),

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.features import Loss, drop
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
@@ -71,11 +72,22 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
         for key, value in (("damping", joint.damping), ("frictionloss", joint.friction), ("armature", joint.armature)):
             if value:
                 attributes[key] = number(value)
+        if joint.effort is not None:
+            attributes["actuatorfrcrange"] = numbers([-joint.effort, joint.effort])
         if joint.type is JointType.BALL and joint.friction:
             # MuJoCo averages the friction impedance over the three axes, but most objects rotate easily about one axis.
             attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
     return body
+
+
+def joint_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield the losses of joints that have properties without an attribute in MJCF."""
+    for item in scene.objects:
+        for joint in item.joints:
+            if joint.velocity is not None:
+                reason = "MuJoCo does not limit the speed of joints."
+                yield drop("joint_velocity", f"{item.name}.{joint.name}", reason)
 
 
 def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> None:

@@ -123,6 +123,7 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
         "balls": {j.name: rounded_list(j.motion.q) for j in moving if j.type is JointType.BALL},
         "mimics": {j.name: manifests.mimic_data(j.mimic) for j in moving if j.mimic is not None},
         "drives": {name: manifests.drive_data(drive) for name, drive in drives.items() if name in joints},
+        "velocities": {j.name: rounded(j.velocity) for j in moving if j.velocity is not None},
         "self_collision": touching,
         "no_contact": manifests.excluded_within(tree) if touching else [],
     }

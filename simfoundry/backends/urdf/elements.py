@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.urdf.features import UNBOUNDED_M
+from simfoundry.backends.urdf.features import UNBOUNDED_M, UNLIMITED
 from simfoundry.backends.xmltext import DECLARATION, xml_text
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, rpy_from_quat
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
@@ -40,10 +40,6 @@ class Dialect:
 
 # Rows and columns of the inertia matrix, in the customary order of URDF's attributes.
 _TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-# Effort limit [N or N m] and velocity limit [m/s or rad/s] of joints without limits. URDF requires these attributes;
-# the values are beyond the range of a tabletop scene.
-_EFFORT, _VELOCITY = "1000", "100"
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
@@ -208,8 +204,11 @@ def _limit(joint: Joint) -> dict[str, str]:
 
     Prismatic joints without limits get very large limits, because many readers would otherwise lock them at zero.
     """
-    strength = joint.drive.force_limit if joint.drive is not None else None
-    limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
+    effort = joint.effort
+    if effort is None and joint.drive is not None:
+        effort = joint.drive.force_limit
+    most = {"effort": effort, "velocity": joint.velocity}
+    limit = {name: number(UNLIMITED if value is None else value) for name, value in most.items()}
     unbounded = (-UNBOUNDED_M, UNBOUNDED_M) if joint.type is JointType.PRISMATIC else None
     limits = joint.limits or unbounded
     if limits is None or joint.type is JointType.CONTINUOUS:

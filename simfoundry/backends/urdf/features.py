@@ -15,6 +15,10 @@ FEATURES = read_cells(Path(__file__).parent)
 # Limit of a prismatic joint without limits [m], which is far beyond any table and exact in single precision.
 UNBOUNDED_M = 1000.0
 
+# Effort [N or N m] and velocity [m/s or rad/s] of joints without these limits, which URDF requires. No joint reaches
+# this value, which PhysX also uses for joints without a velocity limit, so importers recognize it.
+UNLIMITED = 1e6
+
 
 def _drop(feature: str, element: str = "") -> Loss:
     return drop(feature, element, FEATURES[feature].reason)

@@ -15,7 +15,7 @@ from simfoundry.backends.usd.shapes import contact_material, define_geometry, de
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import Tree, contact_pairs, excluded_link_pairs, link_poses, trees
-from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
+from simfoundry.scene.model import Joint, JointType, Link, Mimic, Scene, SceneObject
 
 # The name of the variant that represents the object as written in its document.
 DEFAULT = "default"
@@ -290,30 +290,34 @@ def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> Non
 
 
 def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
-    """Add a joint's damping, drive, Coulomb friction, armature and position.
+    """Add a joint's passive dynamics, limits of force and speed, drive and position.
 
-    UsdPhysics supports only damping and drives, combined as a single drive with gains per degree.
-    ``simfoundry:damping`` is the part of the drive's damping that belongs to the joint itself. The other values are
-    PhysX and Newton attributes, in which torques [N m] and armatures [kg m^2] do not depend on the angle unit. ``unit``
-    is 1 for a position in meters, and the number of degrees per radian for an angle.
+    UsdPhysics supports only drives. The other values are PhysX and Newton attributes, and the limit of force is a
+    MuJoCo attribute that Newton reads as well. Dampings and speeds are per degree, but torques [N m] and armatures
+    [kg m^2] do not depend on the angle unit. ``unit`` is 1 for a position in meters, and the number of degrees per
+    radian for an angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
     motor, axis, state = f"drive:{kind}:physics", f"physxJointAxis:{kind}", f"state:{kind}:physics"
-    drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)
-    if joint.damping or joint.drive is not None:
-        prim.schemas += [f"PhysicsDriveAPI:{kind}"]
-        prim.floats((joint.damping + drive.damping) / unit, f"{motor}:damping")
-        prim.floats(drive.stiffness / unit, f"{motor}:stiffness")
-        prim.attribute(f"{motor}:type", "token", "force", uniform=True)
     if joint.drive is not None:
-        prim.floats(drive.target * unit, f"{motor}:targetPosition")
-        if drive.force_limit is not None:
-            prim.floats(drive.force_limit, f"{motor}:maxForce")
-        prim.attribute("simfoundry:damping", "double", rounded(joint.damping))
-    if joint.friction or joint.armature:
+        prim.schemas += [f"PhysicsDriveAPI:{kind}"]
+        prim.floats(joint.drive.damping / unit, f"{motor}:damping")
+        prim.floats(joint.drive.stiffness / unit, f"{motor}:stiffness")
+        prim.attribute(f"{motor}:type", "token", "force", uniform=True)
+        prim.floats(joint.drive.target * unit, f"{motor}:targetPosition")
+        if joint.drive.force_limit is not None:
+            prim.floats(joint.drive.force_limit, f"{motor}:maxForce")
+    if joint.damping or joint.friction or joint.armature or joint.velocity:
         prim.schemas += ["PhysxJointAPI", f"PhysxJointAxisAPI:{kind}", "NewtonJointAPI"]
         prim.floats(joint.armature, "newton:armature", "physxJoint:armature", f"{axis}:armature")
+        prim.floats(joint.damping / unit, "newton:damping", f"{axis}:viscousFrictionCoefficient")
         prim.floats(joint.friction, "newton:friction", f"{axis}:dynamicFrictionEffort", f"{axis}:staticFrictionEffort")
+    if joint.velocity is not None:
+        most = joint.velocity * unit
+        prim.floats(most, "newton:velocityLimit", "physxJoint:maxJointVelocity", f"{axis}:maxJointVelocity")
+    if joint.effort is not None:
+        prim.attribute("mjc:actuatorfrcrange:min", "double", rounded(-joint.effort), uniform=True)
+        prim.attribute("mjc:actuatorfrcrange:max", "double", rounded(joint.effort), uniform=True)
     if joint.friction:
         prim.attribute("mjc:solimpfriction", "double[]", list(_FRICTION), uniform=True)
     prim.schemas += [f"PhysicsJointStateAPI:{kind}"]

@@ -65,9 +65,6 @@ def _joint(element: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator
         for field in ("damping", "friction"):
             if getattr(joint, field):
                 yield drop(f"joint_{field}", element, f"PhysX's ball joints have no {field}; Newton reads it.")
-    if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
-        reason = "USD has one damping value per joint, so a joint's own damping counts toward the drive's force limit."
-        yield approximate("joint_damping", element, reason)
     if joint.mimic is not None:
         leader = by_name.get(joint.mimic.joint)
         slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]

@@ -28,8 +28,9 @@ MAX_INCLUDES = 100
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
     "geom_size", "geom_user", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos",
-    "mesh_quat", "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring",
-    "key_qpos", "key_ctrl", "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm",
+    "mesh_quat", "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_actfrcrange", "jnt_stiffness",
+    "qpos0", "qpos_spring", "key_qpos", "key_ctrl", "dof_damping", "dof_frictionloss", "dof_armature",
+    "actuator_gainprm", "actuator_biasprm",
     "actuator_forcerange", "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize",
     "light_pos", "light_dir", "light_diffuse", "light_cutoff",
 )  # fmt: skip
@@ -287,6 +288,8 @@ class _MjcfReader:
             if is_limited:
                 self.draft.inexpressible(f"limit of ball joint `{name}`")
             return out
+        if model.jnt_actfrclimited[joint]:
+            out.effort = self.effort(name, model.jnt_actfrcrange[joint])
         out.position = float(qpos[0])
         out.limits = tuple(source.range.tolist()) if is_limited else None
         reference = float(source.qpos0[0])
@@ -300,6 +303,14 @@ class _MjcfReader:
             out.type = "revolute" if is_limited else "continuous"
             out.X_PC = X_PL @ Pose.about(axis, -reference)
         return out
+
+    def effort(self, joint: str, bounds: Any) -> float | None:
+        """Return the effort limit [N or N m] for a range of forces. Documents have one limit for both directions."""
+        low, high = abs(float(bounds[0])), abs(float(bounds[1]))
+        if not math.isclose(low, high):
+            what, why = f"`actuatorfrcrange` of joint `{joint}`", "a joint has one effort limit for both directions"
+            self.draft.changed(what, why, f"{max(low, high):.4g} instead of {min(low, high):.4g}")
+        return max(low, high) or None
 
     def joints_of(self, body: int) -> list[int]:
         return [int(joint) for joint in np.flatnonzero(self.model.jnt_bodyid == body)]

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from simfoundry.assets.errors import LARGEST, MeshError
+from simfoundry.backends.urdf.features import UNLIMITED
 from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.files import Element, FileSearch, read_xml
 from simfoundry.frontends.mass_repair import repair_masses
@@ -254,9 +255,8 @@ class _UrdfReader:
         if limit is not None:
             bounds = (limit.number("lower", 0.0), limit.number("upper", 0.0))
             is_stated = bool(limit.get("lower") or limit.get("upper"))
-            for name in ("effort", "velocity"):
-                if limit.get(name) and limit.number(name):
-                    self.left_out[f"{name} limit of a joint"] += 1
+            effort, velocity = (limit.number(name, 0.0) for name in ("effort", "velocity"))
+            joint.effort, joint.velocity = (v if 0 < v < UNLIMITED else None for v in (effort, velocity))
         match joint.type:
             case "fixed":
                 pass

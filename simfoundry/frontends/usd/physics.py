@@ -32,6 +32,12 @@ JointEnd = tuple[str, Pose, Array]
 
 _FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
 _ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
+
+# Speed [deg/s, or stage units/s] that PhysX's schema states for joints without a limit.
+UNLIMITED = 1e6
+
+_VELOCITY = ("physxJoint:maxJointVelocity", "newton:velocityLimit")
+_EFFORT = ("mjc:actuatorfrcrange:max",)
 _DAMPING = ("mjc:damping", "newton:damping")
 
 
@@ -141,9 +147,14 @@ class _JointReader:
         prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
         force = to_kg * to_m * (to_m if turns else 1.0)
         per_unit = math.degrees(1.0) if turns else 1.0 / to_m
-        joint.friction = _first(prim, _FRICTION) * force
-        joint.armature = _first(prim, _ARMATURE) * to_kg * (to_m**2 if turns else 1.0)
-        joint.damping = _first(prim, _DAMPING) * (1.0 if prim.HasAttribute("mjc:damping") else force * per_unit)
+        own = f"physxJointAxis:{token}"
+        joint.friction = _first(prim, (*_FRICTION, f"{own}:dynamicFrictionEffort")) * force
+        joint.armature = _first(prim, (*_ARMATURE, f"{own}:armature")) * to_kg * (to_m**2 if turns else 1.0)
+        passive = _first(prim, (*_DAMPING, f"{own}:viscousFrictionCoefficient"))
+        joint.damping = passive * (1.0 if prim.HasAttribute("mjc:damping") else force * per_unit)
+        speed = _first(prim, (*_VELOCITY, f"{own}:maxJointVelocity"))
+        joint.velocity = speed * (math.radians(1.0) if turns else to_m) if 0 < speed < UNLIMITED else None
+        joint.effort = _first(prim, _EFFORT) or None
         if not prim.HasAPI(self.pxr.UsdPhysics.DriveAPI, token):
             return
         drive = self.pxr.UsdPhysics.DriveAPI(prim, token)

@@ -88,7 +88,7 @@ class DocumentComparison:
         if self.obstacle:
             return [f"cannot be compared: {self.obstacle}"]
         if self.old is None or self.new is None:
-            return [f"{'added' if self.old is None else 'removed'}: {_content(self.new or self.old)}"]
+            return [f"{'added' if self.old is None else 'removed'}: {contents(self.new or self.old)}"]
         if self.entries:
             along = self.along
             object_of = "object that its place refers" if len(along) == 1 else "objects that their places refer"
@@ -140,7 +140,7 @@ def compare(
     changes = diff(before, new.data)
     entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
     if files:
-        entries += tuple(_changed_files(old, new, verbose))
+        entries += (*_changed_files(old, new, verbose), *_changed_source(old, new, verbose))
     return DocumentComparison(name, old, new, changes, entries)
 
 
@@ -166,7 +166,7 @@ def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
     return d
 
 
-def _content(side: Side | None) -> str:
+def contents(side: Side | None) -> str:
     """Summarize a document in one line, as in ``7 objects (desk, cereal, …), 1 camera (view)``."""
     parts = []
     for section, members in (side.data if side is not None else {}).items():
@@ -203,6 +203,14 @@ def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
     return entries
 
 
+def _changed_source(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
+    """Return an entry for a task's scene, or a recipe's twin, that has the same name but different content."""
+    key = {"task/1": "scene", "cousins/1": "twin"}.get(new.data["simfoundry"])
+    was, reference = (getattr(side.spec, key) if key is not None else "" for side in (old, new))
+    fact = _file_change(old.loaded, new.loaded, reference, verbose) if reference and was == reference else ""
+    return [MemberChange("", "", "", ("changed",), (), (f"{key} {fact}",))] if fact else []
+
+
 def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str:
     """Summarize the changes to a file that both sides refer to, or return an empty string if it is unchanged."""
     before, after = old.used(reference), new.used(reference)
@@ -210,7 +218,8 @@ def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str
         return f"{reference} is a different file" if _bytes(old, reference) != _bytes(new, reference) else ""
     if before.spec is None or after.spec is None:
         return ""
-    entries = describe(to_data(before.spec), to_data(after.spec), type(after.spec), verbose=verbose)
+    old_side, new_side = (Side(reference, loaded, loaded.spec, "", ()) for loaded in (before, after))
+    entries = compare(reference, old_side, new_side, verbose).entries
     return f"{reference} changed ({summary(entries)})" if entries else ""
 
 

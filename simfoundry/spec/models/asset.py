@@ -163,6 +163,13 @@ class JointSpec(Model):
     armature: NonNegative = Field(
         0.0, description="Inertia added to the joint, such as the rotor inertia of a motor [kg, or kg m^2]."
     )
+    effort: Positive | None = Field(
+        None, description="Maximum force of the joint's actuators, including its drive [N, or N m]; default: unlimited."
+    )
+    velocity: Positive | None = Field(None, description="Maximum speed of a prismatic joint [m/s]; default: unlimited.")
+    velocity_deg: Positive | None = Field(
+        None, description="Maximum speed of a revolute or continuous joint [deg/s]; default: unlimited."
+    )
     mimic: MimicSpec | None = Field(None, description="Coupling to another joint that this joint follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
@@ -184,7 +191,15 @@ class JointSpec(Model):
                 raise fault("sf107", f"`{name}` has no effect on a free joint", name)
         if self.closed is not None and self.type not in ("revolute", "prismatic"):
             raise fault("sf107", f"`closed` refers to a limit, but a {self.type} joint has no limits", "closed")
-        for name in ("mimic", "drive"):
+        if self.velocity is not None and self.type != "prismatic":
+            hint = ", in degrees per second: write `velocity_deg`" if self.type in ("revolute", "continuous") else ""
+            message = f"`velocity` applies only to prismatic joints, but this joint is {self.type}{hint}"
+            raise fault("sf107", message, "velocity")
+        if self.velocity_deg is not None and self.type not in ("revolute", "continuous"):
+            hint = ", in meters per second: write `velocity`" if self.type == "prismatic" else ""
+            message = f"`velocity_deg` applies only to joints that rotate about one axis, but this joint is {self.type}"
+            raise fault("sf107", message + hint, "velocity_deg")
+        for name in ("effort", "mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
                 message = f"`{name}` applies only to joints with one axis, but this joint is {self.type}"
                 raise fault("sf107", message, name)

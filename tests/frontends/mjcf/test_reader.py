@@ -24,7 +24,7 @@ MODEL = """<mujoco model="arm">
     <camera name="eye" pos="1 0 1" xyaxes="0 1 0 -0.7071 0 0.7071" fovy="50" resolution="320 240"/>
     <body name="upper" pos="0.1 0.2 0.3" euler="10 20 30">
       <joint name="shoulder" type="hinge" axis="1 2 2" pos="0.05 0 -0.1" range="-40 60" ref="15" damping="0.3"
-        armature="0.02"/>
+        armature="0.02" actuatorfrcrange="-7 9"/>
       <geom class="rough" type="box" size="0.1 0.05 0.2" euler="5 0 40"/>
       <body name="Lower Arm" pos="0 0 0.3" euler="0 45 0">
         <joint name="slide" type="slide" axis="0 0 1" range="-0.1 0.2" frictionloss="0.4"/>
@@ -61,13 +61,16 @@ def test_every_body_stands_and_weighs_as_in_mujoco(importing: Importing) -> None
 
 
 def test_joints_keep_their_coordinates(importing: Importing) -> None:
-    _, scene = importing("arm.xml", MODEL)
+    report, scene = importing("arm.xml", MODEL)
     shoulder, slide = scene.object("upper").joints
     assert (shoulder.type, slide.type) == (JointType.REVOLUTE, JointType.PRISMATIC)
     assert shoulder.limits == pytest.approx(np.radians([-40, 60]))
     assert slide.limits == pytest.approx((-0.1, 0.2))
     assert (shoulder.position, slide.position) == pytest.approx((0.4, 0.05))
     assert (shoulder.damping, shoulder.armature, slide.friction) == pytest.approx((0.3, 0.02, 0.4))
+    assert (shoulder.effort, slide.effort) == (9.0, None)
+    note = next(n for n in report.notes if "actuatorfrcrange" in n.what)
+    assert (note.kind, note.detail) == ("changed", "9 instead of 7")
 
 
 def test_defaults_of_nested_classes_are_mujocos(importing: Importing) -> None:

@@ -1,24 +1,15 @@
-"""Interpret the arguments of ``diff`` and ``log``, and follow the history of a document."""
+"""Interpret the arguments of ``diff`` and ``log``."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
-from simfoundry.spec.change.git.revisions import (
-    commit,
-    differing,
-    export,
-    files_of,
-    git,
-    referenced_files,
-    renames_between,
-    repository,
-)
+from simfoundry.spec.change.git.history import HistoryEntry, history, side_at, uncommitted
+from simfoundry.spec.change.git.revisions import GitError, commit, differing, git, repository
 
 
 class ArgumentError(SimfoundryError):
@@ -80,9 +71,9 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
 
 
 def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document.
+    """Yield the commits that changed a document, after the uncommitted changes, if there are any.
 
-    The arguments are ``FILE``, ``REVISION FILE`` or ``A..B FILE``.
+    The arguments are ``FILE``, ``REVISION FILE`` or ``A..B FILE``. With a revision, only commits are listed.
     """
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
@@ -90,10 +81,25 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
     if Path(file).is_dir():
         raise ArgumentError(f"{file} is a folder; give one document")
     root, inside = _inside(Path(file))
-    if not revisions or ".." not in revisions[0]:
-        return history(root, [commit(root, (revisions or ["HEAD"])[0])], inside, verbose)
+    if not revisions:
+        return _latest(root, inside, verbose)
+    if ".." not in revisions[0]:
+        return history(root, [commit(root, revisions[0])], [inside], verbose)
     old, new = _span(root, revisions).commits
-    return history(root, [f"^{old}", new], inside, verbose)
+    return history(root, [f"^{old}", new], [inside], verbose)
+
+
+def _latest(root: Path, inside: str, verbose: bool) -> Iterator[HistoryEntry]:
+    """Yield the uncommitted changes to a document and the commits of the current branch that changed it."""
+    try:
+        head = commit(root, "HEAD")
+    except GitError:  # the branch has no commits yet
+        head = ""
+    names, entry = uncommitted(root, head, inside, verbose)
+    if entry is not None:
+        yield entry
+    if head:
+        yield from history(root, [head], names, verbose)
 
 
 def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentComparison:
@@ -111,7 +117,7 @@ def _open(source: DocumentState | None, folder: Path) -> Side | None:
     if source.root is None:
         path = Path(source.path)
         return side(path, source.label) if path.exists() else None
-    return _side(source.root, source.commit, [source.path], folder, source.label)
+    return side_at(source.root, source.commit, [source.path], folder, source.label)
 
 
 def _is_state(argument: str) -> bool:
@@ -134,7 +140,9 @@ def _state(argument: str) -> DocumentState:
         return DocumentState(argument, argument)
     revision, _, path = argument.partition(":")
     root = repository(Path.cwd())
-    return DocumentState(path.removeprefix("./"), argument, root, commit(root, revision))
+    if path.startswith(("./", "../")):  # git treats only these paths as relative to the working folder
+        _, path = _inside(Path(path))
+    return DocumentState(path, argument, root, commit(root, revision))
 
 
 def _span(root: Path, revisions: Sequence[str]) -> _Span:
@@ -187,100 +195,3 @@ def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) 
     file, here = root / new, Path.cwd()
     label = file.relative_to(here) if file.is_relative_to(here) else file
     return Pair(name, before, DocumentState(str(file), str(label)))
-
-
-# Output format for commits: hash, parents, date, author, and subject.
-_FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
-
-
-@dataclass(frozen=True)
-class Commit:
-    """A commit, with its full hash as ``id`` and an ISO 8601 ``date``."""
-
-    id: str
-    parents: tuple[str, ...]
-    date: str
-    author: str
-    subject: str
-
-
-@dataclass(frozen=True)
-class HistoryEntry:
-    """The changes that one commit made to a document."""
-
-    commit: Commit
-    comparison: DocumentComparison
-
-
-def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document, newest first.
-
-    Each commit is compared with its first parent, and both versions are merged with the documents that they extended at
-    that time. Merge commits are included only if they differ from all of their parents. The history follows renames of
-    the document.
-
-    Args:
-        path: The path of the document, relative to the repository root.
-        revisions: The arguments for `git rev-list`: the commits to start from, and commits prefixed with ``^`` at which
-            to stop.
-    """
-    names, commits = _trace(root, revisions, path)
-    for each in commits:
-        with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
-            new = _side(root, each.id, names, Path(folder) / "new")
-            olds = [_side(root, parent, names, Path(folder) / str(k)) for k, parent in enumerate(each.parents)]
-            found = [compare(path, old, new, verbose) for old in olds or [None] if old is not None or new is not None]
-        if found and all(comparison.differs for comparison in found):
-            yield HistoryEntry(each, found[0])
-
-
-def _side(root: Path, revision: str, names: Sequence[str], folder: Path, label: str = "") -> Side | None:
-    """Read the document from a commit, using the first of its names that exists there."""
-    with files_of(root, revision) as read:
-        found = ((name, export(read, name, folder)) for name in names)
-        sides = (side(path, label or f"{revision[:10]}:{name}", folder) for name, path in found if path is not None)
-        return next(sides, None)
-
-
-def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
-    """Return all names that a document has had, and every commit that changed it or a file that it refers to."""
-    names, paths, read_already = [path], {path}, set[str]()
-    while True:
-        commits = list(_listed(root, revisions, sorted(paths)))
-        known = len(paths)
-        for each in commits:
-            if each.id in read_already:
-                continue
-            read_already.add(each.id)
-            with files_of(root, each.id) as read:
-                present = next((name for name in names if read(name) is not None), None)
-                paths |= (
-                    {name for name, _ in referenced_files(read, present, ".yaml")} if present is not None else set()
-                )
-            former = _former_name(root, each, present) if present is not None else None
-            if former is not None and former not in names:
-                names.append(former)
-                paths.add(former)
-        if len(paths) == known:
-            return names, commits
-
-
-def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
-    """Yield the commits that change one of the paths, newest first."""
-    options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
-    found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
-    for line in found.decode(errors="replace").splitlines():
-        if "\0" in line:  # other lines are headers
-            id_, parents, date, author, subject = line.split("\0", 4)
-            yield Commit(id_, tuple(parents.split()), date, author, subject)
-
-
-def _former_name(root: Path, renaming: Commit, path: str) -> str | None:
-    """Return the name of a document before the commit that renamed it to ``path``."""
-    if not renaming.parents:
-        return None
-    parent = renaming.parents[0]
-    with files_of(root, parent) as read:
-        if read(path) is not None:
-            return None
-    return next((pair.old for pair in renames_between(root, parent, renaming.id) if pair.new == path), None)

@@ -77,7 +77,15 @@ def commit(root: Path, revision: str) -> str:
     if not revision.startswith("-") and "\0" not in revision:
         with suppress(GitError):  # with --quiet, git gives no reason; the error below names the revision
             return git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}").decode().strip()
-    raise GitError(f"`{revision}` is neither a file nor a revision of this repository")
+    hint = "; the clone is shallow, and `git fetch --unshallow` gets the commits that it lacks"
+    shallow = hint if shallow_commits(root) else ""
+    raise GitError(f"`{revision}` is neither a file nor a revision of this repository{shallow}")
+
+
+def shallow_commits(root: Path) -> set[str]:
+    """Return the hashes of the commits whose parents a shallow clone lacks."""
+    file = root / git(root, "rev-parse", "--git-path", "shallow").decode().rstrip("\n")
+    return set(file.read_text().split()) if file.is_file() else set()
 
 
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
