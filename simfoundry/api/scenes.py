@@ -79,7 +79,7 @@ class ObjectEntry(DocumentEntry):
     fixed = Flag()
     shape = ValueField[shapes.Shape | None, shapes.Shape | Values | None]()
     asset = Text()
-    scale = Number()
+    scale = ValueField[float | Vector, float | Sequence[float] | None]()
     visual = Text()
     material = Text()
     color = Color()

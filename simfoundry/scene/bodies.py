@@ -14,7 +14,7 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache, key_of
-from simfoundry.assets.errors import MeshError
+from simfoundry.assets.errors import MeshError, Scale
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import (
@@ -58,14 +58,14 @@ class MeshUse(NamedTuple):
     """Options for using a mesh file in a body.
 
     Attributes:
-        scale: Factor that converts the file's units to meters.
+        scale: Factor that converts the file's units to meters, or one factor along each axis of the mesh.
         touches: False if the mesh has no colliders.
         solid: The solid from which the mass is computed, or `given` if the body's mass is already specified. In that
             case, the mesh does not need to be closed.
         collision: The type of collider.
     """
 
-    scale: float
+    scale: Scale
     touches: bool = True
     solid: Literal["exact", "hull", "given"] = "exact"
     collision: str = "auto"
@@ -123,7 +123,7 @@ class BodyBuilder:
                 self._collide(label, piece, X_LG, part)
         self._weigh(body.solid, X_LG, part)
 
-    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+    def add_mesh(self, name: str, path: Path, scale: Scale, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a mesh file at a pose in the link frame.
 
         The entire mesh is used as the visual, but the mass and the colliders are computed from a single solid.
@@ -139,7 +139,7 @@ class BodyBuilder:
         for label, (geometry, X_GP) in zip(_piece_names(name, len(body.colliders), part), body.colliders, strict=True):
             self._collide(label, geometry, X_LG @ X_GP, part)
 
-    def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
+    def add_visual(self, name: str, path: Path, scale: Scale = 1.0) -> None:
         """Add a visual-only mesh file."""
         self._show(name, self._mesh_body(path, MeshUse(scale, touches=False)).pieces, IDENTITY, None)
 

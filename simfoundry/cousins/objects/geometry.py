@@ -54,7 +54,9 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
     """Return a part scaled along the axes of its link by ``f``, an array of shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
-        return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
+        even = float(np.cbrt(f.prod()))
+        scale = tuple(v * even for v in part.scale) if isinstance(part.scale, tuple) else part.scale * even
+        return there.model_copy(update={"scale": scale})
     assert part.shape is not None
     turn = pose(part.pose).rotation
     local = np.abs(turn.T) @ f

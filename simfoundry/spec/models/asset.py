@@ -7,6 +7,7 @@ from pydantic import Field
 
 from simfoundry.spec.models.base import (
     COLOR,
+    SCALE,
     BodySpec,
     Color,
     DocumentSpec,
@@ -21,6 +22,7 @@ from simfoundry.spec.models.base import (
     PoseSpec,
     Positive,
     Range,
+    Scale,
     Vec3,
     consistent,
     exclusive,
@@ -34,7 +36,7 @@ class PartSpec(Model):
 
     shape: PartShape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
-    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
+    scale: Scale = Field(1.0, description=SCALE)
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
     color: Color | None = Field(None, description=COLOR.format("; default: the link's"))

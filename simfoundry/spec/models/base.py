@@ -80,6 +80,13 @@ Vec3 = tuple[Number, Number, Number]
 Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
+# Length of one mesh unit [m], or that along the x, y and z axes of the mesh, with z up.
+Scale = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[tuple[Positive, Positive, Positive], Tag("axes")],
+    Discriminator(lambda v: "axes" if isinstance(v, tuple | list) else "number"),
+]
+# Description of the scale of a mesh.
+SCALE = "Length of one mesh unit [m], or three lengths along x, y and z (z is up, also for files with y up)."
 MAX_IMAGE_SIDE = 8192  # Largest width or height of an image [px], as for textures
 Pixels = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 ImageSize = tuple[Pixels, Pixels]

@@ -10,6 +10,7 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
     COLOR,
     FARTHEST,
+    SCALE,
     BodySpec,
     CameraPose,
     Color,
@@ -28,6 +29,7 @@ from simfoundry.spec.models.base import (
     Point3,
     PoseSpec,
     Positive,
+    Scale,
     Vec3,
     consistent,
     exclusive,
@@ -118,7 +120,7 @@ class GeometrySpec(BodySpec):
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
-    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
+    scale: Scale = Field(1.0, description=SCALE)
 
 
 class VariantSpec(GeometrySpec):

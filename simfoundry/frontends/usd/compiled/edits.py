@@ -394,7 +394,8 @@ def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
     if not isinstance(shape, dict):
         if str(data.get("asset", "")).endswith(".yaml"):
             return {}, "the object was scaled, but objects from asset documents cannot be scaled"
-        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "meshes only scale uniformly")
+        scale = np.array(data.get("scale", 1.0)) * (x if even else np.asarray(factors))
+        return {"scale": short(scale.tolist())}, ""
     kind, value = next(iter(shape.items()))
     if kind == "sphere" and not even:
         return {"shape": {"ellipsoid": short((value * np.asarray(factors)).tolist())}}, ""
