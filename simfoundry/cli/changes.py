@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import NEW_FILE, option
+from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
@@ -22,14 +22,17 @@ if TYPE_CHECKING:
 
 @output.subcommand(as_json=False, force=True)
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
-@option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text")
-@click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
+@option("--format", "form", type=click.Choice(["text", "json", "html", "markdown"]), default="text")
+@click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page or the Markdown report to this file.")
+@click.option("--pictures", type=NEW_FOLDER, help="Write images for the Markdown report to this folder.")
+@click.option("--pictures-url", metavar="URL", help="Address of that folder for readers. Default: its relative path.")
 @click.option("--exit-code", is_flag=True, help="Exit with code 1 if there are differences.")
 @click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
 @click.option("--git", "driver", is_flag=True, help="Act as git's diff driver.")
 def diff_command(
-    what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
-) -> int | None:
+    what: tuple[str, ...], form: str, out: Path | None, pictures: Path | None, pictures_url: str | None,
+    exit_code: bool, verbose: bool, driver: bool, force: bool,
+) -> int | None:  # fmt: skip
     """Show changes to a document in terms of the scene.
 
     Pass two files, or revisions of one file: `HEAD~1 desk.scene.yaml` compares a revision with the working file, and
@@ -46,23 +49,24 @@ def diff_command(
             click.echo(printable(line))
         return output.DONE
 
-    if (form == "html") != (out is not None):
-        raise SimfoundryError("an HTML page requires an output file; use `--format html` and `-o PAGE.html` together")
+    _check_outputs(form, out, pictures, pictures_url)
     output.protect_output(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
-        if out is not None:
+        if form == "html" and out is not None:
             from simfoundry.reports.comparison import page
 
             output.write_text(out, page(found))
+        elif form == "markdown":
+            _write_markdown(found, out, pictures, pictures_url, force)
     if form == "json":
         output.print_json({"documents": [_plain(c) for c in found]})
     elif form == "text":
         _print_comparisons(found)
-    else:
+    elif out is not None:
         click.echo(f"{out}  ({output.plural(len(found), 'document')})")
     findings = [d for c in found for d in c.findings]
-    if findings and form != "json":
+    if findings and form not in ("json", "markdown"):
         texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
         click.echo(render(findings, texts=texts), err=True)
     if any(c.obstacle for c in found):
@@ -70,10 +74,46 @@ def diff_command(
     return output.FINDINGS if exit_code and any(c.differs for c in found) else output.DONE
 
 
+def _check_outputs(form: str, out: Path | None, pictures: Path | None, url: str | None) -> None:
+    if form == "html" and out is None:
+        raise SimfoundryError("an HTML page requires an output file; use `--format html` and `-o PAGE.html` together")
+    if form not in ("html", "markdown") and out is not None:
+        raise SimfoundryError(f"`-o {out}` is for pages and reports; add `--format html` or `--format markdown`")
+    if pictures is not None and form != "markdown":
+        raise SimfoundryError("`--pictures` is for `--format markdown`; an HTML page contains its images")
+    if url is not None and pictures is None:
+        raise SimfoundryError("`--pictures-url` requires `--pictures FOLDER`, to which the images are written")
+
+
+def _write_markdown(
+    found: Sequence[DocumentComparison], out: Path | None, folder: Path | None, url: str | None, force: bool
+) -> None:
+    """Write the report to a file or to the screen, and its images to a folder."""
+    import os
+
+    from simfoundry.reports.markdown import PictureFiles, markdown_report
+
+    pictures = None
+    if folder is not None:
+        start = out.resolve().parent if out is not None else Path.cwd()
+        pictures = PictureFiles(url or Path(os.path.relpath(folder.resolve(), start)).as_posix())
+    report = markdown_report([comparison for comparison in found if not comparison.identical], pictures)
+    if folder is not None and pictures is not None:
+        for name in pictures.files:
+            output.protect_output(folder / name, force=force)
+        for name, png in pictures.files.items():
+            output.write_bytes(folder / name, png)
+    if out is not None:
+        output.write_text(out, report)
+    else:
+        output.print_document(report)
+
+
 def _print_comparisons(found: list[DocumentComparison]) -> None:
     for comparison in found:
         if len(found) > 1:
-            click.echo(printable(comparison.name))
+            was = f" (renamed from {comparison.was})" if comparison.was else ""
+            click.echo(printable(f"{comparison.name}{was}"))
         for line in comparison.lines():
             click.echo(("  " if len(found) > 1 else "") + printable(line))
     if not found:
@@ -89,6 +129,7 @@ def _plain(comparison: DocumentComparison) -> dict[str, Any]:
 
     return {
         "name": comparison.name,
+        "was": comparison.was or None,
         "old": comparison.old and comparison.old.label,
         "new": comparison.new and comparison.new.label,
         "obstacle": comparison.obstacle or None,

@@ -197,9 +197,14 @@ def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = 
 
 def write_text(path: Path, text: str) -> None:
     """Write a file atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a binary file atomically."""
     from simfoundry.runtime.files import write_atomically
 
-    write_atomically(path, text.encode())
+    write_atomically(path, data)
 
 
 def write_in_place(path: Path, text: str) -> None:

@@ -37,7 +37,7 @@ SEEN_M, SEEN_DEG = 5e-4, 0.1
 
 def page(comparisons: Sequence[DocumentComparison]) -> str:
     """Render the page for the given documents."""
-    documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
+    documents = [described_document(c, f"d{k}") for k, c in enumerate(comparisons)]
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     context = {"sources": "", "colors": COLORS, "mark_of": mark_of}
     return render("comparison.html.j2", title=title, documents=documents, **context)
@@ -48,8 +48,11 @@ def mark_of(entry: MemberChange) -> str:
     return next((mark for mark in ("added", "removed", "moved") if mark in entry.marks), "changed")
 
 
-def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
-    """Return the template variables for one document."""
+def described_document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
+    """Return the template variables for one document, with images of the scenes.
+
+    ``key`` is a prefix for the names of CSS classes.
+    """
     lowered = _lowered_sides(comparison)
     comparison = _with_moves(comparison, lowered)
     return {

@@ -60,11 +60,19 @@ class DocumentComparison:
     entries: tuple[MemberChange, ...]
     obstacle: str = ""
     """The reason the two states cannot be compared, or an empty string if they can be compared."""
+    was: str = ""
+    """The former path of a renamed document, or an empty string."""
 
     @property
     def differs(self) -> bool:
         """Return True unless the two states are equal or differ only in formatting."""
         return bool(self.changes or self.entries or self.obstacle or self.old is None or self.new is None)
+
+    @property
+    def identical(self) -> bool:
+        """Return True if the document and everything that it refers to are the same, including the formatting."""
+        texts = (self.old and self.old.text, self.new and self.new.text)
+        return not self.differs and not self.was and texts[0] == texts[1]
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:

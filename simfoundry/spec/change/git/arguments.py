@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
@@ -31,11 +31,15 @@ class DocumentState:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two states of a document to compare. A state is None if the document does not exist in it."""
+    """Two states of a document to compare. A state is None if the document does not exist in it.
+
+    ``was`` is the former path of a renamed document, or an empty string.
+    """
 
     name: str
     old: DocumentState | None
     new: DocumentState | None
+    was: str = ""
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentCompar
     if old is None and new is None:
         label = (pair.new or pair.old or DocumentState("", pair.name)).label
         raise ArgumentError(f"there is no document {label}")
-    return compare(pair.name, old, new, verbose)
+    return replace(compare(pair.name, old, new, verbose), was=pair.was)
 
 
 def _open(source: DocumentState | None, folder: Path) -> Side | None:
@@ -183,7 +187,8 @@ def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
     """Yield the two states of each document that is below a folder and differs between the two states."""
     below = "" if folder == root else folder.relative_to(root).as_posix()
     for found in differing(root, span.commits[0], span.commits[1] or None, below):
-        yield _pair(span, root, found.old, found.new, found.new or found.old or "")
+        pair = _pair(span, root, found.old, found.new, found.new or found.old or "")
+        yield replace(pair, was=found.old if found.old and found.new and found.old != found.new else "")
 
 
 def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) -> Pair:
