@@ -10,7 +10,6 @@ from itertools import permutations, product
 
 import numpy as np
 
-from simfoundry.assets.solids import MOST_CORNERS
 from simfoundry.backends.features import Loss, approximate
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Cone, Ellipsoid, Geometry, Mesh, hull_mesh
@@ -23,6 +22,9 @@ REPLACED: Mapping[str, tuple[type[Geometry], ...]] = {
     "urdf": (Ellipsoid, Cone),
     "usd": (Ellipsoid,),
 }
+
+# Number of sides of the pyramid that replaces a cone; with the tip, it has 64 corners, which is PhysX's limit.
+_SIDES = 63
 
 # Directions to the corners of a hull of the unit sphere, from which permutations and signs give all 60. Each pole is
 # below a flat face, so an ellipsoid stands on its poles as on the true surface instead of tipping. The numbers minimize
@@ -76,11 +78,10 @@ def hull_of(geometry: Geometry) -> tuple[Mesh, float]:
     and its corners are outside. Upright objects therefore stand exactly at their height.
     """
     if isinstance(geometry, Cone):
-        sides = MOST_CORNERS - 1
-        turn = np.arange(sides) * (2 * math.pi / sides)
+        turn = np.arange(_SIDES) * (2 * math.pi / _SIDES)
         ring = np.column_stack([np.cos(turn), np.sin(turn)]) * geometry.radius
-        base = np.column_stack([ring, np.full(sides, -geometry.height / 2)])
-        inside = geometry.radius * (1 - math.cos(math.pi / sides))
+        base = np.column_stack([ring, np.full(_SIDES, -geometry.height / 2)])
+        inside = geometry.radius * (1 - math.cos(math.pi / _SIDES))
         return _hull(np.vstack([base, [[0.0, 0.0, geometry.height / 2]]])), inside
     assert isinstance(geometry, Ellipsoid)
     return _hull(_sphere_points() * geometry.radii), (_REACH - 1) * float(geometry.radii.max())
