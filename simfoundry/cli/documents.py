@@ -134,7 +134,7 @@ STDIN = Path("-")
 @click.option("--check", is_flag=True, help="Do not write anything; exit with code 1 if a document would change.")
 @click.option("--diff", is_flag=True, help="Do not write anything; show the changes.")
 def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
-    """Rewrite documents in their canonical form, preserving their comments and meaning.
+    """Rewrite documents in their canonical form, preserving their comments, layout and meaning.
 
     PATHS are documents, or folders that contain documents (default: the working folder). `-` reads from standard input
     and writes to standard output. Files that cannot be parsed are reported and left unchanged, and the exit code is 2.

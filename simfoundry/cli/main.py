@@ -30,7 +30,7 @@ COMMANDS = {
     "explain": ("language", "Explain a diagnostic code, or list all codes."),
     "export": ("convert", "Write a task as BDDL or in the format of the paper's release."),
     "flatten": ("language", "Write a document in full, with everything it extends and every default."),
-    "fmt": ("documents", "Rewrite documents in their canonical form, keeping comments."),
+    "fmt": ("documents", "Rewrite documents in their canonical form, keeping comments and layout."),
     "git": ("git", "Set up semantic diffs and merges of documents in git."),
     "import": ("convert", "Convert URDF, MJCF, USD, BDDL or files from the paper's release to documents."),
     "judge": ("scenes", "Evaluate predicates in a scene, with margins and explanations."),

@@ -10,6 +10,7 @@ from unittest import mock
 import pytest
 
 from tests.cli.command import Done, run
+from tests.spec.change.test_format_layout import EIGHT_OBJECTS
 
 TIDY = "simfoundry: scene/1\nname: a  # why\n"
 UNTIDY = "name:   a #why\r\nsimfoundry: scene/1"
@@ -101,6 +102,13 @@ def test_what_cannot_be_read_is_reported_and_left_and_the_others_are_written(fol
     as_json = run("fmt", "--json")
     assert as_json.code == 2 and as_json.err == ""
     assert [f["code"] for f in as_json.json["findings"]] == ["SF002", "SF003"]
+
+
+def test_a_scene_that_is_written_on_few_lines_stays_on_them(tmp_path: Path) -> None:
+    path = tmp_path / "breakfast.scene.yaml"
+    path.write_text(EIGHT_OBJECTS)
+    assert run("fmt", path).out == "1 document: none changed\n" and path.read_text() == EIGHT_OBJECTS
+    assert run("check", path).code == 0
 
 
 def test_it_writes_through_links_and_keeps_rights(folder: Path) -> None:

@@ -8,6 +8,7 @@ rewritten in canonical form, and its comments are kept.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -26,6 +27,8 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
 
 _BOM = "\ufeff"
+# Predicate that is quoted for other YAML readers, which split ``[OnTop(cup, desk)]`` at the comma.
+_QUOTED_CALL = re.compile(r'"([A-Za-z]\w*\([\w., ]*\))"')
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
@@ -256,6 +259,8 @@ class _Round:
         if not block and "\n" not in self.text[span.start : span.end]:
             flow = parent.flow or (isinstance(wanted, tuple) and self.text.startswith("[", span.start))
             new = inline_text(wanted, path, self.model, flow)
+            if new is not None and not set("'\"") & set(self.text[span.start : span.end]):
+                new = _QUOTED_CALL.sub(r"\1", new)
             before = "" if span.start > span.key + len(path[-1]) + 1 or parent.flow else " "
             fits = self._line_end(span.end) - self._line(span.start) - (span.end - span.start) + len(new or "") <= WIDTH
             if new is not None and (fits or parent.flow or not isinstance(wanted, dict | tuple)):

@@ -1,10 +1,10 @@
-"""Assign every comment in a text to the value that it describes."""
+"""Assign every comment and blank line in a text to the value that it describes or precedes."""
 
 from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
 from itertools import takewhile
@@ -18,6 +18,8 @@ from simfoundry.spec.yaml.text import Path_
 _BREAK = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 _COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")
 _ANCHOR = re.compile("&[0-9A-Za-z_-]+")
+# Blank line after the first line of a text.
+BLANK = re.compile("[\n\r\x85\u2028\u2029][ \t]*[\n\r\x85\u2028\u2029]")
 _GAP = re.compile("(?:[ \t\r\n\x85\u2028\u2029\ufeff]|#[^\r\n\x85\u2028\u2029]*)*")
 # Header line of a block scalar with a comment.
 _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
@@ -25,7 +27,10 @@ _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
 
 @dataclass(slots=True)
 class Notes:
-    """The comments attached to a value and to its members, which are indexed by key or position."""
+    """The comments attached to a value and to its members, which are indexed by key or position.
+
+    An empty string in ``above`` or ``end`` is a blank line.
+    """
 
     above: list[str] = field(default_factory=list)
     beside: str = ""
@@ -65,13 +70,20 @@ class _Frame:
 class _Pending:
     """A comment that is assigned to a value once the next event is known.
 
-    ``alone`` is True if the comment is on its own line or after a dash.
+    ``alone`` is True if the comment is on its own line or after a dash. ``parted`` is True if the line above is blank.
+    The blank line above an entry is an empty comment at the start of the entry's first line.
     """
 
     start: int
     column: int
     alone: bool
     text: str
+    parted: bool = False
+
+    @property
+    def lines(self) -> list[str]:
+        """Return the comment, after a blank line if there is one above it."""
+        return ["", self.text] if self.parted else [self.text]
 
 
 class _Reader:
@@ -79,12 +91,14 @@ class _Reader:
 
     A comment on its own line belongs to the next value, or to the end of the mapping or list that ends next if it is
     indented deeper than the parent of that collection. A comment after a value on the same line belongs to that value.
+    A blank line belongs to the comment or entry below it. Blank lines at the start or end of a collection are omitted.
     """
 
     def __init__(self, text: str, root: Node, first: str) -> None:
         self.text, self.node, self.first = text, root, first
         self.root = Notes()
         self.starts = [0, *(m.end() for m in _BREAK.finditer(text))]
+        self.has_blank = BLANK.search(text) is not None
         self.stack: list[_Frame] = []
         self.pending: list[_Pending] = []
         self.owner: tuple[str, Path_, int] = ("", (), -1)  # the last value that was read: kind, path, and end
@@ -100,6 +114,7 @@ class _Reader:
                     self._scalar(event)
                 case "AliasEvent":
                     self._gap(event.start_mark.index)
+                    self._part_item(event.start_mark.index)
                     self._owned("scalar", self._next_path(self.plain.get(event.anchor, "")), event.end_mark.index)
                 case "MappingStartEvent" | "SequenceStartEvent":
                     self._open(event)
@@ -108,7 +123,7 @@ class _Reader:
                 case "DocumentStartEvent":
                     self.directives = event.end_mark.index
         self._gap(len(self.text))
-        self.root.end += [c.text for c in self.pending]
+        self.root.end += _lines(self.pending)
         return self.root
 
     # -- events ---------------------------------------------------------------------------------------------------
@@ -123,10 +138,12 @@ class _Reader:
             self.plain[event.anchor] = plain
         frame = self.stack[-1] if self.stack else None
         if frame is not None and frame.mapping and not frame.value_next:
+            self._part(start, frame)
             if not frame.path and frame.part is None and self.pending:
                 self._take_top(event.value, start)
             self._key(frame, event.value, end)
         else:
+            self._part_item(start, plain)
             self._owned("scalar", self._next_path(plain), end)
         if 0 <= self.next < end:
             header = _HEADER.match(self.text, start) if event.style in ("|", ">") else None
@@ -148,13 +165,14 @@ class _Reader:
             if notes.beside:  # beside the key, with the value on a later line
                 notes.above.append(notes.beside)
                 notes.beside = ""
-            notes.above += [c.text for c in self.pending]
+            notes.above += _lines(self.pending)
             self.pending = []
         self.owner = (kind, path, end)
 
     def _open(self, event: Any) -> None:
         start = self._start(event)
         self._gap(start)
+        self._part_item(start)
         in_list = bool(self.stack) and not self.stack[-1].mapping
         path = self._next_path("")
         siblings: Any = self.stack[-1].node.children if self.stack else None
@@ -163,7 +181,7 @@ class _Reader:
             self._owned("open", path, event.end_mark.index)
         else:
             count = self._about_whole(start, in_list)
-            self._at(path).above += [c.text for c in self.pending[:count]]
+            self._at(path).above += _lines(self.pending[:count])
             del self.pending[:count]
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
@@ -186,7 +204,7 @@ class _Reader:
         outer = self.stack[-1].indent if self.stack else -1
         inside = [*takewhile(lambda comment: frame.indent < 0 or comment.column > outer, self.pending)]
         if inside:
-            self._at(frame.path).end += [c.text for c in inside]
+            self._at(frame.path).end += _lines(inside)
             del self.pending[: len(inside)]
         if frame.indent < 0:
             self.owner = ("close", frame.path, event.end_mark.index)
@@ -224,11 +242,13 @@ class _Reader:
     def _comment(self, start: int, text: str) -> None:
         line = start - self._column(start)
         alone = not self.text[line:start].strip(" \t\ufeff")
-        _, path, end = self.owner
+        kind, path, end = self.owner
         if not alone and end >= line and (path or not self.node.children):
             self._beside(text)
         else:
-            self.pending.append(_Pending(start, start - line, alone, text))
+            first = kind == "key" and not self.pending
+            parted = alone and not first and self._is_parted(start)
+            self.pending.append(_Pending(start, start - line, alone, text, parted))
 
     def _beside(self, text: str) -> None:
         kind, path, _ = self.owner
@@ -250,8 +270,41 @@ class _Reader:
             comment = self.pending[k]
             if len(_BREAK.findall(self.text, comment.start + len(comment.text), ends[k])) > 1:
                 parted = k + 1
-        self.root.above += [c.text for c in self.pending[:parted]]
+        self.root.above += _lines(self.pending[:parted])
         del self.pending[:parted]
+
+    # -- blank lines ----------------------------------------------------------------------------------------------
+
+    def _part(self, start: int, frame: _Frame) -> None:
+        """Record the blank line above the entry whose first line contains ``start``."""
+        if (frame.part is not None or self.pending) and self._is_parted(start):
+            line = start - self._column(start)
+            here = bisect_right(self.pending, line, key=lambda comment: comment.start)
+            self.pending.insert(here, _Pending(line, 0, True, ""))
+
+    def _part_item(self, start: int, plain: str = "") -> None:
+        """Record the blank line above the list item whose value starts at ``start``."""
+        frame = self.stack[-1] if self.stack else None
+        if frame is None or frame.mapping or not self.has_blank or (frame.indent < 0 and frame.open > 0 and plain):
+            return
+        number = bisect_right(self.starts, start) - 1
+        while frame.indent >= 0 and not self._has_dash(number, frame.indent):
+            number -= 1
+        self._part(self.starts[number], frame)
+
+    def _has_dash(self, number: int, column: int) -> bool:
+        """Return True if an item starts on a line, numbered from 0, at ``column``."""
+        line = self.text[self.starts[number] : self.starts[number] + column + 1]
+        return number == 0 or (line[column:] == "-" and not line.strip("-?: \t"))
+
+    def _is_parted(self, start: int) -> bool:
+        """Return True if nothing but dashes precedes ``start`` on its line, and the line above is blank."""
+        if not self.has_blank:
+            return False
+        number = bisect_right(self.starts, start) - 1
+        if number == 0 or self.text[self.starts[number] : start].strip("-? \t"):
+            return False
+        return not self.text[self.starts[number - 1] : self.starts[number]].strip()
 
     def _at(self, path: Path_) -> Notes:
         return reduce(Notes.at, path, self.root)
@@ -268,3 +321,7 @@ class _Reader:
 
     def _column(self, index: int) -> int:
         return index - self.starts[bisect_right(self.starts, index) - 1]
+
+
+def _lines(comments: Iterable[_Pending]) -> list[str]:
+    return [line for comment in comments for line in comment.lines]

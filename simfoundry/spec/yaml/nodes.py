@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import yaml
@@ -43,7 +44,9 @@ class Node:
 
     Mappings also store the positions of their keys, and unquoted scalars store their text. ``weight`` is the number of
     contained values, including repetitions by aliases. ``file`` is set if the value and its key come from a file that
-    the document extends rather than from the document itself.
+    the document extends rather than from the document itself. ``anchor`` is the name after ``&``; an alias shares the
+    node of its anchor. ``one_line`` is True for a collection in brackets or braces on a single line, False if its
+    members are on separate lines, and None if neither applies, as for a long list that is wrapped.
     """
 
     value: Any
@@ -54,6 +57,8 @@ class Node:
     plain: str = ""
     weight: int = 1
     file: str = ""
+    anchor: str = ""
+    one_line: bool | None = None
 
     @property
     def members(self) -> Collection[Node]:
@@ -152,6 +157,10 @@ class Composer:
             node.children = children = _rejoined(children) if top.start.flow_style else children
             node.value = tuple([child.value for child in children])
             node.weight += sum([child.weight for child in children])
+        if top.start.flow_style:
+            node.one_line = node.line == event.end_mark.line + 1 or _one_line_of_several(node)
+        else:
+            node.one_line = False
         self._add(node, top.start.anchor)
 
     def _alias(self, event: Any) -> None:
@@ -177,6 +186,7 @@ class Composer:
             self._add_to_mapping(top, top.children, node)
         if anchor is not None:
             self.anchors[anchor] = node
+            node.anchor = anchor
 
     def _add_to_mapping(self, top: _Open, children: dict[str, Node], node: Node) -> None:
         if top.key is None:  # an alias or the end of a collection
@@ -196,6 +206,15 @@ class Composer:
             return
         children[name] = node
         top.node.keys[name] = (line, column)
+
+
+def _one_line_of_several(node: Node) -> bool | None:
+    """Return the value of :attr:`Node.one_line` for a collection in brackets or braces on several lines."""
+    if isinstance(node.children, dict):
+        return False
+    lines = [item.line for item in node.members]  # an alias has the line of its anchor, which is never greater
+    rows = all(a < b for a, b in pairwise(lines)) and lines[:1] >= [node.line + (len(lines) == 1)]
+    return False if rows else None
 
 
 def _rejoined(items: list[Node]) -> list[Node]:

@@ -94,7 +94,8 @@ def string(text: str, where: Where) -> str:
     """Format a string on one line, without quotes if it reads back unchanged and otherwise in double quotes."""
     if _is_word(text):
         return text
-    closed = where == "block" or text.count("(") == text.count(")")
+    # Other YAML readers end an unquoted string in brackets or braces at a comma.
+    closed = where == "block" or ("," not in text and text.count("(") == text.count(")"))
     fitting = closed and _PLAIN.match(text) and not _LIKE_NUMBER.match(text)
     template, wanted = _FRAME[where]
     return text if fitting and _reads_back(template.format(text), wanted(text)) else quoted(text)

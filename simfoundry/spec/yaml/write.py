@@ -1,4 +1,4 @@
-"""Write YAML in a canonical form that is compact, produces stable diffs, and preserves comments."""
+"""Write YAML in a canonical form that is compact, produces stable diffs, and preserves comments and layout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,19 @@ from typing import Any
 
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import KeyOrder, field_order, key_order
-from simfoundry.spec.yaml.spelling import call, filled, folded, key_text, literal, number, rounded, scalar, string
+from simfoundry.spec.yaml.anchors import Alias, with_aliases
+from simfoundry.spec.yaml.spelling import (
+    Where,
+    call,
+    filled,
+    folded,
+    key_text,
+    literal,
+    number,
+    rounded,
+    scalar,
+    string,
+)
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
@@ -24,7 +36,7 @@ MAX_KEY = 1000
 # Maximum difference in length [columns] between neighboring lines whose comments are aligned.
 NEIGHBORS = 24
 
-# Sections whose members are written on several lines.
+# Sections whose members are written on several lines, unless a person wrote them on one.
 _BLOCKS = ("objects", "links", "frames")
 
 # Keys whose strings are predicates, such as ``OnTop(cup, desk)``.
@@ -59,20 +71,21 @@ def _rounded(data: Any) -> Any:
 
 
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
-    """Return the canonical text of a document with its comments.
+    """Return the canonical text of a document with its comments, blank lines, anchors and aliases.
 
+    A collection stays on one line, if it fits, or on several lines if ``tree`` was read from a text that has it so.
     Keys of ``model`` are written in its order, followed by other keys. Names keep their order. Numbers are exact, so
     reading the text returns the tree's data, except for the spelling of predicates.
     """
-    tree = _spelled(tree, False)
+    tree = with_aliases(_spelled(tree, False), key_order(model))
     writer = _Writer(tree)
-    lines = [*_comments(tree.above, 0)]
+    lines = [*_comments(_parted(tree.above, first=True), 0)]
     if isinstance(tree.value, dict) and tree.value:
         lines += writer.sections(tree, key_order(model), started=bool(lines))
     elif isinstance(tree.value, tuple) and tree.value:
         lines += writer.items(tree, key_order(model), 0)
     else:
-        lines += [(writer.flow(tree, key_order(model), "block"), tree.beside), *_comments(tree.end, 0)]
+        lines += [(writer.body(tree, key_order(model), "block"), tree.beside), *_comments(_end(tree), 0)]
     return "\n".join(_joined(lines)) + "\n"
 
 
@@ -81,9 +94,9 @@ def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None
 
     Comments above the entry are omitted. Trailing comments and comments inside the entry are included.
     """
-    spelled = _spelled(tree, path[-1] in _PREDICATES)
-    depth = 2 * (len(path) - 1)
-    lines = _joined([*_Writer(spelled).entry(path[-1], spelled, _slot_at(path, model), depth, path[0])])
+    slot, depth = _slot_at(path, model), 2 * (len(path) - 1)
+    marked = with_aliases(_spelled(tree, path[-1] in _PREDICATES), slot)
+    lines = _joined([*_Writer(marked).entry(path[-1], marked, slot, depth, path[0])])
     return [f"{' ' * indent}{line[depth:]}" if line.strip() else "" for line in lines]
 
 
@@ -115,69 +128,69 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 class _Writer:
     """A writer of mappings and lists.
 
-    ``blocks`` contains the identities of trees that cannot be written on one line because they contain a comment, a
-    long text, or a predicate. Predicates are included because editors and other YAML readers split ``OnTop(cup, desk)``
-    at the comma inside brackets.
+    ``blocks`` contains the identities of trees that are not written on one line because they contain a comment, a long
+    text, or a predicate, or because a person wrote them on several lines. Predicates are included because editors and
+    other YAML readers split ``OnTop(cup, desk)`` at the comma inside brackets. A person who wrote them on one line gets
+    them in quotes.
     """
 
     def __init__(self, tree: YamlTree) -> None:
         self.blocks: set[int] = set()
-        self.needs_lines = self._collect(tree)
+        self.needs_lines = self._collect(tree, False)
 
-    def _collect(self, tree: YamlTree) -> bool:
+    def _collect(self, tree: YamlTree, on_one_line: bool) -> bool:
         """Collect blocks, and return True if the tree prevents its parent from being written on one line."""
         value = tree.value
-        inside = bool(value) and bool(tree.end)
+        inside = bool(value) and (any(tree.end) or (tree.one_line is False and isinstance(value, dict | tuple)))
         if isinstance(value, str):
             inside = "\n" in value and literal(value) is not None
-            if _PAIR.match(value):
+            if _PAIR.match(value) and not on_one_line:
                 return True
         elif isinstance(value, dict | tuple):
             for child in value.values() if isinstance(value, dict) else value:
-                inside |= self._collect(child)
+                inside |= self._collect(child, tree.one_line is True)
         if inside:
             self.blocks.add(id(tree))
-        return inside or bool(tree.above or tree.beside or tree.end)
+        return inside or any(tree.above) or bool(tree.beside) or any(tree.end)
 
     def sections(self, tree: YamlTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
-        """Yield the entries of a document, with a blank line before each block."""
+        """Yield the entries of a document, with a blank line before each block that no person wrote."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             written = [*self.entry(key, child, slot.member(key), 0, key)]
-            if started and written[0][0] == f"{key_text(key)}:":
-                yield "", ""
-            yield from _comments(_above(child), 0)
+            parted = child.layout is None and written[0][0] == f"{key_text(key)}:"
+            yield from _comments(_above(child, not started, parted), 0)
             yield from written
             started = True
-        yield from _comments(tree.end, 0)
+        yield from _comments(_end(tree), 0)
 
     def entries(self, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
         """Yield the lines of the entries in a mapping, each entry below the previous one."""
-        for key in slot.ordered(tree.value):
+        for k, key in enumerate(slot.ordered(tree.value)):
             child = tree.value[key]
-            yield from _comments(_above(child), indent)
+            yield from _comments(_above(child, k == 0), indent)
             yield from self.entry(key, child, slot.member(key), indent, section)
-        yield from _comments(tree.end, indent)
+        yield from _comments(_end(tree), indent)
 
     def items(self, tree: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
         """Yield the lines of the items in a list, each item below the previous one."""
-        for item in tree.value:
-            nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
-            above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))
+        for k, item in enumerate(tree.value):
+            nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2, indent + 2)
+            above = (*_above(item, k == 0), *[item.beside] * (nested and bool(item.beside)))
             yield from _comments(above, indent)
             if nested:
                 yield from self.nested_item(item, slot.item, indent)
             else:
                 yield from self.short(f"{' ' * indent}-", item, slot.item, indent, item.beside)
-        yield from _comments(tree.end, indent)
+        yield from _comments(_end(tree), indent)
 
     def nested_item(self, item: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
         """Yield the lines of a multi-line item, starting after the dash."""
         inside = indent + 2
         mapping = isinstance(item.value, dict)
         first, *lines = self.entries(item, slot, inside, "") if mapping else self.items(item, slot, inside)
-        dash = f"{' ' * indent}-"
-        if first[0].startswith("#", inside):
+        dash = f"{' ' * indent}-{_anchor(item)}"
+        if _anchor(item) or first[0].startswith("#", inside):
             yield from ((dash, ""), first)
         else:
             yield f"{dash} {first[0][inside:]}", first[1]
@@ -191,31 +204,36 @@ class _Writer:
             yield f"{pad}? {key_text(key)}", beside
             head, beside = f"{pad}:", ""
         if isinstance(value, dict) and value:
-            section_or_member = indent == 0 or (indent == 2 and section in _BLOCKS)
-            if section_or_member or self.is_block(tree, slot, len(head) + 1):
-                yield head, beside
+            section_or_member = tree.one_line is None and (indent == 0 or (indent == 2 and section in _BLOCKS))
+            if section_or_member or self.is_block(tree, slot, len(head) + 1, indent + 2):
+                yield f"{head}{_anchor(tree)}", beside
                 yield from self.entries(tree, slot, indent + 2, section)
                 return
-        elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, slot, indent + 2):
-            yield head, beside
+        elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, slot, len(head) + 1, indent + 2):
+            yield f"{head}{_anchor(tree)}", beside
             yield from self.items(tree, slot, indent + 2)
             return
         yield from self.short(head, tree, slot, indent, beside)
 
     def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
         """Yield the lines of a value that is not a block. This is a single line, except for long lists and texts."""
+        head += _anchor(tree)
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
             return
-        flow = self.flow(tree, slot, "block")
+        flow = self.body(tree, slot, "block")
         if isinstance(tree.value, tuple) and len(head) + 1 + len(flow) > WIDTH:
-            items = [f"{self.flow(item, slot.item, 'item')}," for item in tree.value]
-            words = [f"{head} [{items[0]}", *items[1:]]
-            *lines, last = filled([*words[:-1], f"{words[-1][:-1]}]"], WIDTH, " " * (indent + 2))
+            *lines, last = self.wrapped(head, tree, slot, indent)
             yield from ((line, "") for line in lines)
             yield last, beside
         else:
             yield f"{head} {flow}", beside
+
+    def wrapped(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int) -> list[str]:
+        """Return the lines of a long list in brackets."""
+        items = [f"{self.flow(item, slot.item, 'item')}," for item in tree.value]
+        words = [f"{head} [{items[0]}", *items[1:]]
+        return [*filled([*words[:-1], f"{words[-1][:-1]}]"], WIDTH, " " * (indent + 2))]
 
     def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
         """Yield the lines of a text. There are several if the text contains line breaks or is too long for one line."""
@@ -226,26 +244,39 @@ class _Writer:
         yield line if lines is None else f"{head} {lines[0]}", beside
         yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in (lines or ())[1:])
 
-    def is_block(self, tree: YamlTree, slot: KeyOrder, column: int) -> bool:
-        """Return True if a mapping or list that starts at a column is written on several lines."""
+    def is_block(self, tree: YamlTree, slot: KeyOrder, column: int, indent: int) -> bool:
+        """Return True if a mapping or list is written on several lines, with ``indent``, rather than at ``column``."""
         if not tree.value:
             return False
         if isinstance(tree.value, tuple):
-            return self.is_list_of_lines(tree, slot, column)
+            return self.is_list_of_lines(tree, slot, column, indent)
         return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
-    def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, indent: int) -> bool:
+    def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, column: int, indent: int) -> bool:
         """Return True if each item of a list gets its own line.
 
-        This is the case if the list contains predicates, comments or items that are too long for one line.
+        This is the case if the list contains predicates, comments, items that are too long for one line, or items of
+        which only one fits on a line.
         """
-        if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
+        if id(tree) in self.blocks:
+            return True
+        fits = column + len(self.flow(tree, slot, "block")) <= WIDTH
+        if tree.one_line and fits:
+            return False
+        if any(isinstance(item.value, str) and "(" in item.value for item in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
-        return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
+        if any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested):
+            return True
+        head = f"{' ' * (column - 1)}{_anchor(tree)}"
+        return not fits and 1 < len(tree.value) == len(self.wrapped(head, tree, slot, indent - 2))
 
-    def flow(self, tree: YamlTree, slot: KeyOrder, where: Any) -> str:
-        """Format a value on a single line."""
+    def flow(self, tree: YamlTree, slot: KeyOrder, where: Where) -> str:
+        """Format a value on a single line, after its anchor if it has one."""
+        return f"{_anchor(tree)} {self.body(tree, slot, where)}".lstrip()
+
+    def body(self, tree: YamlTree, slot: KeyOrder, where: Where) -> str:
+        """Format a value on a single line, without its anchor."""
         value = tree.value
         if isinstance(value, dict):
             inside = (
@@ -254,16 +285,36 @@ class _Writer:
             return f"{{{', '.join(inside)}}}"
         if isinstance(value, tuple):
             return f"[{', '.join([self.flow(item, slot.item, 'item') for item in value])}]"
-        return scalar(value, where)
+        return f"*{value.name}" if isinstance(value, Alias) else scalar(value, where)
 
 
-def _above(tree: YamlTree) -> tuple[str, ...]:
-    """Return the comments above a value, including those inside an empty collection, which has no lines for them."""
-    return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
+def _anchor(tree: YamlTree) -> str:
+    """Return the text of an anchor after a space, or an empty string."""
+    return f" &{tree.layout.anchor}" if tree.layout is not None and tree.layout.anchor else ""
+
+
+def _above(tree: YamlTree, first: bool, parted: bool = False) -> tuple[str, ...]:
+    """Return the comments above a value, including those inside an empty collection, which has no lines for them.
+
+    There is a blank line above them if ``parted`` is True, and none if the value is the ``first`` of its collection.
+    """
+    empty = not tree.value and isinstance(tree.value, dict | tuple)
+    return _parted((*[""] * parted, *tree.above, *(tree.end if empty else ())), first)
+
+
+def _end(tree: YamlTree) -> tuple[str, ...]:
+    """Return the comments at the end of a collection, which does not end with a blank line."""
+    return _parted(tree.end[::-1], first=True)[::-1]
+
+
+def _parted(comments: tuple[str, ...], first: bool) -> tuple[str, ...]:
+    """Return comments with single blank lines between them, and none above the ``first`` line of a collection."""
+    before = ("" if first else "#", *comments)
+    return tuple(text for above, text in zip(before, comments, strict=False) if text or above)
 
 
 def _comments(comments: Iterable[str], indent: int) -> Iterator[Line]:
-    yield from ((f"{' ' * indent}{_spaced(text)}", "") for text in comments)
+    yield from ((f"{' ' * indent}{_spaced(text)}" if text else "", "") for text in comments)
 
 
 def _spaced(comment: str) -> str:

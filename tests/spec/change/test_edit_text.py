@@ -101,6 +101,8 @@ def test_relations_stay_in_the_form_that_they_have() -> None:
         d["relations"] += ("OnTop(plate,table)",)
 
     assert _edited(more) == TEXT.replace("(mug, table)]", "(mug, table), OnTop(plate, table)]")
+    in_quotes = TEXT.replace("OnTop(mug, table)", '"OnTop(mug, table)"')
+    assert _edited(more, in_quotes) == in_quotes.replace(')"]', ')", "OnTop(plate, table)"]')
     lines = TEXT.replace("relations: [OnTop(mug, table)]   # holds", "relations:\n  - OnTop(mug, table)  # holds")
     assert _edited(more, lines) == lines.replace("# holds\n", "# holds\n  - OnTop(plate, table)\n")
 

@@ -155,9 +155,7 @@ objects:
     mass: 0.25                   # weighed
     pose: {xyz: [0.2, 0, 0.05]}  # moved
   # New.
-  fork:  # sharp
-    shape: {sphere: 0.1}
-    mass: 1
+  fork: {shape: {sphere: 0.1}, mass: 1}  # sharp
 
 relations:
   # It stands upright.

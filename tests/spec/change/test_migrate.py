@@ -61,12 +61,9 @@ def test_every_step_is_taken_and_comments_stay() -> None:
 # a desk
 simfoundry: scene/1
 name: desk
-
 objects:  # what stands there
   # the red one
-  cup:  # weighed
-    shape: {sphere: 0.05}
-    mass: 2
+  cup: {shape: {sphere: 0.05}, mass: 2}  # weighed
 """
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,7 +41,29 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=4).map(tuple) | st.dictionaries(KEYS, inner, max_size=4),
     max_leaves=12,
 )
-DOCUMENTS = st.dictionaries(KEYS, VALUES, max_size=6)
+
+
+def with_repeats(data: dict[str, Any], seed: int) -> dict[str, Any]:
+    """The data with some values copied over others, so that there is something to write as an alias."""
+    rng, values = random.Random(seed), [*_inside(data)]
+
+    def copied(value: Any) -> Any:
+        if rng.random() < 0.2:
+            return rng.choice(values)
+        if isinstance(value, dict):
+            return {key: copied(item) for key, item in value.items()}
+        return tuple(map(copied, value)) if isinstance(value, tuple) else value
+
+    return {key: copied(value) for key, value in data.items()}
+
+
+def _inside(value: Any) -> Iterator[Any]:
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
+        yield item
+        yield from _inside(item)
+
+
+DOCUMENTS = st.builds(with_repeats, st.dictionaries(KEYS, VALUES, max_size=6), st.integers(0, 2**32))
 """Plain data of documents without their first key."""
 
 
@@ -52,6 +75,7 @@ class Untidy:
     often: float = 0.25
     expected: dict[str, tuple[str | int, ...]] = field(default_factory=dict)
     count: int = 0
+    anchors: dict[str, str] = field(default_factory=dict)  # the value of each anchor, as `repr` writes it
 
     def chance(self, share: float = 0.5) -> bool:
         return self.rng.random() < share
@@ -70,6 +94,25 @@ class Untidy:
         while self.chance(self.often):
             out += " " * indent + self.comment(path) + "\n" + "\n" * self.chance(0.2)
         return out
+
+    def blank(self) -> str:
+        """Blank lines above an entry."""
+        return self.rng.choice(["\n", "  \n\n\n"]) if self.chance(0.15) else ""
+
+    def alias(self, value: Any) -> str:
+        """An alias of the value, or an empty text."""
+        names = [name for name, known in self.anchors.items() if known == repr(value)]
+        return f"*{self.rng.choice(names)}" if names and self.chance(0.7) else ""
+
+    def anchor(self) -> str:
+        """The name of an anchor, which may be known already, or an empty text."""
+        return f"{self.rng.choice('abc')}{self.rng.randrange(3)}" if self.chance(0.3) else ""
+
+    def anchored(self, value: Any, anchor: str, written: str) -> str:
+        """What was written for a value, which aliases may repeat from now on."""
+        if anchor:
+            self.anchors[anchor] = repr(value)
+        return written
 
     def tail(self, path: tuple[str | int, ...], tab: bool = True) -> str:
         """The end of a line."""
@@ -98,7 +141,7 @@ class Untidy:
         out = ""
         for key, value in data.items():
             inside = (*path, key)
-            out += self.lines(() if out == "" and not path else inside, indent)
+            out += self.blank() + self.lines(() if out == "" and not path else inside, indent) + self.blank()
             written = key if key.isidentifier() and key.lower() not in ("true", "false", "null") else quoted(key)
             head = f"? {written}\n{' ' * indent}:" if len(key) > 1000 or self.chance(0.05) else f"{written}:"
             out += " " * indent + head + self.value(value, indent, inside, True)
@@ -107,33 +150,37 @@ class Untidy:
     def sequence(self, data: tuple[Any, ...], indent: int, path: tuple[str | int, ...]) -> str:
         out = ""
         for k, value in enumerate(data):
-            out += self.lines((*path, k), indent) + " " * indent + "-" + self.value(value, indent, (*path, k), False)
+            out += self.blank() + self.lines((*path, k), indent) + self.blank()
+            out += " " * indent + "-" + self.value(value, indent, (*path, k), False)
         return out
 
     def value(self, value: Any, indent: int, path: tuple[str | int, ...], in_mapping: bool) -> str:
         """A value behind its key or dash, to the end of its last line."""
         container = isinstance(value, dict | tuple) and bool(value)
+        if alias := self.alias(value):
+            return f" {alias}{self.tail(path)}\n"
+        anchor = self.anchor()
         if container and self.chance(0.6):
             more = self.rng.choice([1, 2, 4])
-            head = f" &a{self.rng.randrange(10**6)}" if self.chance(0.1) else ""
-            head += self.tail(path, False) + "\n"
+            head = f" &{anchor}" * bool(anchor) + self.tail(path, False) + "\n"
             dash = isinstance(value, tuple) and in_mapping and self.chance(0.4)
             inside = indent if dash else indent + more
             write = self.mapping if isinstance(value, dict) else self.sequence
             body = write(value, inside, path)
             end = "" if dash or not self.chance(self.often) else f"{' ' * inside}{self.comment(path)}\n"
-            return head + body + end
-        anchor = f"&b{self.rng.randrange(10**6)} " if self.chance(0.1) else ""
+            return self.anchored(value, anchor, head + body + end)
+        mark = f"&{anchor} " * bool(anchor)
         if isinstance(value, str) and "\n" in value.strip() and value.isascii() and self.chance(0.7):
             lines = value.removesuffix("\n").split("\n")
             if not value.endswith("\n\n") and all(line == line.strip() and line for line in lines):
                 head = "|" if value.endswith("\n") else "|-"
-                return f" {anchor}{head}{self.tail(path)}\n" + "".join(f"{' ' * (indent + 3)}{x}\n" for x in lines)
+                text = f" {mark}{head}{self.tail(path)}\n" + "".join(f"{' ' * (indent + 3)}{x}\n" for x in lines)
+                return self.anchored(value, anchor, text)
         written = self.flow(value, path) if container else self.scalar(value, False)
         if self.chance(0.1):
             before = f"{self.tail(path, False)}\n{self.lines(path, indent + 1)}{' ' * (indent + 1)}"
-            return f"{before}{anchor}{written}{self.tail(path)}\n"
-        return f" {anchor}{written}{self.tail(path)}\n"
+            return self.anchored(value, anchor, f"{before}{mark}{written}{self.tail(path)}\n")
+        return self.anchored(value, anchor, f" {mark}{written}{self.tail(path)}\n")
 
     def flow(self, value: Any, path: tuple[str | int, ...]) -> str:
         """A value in brackets or braces, perhaps over several lines."""
@@ -149,10 +196,13 @@ class Untidy:
                 if isinstance(part, str)
                 else ""
             )
+            alias = self.alias(item)
             comma = "," if k < len(value) - 1 or self.chance(0.2) else ""
+            anchor = "" if alias else self.anchor()
+            written = f"{alias} " if alias else f"&{anchor} " * bool(anchor) + self.flow(item, inside)
             out += (
                 key
-                + self.flow(item, inside)
+                + self.anchored(item, anchor, written)
                 + (self.gap(inside) + comma if self.chance() else comma + self.gap(inside))
             )
         return out + closing

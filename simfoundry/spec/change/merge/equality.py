@@ -93,10 +93,10 @@ def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
 
 
 def identical(a: YamlTree, b: YamlTree) -> bool:
-    """Return True if two trees are equal and have the same comments in the same order."""
+    """Return True if two trees are equal, have the same comments in the same order, and have the same layout."""
     if a is b:
         return True
-    if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):
+    if (a.above, a.beside, a.end, a.layout) != (b.above, b.beside, b.end, b.layout):
         return False
     x: Any = a.value
     y: Any = b.value

@@ -236,9 +236,9 @@ _NONE = YamlTree(None)
 
 
 def commented(tree: YamlTree, base: Tree, ours: YamlTree, theirs: YamlTree) -> YamlTree:
-    """Return ``tree`` with the top-level comments of ``ours`` and ``theirs``.
+    """Return ``tree`` with the top-level comments and layout of ``ours`` and ``theirs``.
 
-    If one side changed a comment, its version is used.
+    If one side changed a comment or the layout, its version is used.
     """
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
@@ -248,7 +248,8 @@ def commented(tree: YamlTree, base: Tree, ours: YamlTree, theirs: YamlTree) -> Y
         beside, late = ours.beside or theirs.beside, theirs.beside
         if late and late != beside and late not in above:
             above = (*above, late)
-    return replace(tree, above=above, beside=beside, end=end)
+    layout = _changed(base.layout, ours.layout, theirs.layout) or tree.layout
+    return replace(tree, above=above, beside=beside, end=end, layout=layout)
 
 
 def united(base: Tree, ours: YamlTree, theirs: Tree) -> YamlTree:
