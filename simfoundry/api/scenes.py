@@ -59,7 +59,7 @@ class CameraPoseEntry(DocumentEntry):
 
 
 class MaterialEntry(DocumentEntry):
-    """A material with a density [kg/m^3], friction coefficients, restitution and color."""
+    """A material with a density [kg/m^3], friction coefficients, restitution, color and texture."""
 
     _model = base.Material
     density = OptionalNumber()
@@ -68,6 +68,8 @@ class MaterialEntry(DocumentEntry):
     rolling_friction = Number()
     restitution = Number()
     color = Color()
+    texture = Text()
+    texture_size = OptionalNumber()
 
 
 class ObjectEntry(DocumentEntry):
@@ -131,6 +133,7 @@ class LightEntry(DocumentEntry):
     color = Color()
     direction = Position()
     xyz = Position()
+    texture = Text()
 
 
 class SceneDocument(EditableDocument):

@@ -101,6 +101,10 @@ def _of_lights(label: str, kind: LightType) -> Feature:
     return Feature("scene", label, lambda scene: [light.name for light in scene.lights if light.type is kind])
 
 
+def _panoramas(scene: Scene) -> list[str]:
+    return [light.name for light in scene.lights if light.panorama is not None]
+
+
 def _is_textured(item: SceneObject) -> bool:
     meshes = (v.geometry for link in item.links for v in link.visuals if isinstance(v.geometry, Mesh))
     return any(has_texture(mesh) for mesh in meshes)
@@ -139,6 +143,7 @@ FEATURES: dict[str, Feature] = {
     "distant_lights": _of_lights("distant lights", LightType.DISTANT),
     "point_lights": _of_lights("point lights", LightType.POINT),
     "dome_lights": _of_lights("dome lights", LightType.DOME),
+    "dome_textures": Feature("scene", "panoramas of dome lights", _panoramas, "texture"),
     "background_mesh": _of_background("background mesh", "visuals"),
     "background_splat": _of_background("Gaussian splat background", "splat"),
     "pose": _of_objects("pose in the world", lambda o: True, "pose"),

@@ -29,6 +29,7 @@ from simfoundry.geometry.shapes import (
     Sphere,
     closed_mesh,
 )
+from simfoundry.scene.box_mapping import Texture, textured
 from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.scene.state import pose
 from simfoundry.spec.models import base, shapes
@@ -77,7 +78,7 @@ class BodyBuilder:
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
-    ``is_approximate`` is set.
+    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -95,6 +96,7 @@ class BodyBuilder:
     solids: list[tuple[float | None, mass.SolidMoments]] = field(default_factory=list)
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
+    texture_of: Callable[[str], Texture | None] = lambda material: None
 
     def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a shape at a pose in the link frame.
@@ -112,7 +114,7 @@ class BodyBuilder:
             return
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
-            self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
+            self._show_surface(name, body.visual, X_LG, part)
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
@@ -153,10 +155,23 @@ class BodyBuilder:
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
         for k, piece in enumerate(pieces):
             label = name if len(pieces) == 1 else f"{name}_{k}"
+            if piece.texture is None and piece.rgba is None:
+                self._show_surface(label, closed_mesh(piece.vertices, piece.faces, piece.uv), X_LG, part)
+                continue
             mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
             # Textured meshes are white by default, so that the texture is unchanged.
             own = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
             self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
+
+    def _show_surface(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
+        """Add a visual without a color of its own, which has the color and the texture of its material."""
+        material = self._material_name(part)
+        texture = None if material is None or self.draft else self.texture_of(material)
+        if texture is None:
+            self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
+            return
+        rgba = self._rgba(part, self._material(part).color or (1.0, 1.0, 1.0, 1.0))
+        self.visuals.append(Visual(name, textured(geometry, texture), rgba, X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
         """Return the finished link.
@@ -218,7 +233,7 @@ class BodyBuilder:
         name = self._material_name(part)
         return base.Material() if name is None else self.materials[name]
 
-    def _rgba(self, part: Part | None, default: tuple[float, float, float, float] | None) -> Array:
+    def _rgba(self, part: Part | None, default: tuple[float, ...] | None) -> Array:
         """Return the first color that is set for the part, the body, the mesh file or the material.
 
         The default is gray.

@@ -15,6 +15,8 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.assets.cache import Cache
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.panorama import read_panorama
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
@@ -264,7 +266,7 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
-    lights = tuple(_light(name, light) for name, light in spec.lights.items())
+    lights = tuple(_light(lowering.loaded, name, light) for name, light in spec.lights.items())
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
     if spec.background is None:
         return scene
@@ -305,10 +307,21 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
                 yield LeftOut(f"objects.{name}.texture", fault)
 
 
-def _light(name: str, spec: LightSpec) -> Light:
-    """Convert a light, which shines along -z of its frame."""
+def _light(loaded: Loaded, name: str, spec: LightSpec) -> Light:
+    """Convert a light, which shines along -z of its frame.
+
+    Raises:
+        SpecError: If the panorama of a dome light cannot be read.
+    """
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
         X_WL = Pose.of(q=aim.q)
-    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL)
+    panorama = None
+    if spec.texture is not None:
+        try:
+            panorama = read_panorama(loaded.file(spec.texture))
+        except MeshError as error:
+            place = ("lights", name, "texture")
+            raise SpecError([loaded.finding(error.code, place, str(error), error.hint)]) from None
+    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL, panorama)

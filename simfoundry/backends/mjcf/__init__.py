@@ -37,6 +37,7 @@ from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, 
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
+from simfoundry.backends.mjcf.skybox import add_skybox, skybox_light
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
 from simfoundry.backends.names import InvalidSceneError, check_names, check_timestep
 from simfoundry.backends.robot_models.robot_object import without_model
@@ -100,6 +101,8 @@ def compile_mjcf(
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
+    if (sky := skybox_light(scene.lights)) is not None:
+        assets.files |= add_skybox(assets.element, sky)
     for camera in scene.cameras:
         add_camera(world, camera)
     if scene.background is not None:

@@ -163,7 +163,7 @@ class Assets:
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
-        self._element = element
+        self.element = element
         self._counts: dict[str, int] = {}
         self._names: dict[object, str] = {}
         self._taken: set[str] = set()
@@ -176,7 +176,7 @@ class Assets:
             file = self._names.get((mesh.digest, not collides), name)
             # Visual meshes may be open or flat, which MuJoCo accepts only as shells. The computed mass is not used.
             inertia = "convex" if collides else "shell"
-            ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
+            ET.SubElement(self.element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]
 
@@ -186,10 +186,10 @@ class Assets:
         if (png, tint) not in self._names:
             if png not in self._names:
                 texture = self._names[png] = self._new_name(f"{wish}_texture")
-                ET.SubElement(self._element, "texture", name=texture, type="2d", file=f"{texture}.png")
+                ET.SubElement(self.element, "texture", name=texture, type="2d", file=f"{texture}.png")
                 self.files[f"{texture}.png"] = png
             name = self._names[png, tint] = self._new_name(f"{wish}_material")
-            ET.SubElement(self._element, "material", name=name, texture=self._names[png], rgba=tint)
+            ET.SubElement(self.element, "material", name=name, texture=self._names[png], rgba=tint)
         return self._names[png, tint]
 
     def _new_name(self, wish: str, numbered: bool = False) -> str:

@@ -18,7 +18,14 @@ from simfoundry.backends.usd.prims import Prim, usda, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.shapes import MESHES, mesh_layer, texture_of, texture_path
 from simfoundry.backends.usd.source import KEY, write_source
-from simfoundry.backends.usd.surroundings import SPLAT, define_background, define_camera, define_light, splat_layer
+from simfoundry.backends.usd.surroundings import (
+    SPLAT,
+    define_background,
+    define_camera,
+    define_light,
+    panorama_path,
+    splat_layer,
+)
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
@@ -44,6 +51,7 @@ def compile_usd(scene: Scene) -> Artifact:
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
+    contents |= {panorama_path(p): p.content for light in scene.lights if (p := light.panorama) is not None}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
     return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *hulls, *robots.losses))
 

@@ -70,7 +70,8 @@ def item_of_asset(asset: Loaded) -> ObjectAsset:
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
-    files = {mesh: asset.file(mesh) for mesh in meshes}
+    textures = [material.texture for material in spec.materials.values() if material.texture is not None]
+    files = {file: asset.file(file) for file in (*meshes, *textures)}
     flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}})
     return ObjectAsset(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
 
@@ -104,6 +105,11 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
     files = {} if written.shape is not None else {mesh.name: scene.file(written.asset or "")}
     named = dict.fromkeys((written.material, *(part.material for part in parts.values())))
     used = {key: scene.spec.materials[key] for key in named if key is not None}
+    for key, material in used.items():
+        if material.texture is not None:
+            texture = Path(material.texture).name
+            files[texture] = scene.file(material.texture)
+            used[key] = material.model_copy(update={"texture": texture})
     links = {LINK: LinkSpec(**body, parts=parts)}
     category = written.category or name
     spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials=used, links=links)

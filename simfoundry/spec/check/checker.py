@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
-from simfoundry.spec.files import FileError, Loaded, reachable
+from simfoundry.spec.files import TEXTURE_SUFFIXES, FileError, Loaded, reachable
 from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
 from simfoundry.spec.models.shapes import (
     WALLS,
@@ -124,9 +124,10 @@ class Checker:
             hint = "give `mass`, `density`, or a `material` with a density"
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
 
-    def densities(self, materials: Mapping[str, Material]) -> None:
-        """Check that the densities of materials are plausible."""
+    def materials(self, materials: Mapping[str, Material]) -> None:
+        """Check that the densities of materials are plausible, and that their textures exist."""
         for name, material in materials.items():
+            self.file(material.texture, ("materials", name, "texture"), TEXTURE_SUFFIXES)
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
@@ -47,7 +47,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     for name, item in spec.objects.items():
         _object(c, name, item, spec, ("objects", name))
         _variants(c, name, item, spec)
-    c.densities(spec.materials)
+    c.materials(spec.materials)
     objects = spec.objects.values()
     c.unused(spec.materials, {name for o in objects for item in (o, *o.variants.values()) for name in _materials(item)})
     for name, robot in spec.robots.items():
@@ -61,6 +61,8 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
             _mount(c, names, camera.mount, ("cameras", name, "mount"))
         if isinstance(camera.pose.look_at, str):
             _target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
+    for name, light in spec.lights.items():
+        c.file(light.texture, ("lights", name, "texture"), PANORAMA_SUFFIXES)
     if spec.viewpoint is not None:
         c.name(spec.viewpoint, [*c.names("cameras"), *names.robots], ("viewpoint",), "camera or robot")
     if spec.background is not None:

@@ -226,9 +226,16 @@ class LightSpec(Model):
     color: Color = Field((1.0, 1.0, 1.0), description=COLOR.format(""))
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
+    texture: FileName | None = Field(
+        None,
+        description="Panorama around a dome light (.hdr, .exr, .png, .jpg), relative to this document: an "
+        "equirectangular image whose center is in the direction of x and whose top is in that of z. `color` tints it.",
+    )
 
     @consistent
     def _shines_somewhere(self) -> None:
+        if self.texture is not None and self.type != "dome":
+            raise fault("sf107", f"`texture` applies only to dome lights, but this light is {self.type}", "texture")
         if math.hypot(*self.direction) < 1e-6:
             raise fault("sf104", "`direction` must not be zero", "direction")
 

@@ -236,6 +236,7 @@ def _displaced(part: StageMember, relative: str) -> bool:
     if new[3:7] @ old[3:7] < 0:
         new[3:7] = -new[3:7]
     bound = np.full(len(old), MOVED_M)
+    bound[:3] += 1e-8 * np.abs(old[:3]).max()  # stages store nine digits
     bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are stored in single precision
     return bool((np.abs(old - new) > bound).any())
 
