@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.errors import MeshError
+from simfoundry.assets.mesh_summary import file_digest
 
 # Maximum number of Gaussians in a splat; each takes 250 bytes in memory, and a room has about one million.
 MAX_GAUSSIANS = 5_000_000
@@ -78,6 +80,21 @@ def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
     if not all(np.isfinite(values).all() for values in vars(found).values()):
         raise MeshError("SF301", f"{path.name} has Gaussians with non-finite values", EXPORT)
     return found
+
+
+def check_splat(path: Path, scale: float, store: Cache) -> None:
+    """Check that a splat can be read. Usable files are remembered in ``store``, because reading one takes seconds.
+
+    Raises:
+        MeshError: If the file is not a usable splat.
+    """
+    try:
+        key = key_of("usable splat", file_digest(path), repr(scale))
+    except OSError as error:
+        raise MeshError("SF301", f"{path.name} could not be read: {error.strerror or error}", EXPORT) from None
+    if store.get(key) is None:
+        read_splat(path, scale)
+        store.put(key, b"usable")
 
 
 _XYZ = ("x", "y", "z")

@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import dropwhile
 from pathlib import Path
-from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, body_name, read_robot
+from simfoundry.backends.robot_models.control import check_can_act
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robot import Robot, mujoco_model
-from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
+from simfoundry.scene.task_start import placed_in_task
+from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.predicate import Condition, parse_call
@@ -90,7 +89,8 @@ class TaskSetup:
         try:
             return lower(replace(self.scene, spec=self.started), self.cache)
         except SpecError as error:
-            raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
+            found = [placed_in_task(self.task, self.starts, self.started, d) for d in error.diagnostics]
+            raise SpecError(found) from None
 
     def carriers(self) -> dict[str, str]:
         """Return the support of each object, keyed by object name.
@@ -101,15 +101,6 @@ class TaskSetup:
         found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
         placed = {name: _carrier(item) for name, item in self.started.objects.items()}
         return found | {name: carrier for name, carrier in placed.items() if carrier}
-
-    def _placed_in_task(self, finding: Diagnostic) -> Diagnostic:
-        """Move a finding to the entry in the task that placed the object, if there is such an entry."""
-        parts = finding.path.split(".")
-        if finding.code == "SF210" and len(parts) == 3:
-            for path, start in reversed(self.starts.items()):
-                if parts[1] in start.place:
-                    return self.task.finding("SF210", (*path, "place", parts[1]), finding.message, finding.hint)
-        return finding
 
 
 def _carrier(item: ObjectSpec) -> str:
@@ -122,64 +113,6 @@ def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
-
-
-_FORM, _NAMED = "the format is described in docs/robots.md, *Your own models*", "model: {file: my_arm.yaml}"
-
-
-def check_can_act(robot: Robot) -> None:
-    """Check that a robot's model has an identifiable hand and a position actuator for each arm joint.
-
-    Observations and actions are defined in terms of the hand and these actuators.
-
-    Raises:
-        RobotModelError: If the hand cannot be identified or a joint has no position actuator.
-    """
-    native = mujoco_model(robot)
-    if native is None:
-        raise RobotModelError(
-            f"robot `{robot.name}` has only a USD model; rollouts need its hand and joints from an "
-            "MJCF or URDF model, so add one"
-        )
-    read = read_robot(robot, native, f"{robot.name}.")
-    try:
-        body_name(read, "hand")
-    except RobotModelError as error:
-        links = f"`links: {{hand: {{link: {_leaf(read)}}}}}`"
-        fix = f"name it in a robot file, such as {links}, and name that file in the scene, such as `{_NAMED}`; {_FORM}"
-        raise RobotModelError(f"robot `{robot.name}` has no identifiable hand: {error}; {fix}") from None
-    driven = _driven(read)
-    for joint in native.joints.values() or [_own(read, read.model.joint(k)) for k in range(read.model.njnt)]:
-        if joint not in driven:
-            missing = f"no position actuator in {native.file.name} drives its joint `{joint}`"
-            fix = f"add one, or list the arm's joints under `joints` in a robot file; {_FORM}"
-            raise RobotModelError(f"robot `{robot.name}` cannot be position-controlled: {missing}; {fix}")
-
-
-def _leaf(read: MujocoRobot) -> str:
-    """Return the link farthest down the kinematic chain, which is usually the hand."""
-    depth = [0]
-    for parent in read.model.body_parentid[1:]:
-        depth.append(depth[parent] + 1)
-    return _own(read, read.model.body(depth.index(max(depth))))
-
-
-def _own(read: MujocoRobot, named: Any) -> str:
-    """Return the name of a body or joint within the robot model.
-
-    This is the name without the prefix that the scene adds.
-    """
-    return str(named.name.removeprefix(read.prefix))
-
-
-def _driven(read: MujocoRobot) -> set[str]:
-    """Return the names of the joints in the model that are driven by a position actuator."""
-    import mujoco
-
-    model = read.model
-    pulls = (model.actuator_gainprm[:, 0] != 0) & (model.actuator_biasprm[:, 1] < 0)
-    driven = model.actuator_trnid[pulls & (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)), 0]
-    return {_own(read, model.joint(int(joint))) for joint in driven}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,11 @@
-"""Lints SF405 and SF406: goals that are already true in the initial state, and relations that do not hold."""
+"""Lints SF202, SF405 and SF406: conditions that need a cavity, goals that are already true, and broken relations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
 
-from simfoundry.lint.draft import StartJudge, drafted
+from simfoundry.lint.draft import StartJudge
 from simfoundry.lint.lints import Lint, Path_, Subject, warning
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.predicate import Call, Effect, parse_call, parts, texts
@@ -13,11 +13,15 @@ from simfoundry.spec.models.predicate import Call, Effect, parse_call, parts, te
 
 def pending(subject: Subject) -> list[tuple[Call, Path_]]:
     """Return the predicates that must become true but do not hold initially, each with the path of its goal."""
-    task, judge = subject.task, StartJudge(subject.scene)
-    goals: list[tuple[Any, Path_]] = [(task.goal, ("goal",))]
-    goals += [(subtask.goal, ("subtasks", name, "goal")) for name, subtask in task.subtasks.items()]
-    wanted = (found for goal, path in goals for found in _conjuncts(goal, path))
+    judge = StartJudge(subject.scene)
+    wanted = (found for goal, path in goals(subject) for found in _conjuncts(goal, path))
     return [(call, path) for call, path in wanted if judge.value(str(call)) is not True]
+
+
+def goals(subject: Subject) -> list[tuple[Any, Path_]]:
+    """Return the goals of a task and of its steps, each with its path."""
+    found: list[tuple[Any, Path_]] = [(subject.task.goal, ("goal",))]
+    return found + [(subtask.goal, ("subtasks", name, "goal")) for name, subtask in subject.task.subtasks.items()]
 
 
 def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
@@ -39,12 +43,12 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
     task, judge = subject.task, StartJudge(subject.scene)
     if _is_true(subject, task.goal, judge):
         yield _goal_finding(subject, ("goal",), "the goal is already true at the start", judge.explanation(task.goal))
-    scene = subject.loaded.used(task.scene)
     for k, (name, subtask) in enumerate(task.subtasks.items()):
         if subtask.start is None and k > 0:
             continue
-        assert scene is not None
-        own = judge if subtask.start is None else StartJudge(drafted(scene, [task.start, subtask.start]))
+        if subtask.start is not None and name not in subject.steps:  # its start is invalid
+            continue
+        own = judge if subtask.start is None else StartJudge(subject.steps[name])
         if _is_true(subject, subtask.goal, own):
             message = f"the `{name}` step is already complete when it starts"
             yield _goal_finding(subject, ("subtasks", name, "goal"), message, own.explanation(subtask.goal))
@@ -81,3 +85,16 @@ def broken_relations(subject: Subject) -> Iterator[Diagnostic]:
 
 
 BROKEN_RELATION = Lint("SF406", ("scene/1",), broken_relations)
+
+
+def without_cavity(subject: Subject) -> Iterator[Diagnostic]:
+    """Find goals that put something inside an object that has no cavity. Rollouts refuse to evaluate them."""
+    judge, document = StartJudge(subject.scene), subject.loaded
+    hint = "use `OnTop`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"
+    for goal, path in goals(subject):
+        for text, below in texts(goal):
+            if wrong := judge.missing_cavity(parse_call(text)):
+                yield document.finding("SF202", (*path, *below), wrong, hint)
+
+
+NO_CAVITY = Lint("SF202", ("task/1",), without_cavity)

@@ -8,9 +8,10 @@ are certain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,11 +25,11 @@ from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.cameras import lower_cameras
 from simfoundry.scene.lower import OBJECT_PASSES, Lowering
-from simfoundry.scene.model import Camera, Scene, SceneObject
+from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import FARTHEST
@@ -36,6 +37,7 @@ from simfoundry.spec.models.predicate import Call, parse_call, parts
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 if TYPE_CHECKING:
+    from simfoundry.scene.task_start import Starts
     from simfoundry.spec.models.task import Start
 
 
@@ -149,12 +151,49 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
     return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
 
 
-def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
-    """Yield the errors that occur when an asset document is lowered."""
+def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:
+    """Return the links of an asset document that could be lowered, and the errors of the others."""
     assert isinstance(loaded.spec, AssetSpec)
     work = ObjectLowering(loaded, Cache.default(), draft=True)
-    work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)
-    yield from work.findings
+    links, _ = work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)
+    return tuple(links), work.findings
+
+
+def drafted_steps(loaded: Loaded) -> tuple[dict[str, DraftScene], list[Diagnostic]]:
+    """Return the drafts of the steps of a task that have their own initial state, and the errors of the others."""
+    from simfoundry.spec.models.task import TaskSpec
+
+    assert isinstance(loaded.spec, TaskSpec)
+    scene = loaded.used(loaded.spec.scene)
+    found, errors = dict[str, DraftScene](), list[Diagnostic]()
+    for name, step in loaded.spec.subtasks.items() if scene is not None else ():
+        if step.start is None or scene is None:
+            continue
+        try:
+            found[name] = drafted(scene, [loaded.spec.start, step.start])
+        except SpecError as error:
+            starts = {("start",): loaded.spec.start, ("subtasks", name, "start"): step.start}
+            errors += own_findings(loaded, error, starts)
+    return found, errors
+
+
+def own_findings(loaded: Loaded, error: SpecError, starts: Starts | None = None) -> list[Diagnostic]:
+    """Return the errors in a document and in its bases. Those in documents that it uses are reported there.
+
+    Errors that are caused by ``starts``, the initial states of a task by path, are moved to the task.
+    """
+    findings = error.diagnostics
+    if starts is not None:
+        from simfoundry.scene.task_start import placed_in_task
+        from simfoundry.spec.models.task import TaskSpec, with_starts
+
+        assert isinstance(loaded.spec, TaskSpec)
+        scene = loaded.used(loaded.spec.scene)
+        assert scene is not None and isinstance(scene.spec, SceneSpec)
+        spec = with_starts(scene.spec, starts.values())
+        findings = [placed_in_task(loaded, starts, spec, d) for d in findings]
+    elsewhere = {Path(file).absolute() for used in loaded.uses.values() for file in used.files()}
+    return [d for d in findings if Path(d.document).absolute() not in elsewhere]
 
 
 # Predicates that depend only on extents and poses, so that an object's hull gives the same result as its parts.
@@ -208,6 +247,19 @@ class StartJudge:
         value = self.value(condition)
         decisive = [item for item in below if self.value(item) is (value if tag != "not" else not value)]
         return "; ".join(why for item in decisive if (why := self.explanation(item)))
+
+    def missing_cavity(self, call: Call) -> str:
+        """Explain that a predicate needs a cavity that its object lacks, or return an empty string."""
+        names = {arg.partition(".")[0] for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"}
+        if not names <= self._draft.shapes.keys() or names & self._draft.approximate:
+            return ""
+        try:
+            self._decide(str(call), self._state)
+        except NoCavityError as error:
+            return str(error)
+        except PredicateError:
+            return ""
+        return ""
 
     def _call_value(self, call: Call) -> bool | None:
         names = {arg.partition(".")[0] for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"}

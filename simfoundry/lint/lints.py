@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -17,6 +17,8 @@ from simfoundry.spec.models.predicate import Call
 
 if TYPE_CHECKING:
     from simfoundry.lint.draft import DraftScene
+    from simfoundry.scene.model import Link
+    from simfoundry.scene.task_start import Starts
     from simfoundry.spec.models.task import TaskSpec
 
 Path_ = tuple[str | int, ...]
@@ -66,11 +68,19 @@ class Lint:
 class Subject:
     """A document without errors, and its draft scene.
 
-    For a task, ``draft`` is the scene in which the task starts. For an asset, ``draft`` is None.
+    For a task, ``draft`` is the scene in which the task starts, and ``steps`` contains the scenes of the steps that
+    have their own start. For an asset, ``draft`` is None, and ``links`` contains its links.
     """
 
     loaded: Loaded
     draft: DraftScene | None = None
+    steps: Mapping[str, DraftScene] = field(default_factory=dict)
+    links: tuple[Link, ...] = ()
+
+    @property
+    def is_task(self) -> bool:
+        """True if the document is a task."""
+        return getattr(self.loaded.spec, "simfoundry", "") == "task/1"
 
     @property
     def scene(self) -> DraftScene:
@@ -98,6 +108,12 @@ class Subject:
 LINTS = Registry(
     "simfoundry.lints",
     {
+        "background": "simfoundry.lint.views:BACKGROUND",
+        "robot_model": "simfoundry.lint.robot_models:ROBOT_MODEL",
+        "robot_joints": "simfoundry.lint.robot_models:ROBOT_JOINTS",
+        "acting_robot": "simfoundry.lint.robot_models:ACTING_ROBOT",
+        "no_cavity": "simfoundry.lint.conditions:NO_CAVITY",
+        "center_of_mass": "simfoundry.lint.bodies:CENTER_OF_MASS",
         "lost_texture": "simfoundry.lint.views:LOST_TEXTURE",
         "overlap": "simfoundry.lint.contacts:OVERLAP",
         "unsupported": "simfoundry.lint.contacts:UNSUPPORTED",
@@ -146,15 +162,10 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
         return
-    from simfoundry.lint.draft import asset_faults, drafted_start
-
-    try:
-        subject = Subject(loaded, None if kind == "asset/1" else drafted_start(loaded))
-    except SpecError as error:  # errors in other documents are reported when those documents are checked
-        yield from (d for d in error.diagnostics if loaded.document is not None and d.file == loaded.document.file)
+    subject, errors = _subject(loaded, kind)
+    yield from errors
+    if subject is None:
         return
-    if kind == "asset/1":
-        yield from asset_faults(loaded)
     lints, unusable = LINTS.load_all()
     for name, cause in unusable.items():  # reported at the plug-in, because no document is at fault
         yield Diagnostic(name, Severity.WARNING, str(cause), plugins(LINTS.group)[name].value)
@@ -165,3 +176,18 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
                     yield from islice(one.find(subject), MOST)
         except PluginError as error:
             yield warning(loaded, one.code, (), str(error), "")
+
+
+def _subject(loaded: Loaded, kind: str) -> tuple[Subject | None, list[Diagnostic]]:
+    """Return the drafts of a document, or None if its scene cannot be lowered; and the errors from lowering them."""
+    from simfoundry.lint import draft
+
+    if kind == "asset/1":
+        links, errors = draft.drafted_links(loaded)
+        return Subject(loaded, links=links), errors
+    steps, errors = draft.drafted_steps(loaded) if kind == "task/1" else ({}, [])
+    try:
+        return Subject(loaded, draft.drafted_start(loaded), steps), errors
+    except SpecError as error:
+        starts: Starts | None = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
+        return None, list(dict.fromkeys([*draft.own_findings(loaded, error, starts), *errors]))

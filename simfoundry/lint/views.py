@@ -1,4 +1,4 @@
-"""Lints SF409 and SF412: objects outside the view of every camera, and textures that cannot be used.
+"""Lints SF301, SF409 and SF412: backgrounds and textures that cannot be used, and objects out of every view.
 
 Occlusion is not taken into account.
 """
@@ -88,3 +88,27 @@ def lost_textures(subject: Subject) -> Iterator[Diagnostic]:
 
 
 LOST_TEXTURE = Lint("SF412", ("scene/1", "asset/1"), lost_textures)
+
+
+def unusable_background(subject: Subject) -> Iterator[Diagnostic]:
+    """Find a background whose file cannot be used."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.assets.errors import MeshError
+    from simfoundry.assets.mesh_summary import mesh_facts
+    from simfoundry.assets.splat import check_splat
+
+    written = subject.scene.spec.background
+    if written is None:
+        return
+    key = "mesh" if written.mesh is not None else "splat"
+    path = subject.loaded.file(written.mesh or written.splat or "")
+    try:
+        if key == "mesh":
+            mesh_facts(path, Cache.default())
+        else:
+            check_splat(path, written.scale, Cache.default())
+    except MeshError as error:
+        yield subject.loaded.finding(error.code, ("background", key), str(error), error.hint)
+
+
+BACKGROUND = Lint("SF301", ("scene/1",), unusable_background)

@@ -33,7 +33,13 @@ SHOWN, LISTED = 12, 200
 MAX_LINE = 600
 
 # Text without any meaning in Markdown or on GitHub: no markup, and no way to write a link, a mention or an emoji.
-_PLAIN = re.compile(r"(?:[A-Za-z]|\d+ (?=[a-z]))(?:[A-Za-z0-9 ,;()→×·°…%²³/=']|[.+-](?![.+-])|:(?= ))*")
+_PLAIN = re.compile(
+    r"(?:[A-Za-z]|\d+ (?=[a-z]))"
+    r"(?:[A-Za-z0-9 ,;()→×·°…%²³≈±–/=']|[.+-](?![.+-])|:(?= )|(?<=[A-Za-z0-9])_(?=[A-Za-z0-9]))*"
+)
+
+# Words of plain text that GitHub turns into links.
+_LINKED = re.compile(r"www\.|\bgh-\d", re.IGNORECASE)
 
 # Names of the colors in the images, for people who read the list of changes beside them.
 _LEGEND = {"moved": "orange: moved or turned", "changed": "blue: changed or renamed", "added": "green: added",
@@ -183,7 +189,7 @@ def _slug(name: str) -> str:
 def inline(text: str) -> str:
     """Return a text on one line, as it is if nothing in it has a meaning for Markdown, and as code otherwise."""
     line = _line(text)
-    return line if _PLAIN.fullmatch(line) and "www." not in line.lower() else code(line)
+    return line if _PLAIN.fullmatch(line) and not _LINKED.search(line) else code(line)
 
 
 def code(text: str) -> str:

@@ -184,6 +184,27 @@ def test_hostile_texts_are_only_shown(repository: Repository) -> None:
     assert all(re.fullmatch(r"p/\d\d-[a-z0-9-]+-(before|after)\.png", image) for image in found.images)
 
 
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("moved 3.0 cm (-x 3.0); mass 0.20 → 0.31 kg", True),
+        ("added: sphere of radius 0.03 m, at (0.2, 0, 0.03) m", True),
+        ("red_cup_1 renamed to blue_cup", True),
+        ("goal OnTop(cup, desk) → Inside(cup, bowl)", True),
+        ("2 moved, 1 removed", True),
+        ("1. moved", False),
+        ("see GH-12", False),
+        ("www.example.org", False),
+        ("_cup_", False),
+        ("cup__1", False),
+        ("@cup", False),
+        ("a -- b", False),
+    ],
+)
+def test_words_of_ours_are_plain_and_what_may_be_markup_is_code(text: str, plain: bool) -> None:
+    assert inline(text) == (text if plain else f"`{text}`")
+
+
 @given(st.text() | st.text(alphabet="ab1 `*_[]()<>!|\\~:.#@/-+=&\n\t\"'$"))
 @example("1. one")
 @example("- one")

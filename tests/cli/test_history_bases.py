@@ -132,7 +132,8 @@ def test_the_base_is_renamed_in_the_same_commit(repository: Repository) -> None:
     repository.git("mv", "table.scene.yaml", "desk.scene.yaml")
     commit(repository, "rename", desk=MOVED, moved=PINNED.replace("table.scene", "desk.scene"))
     renamed = ["extends table.scene.yaml → desk.scene.yaml", "extends changed"]
-    assert compared("HEAD~1..HEAD") == {"desk.scene.yaml": MOVES, "moved.scene.yaml": renamed}
+    base = "desk.scene.yaml (renamed from table.scene.yaml)"
+    assert compared("HEAD~1..HEAD") == {base: MOVES, "moved.scene.yaml": renamed}
     assert shown(repository) == {
         "table.scene.yaml renamed to desk.scene.yaml": MOVES,
         "moved.scene.yaml": renamed,
@@ -171,6 +172,24 @@ def test_the_scene_of_a_task(repository: Repository) -> None:
     assert compared("HEAD~3", "lift.task.yaml") == {
         "lift.task.yaml": ["scene moved.scene.yaml changed (1 moved)", "scene changed"]
     }
+
+
+def test_links_are_followed_inside_a_commit(repository: Repository) -> None:
+    """To the document, to a base, and never out of the repository."""
+    link = repository.folder / "link.scene.yaml"
+    link.symlink_to("table.scene.yaml")
+    repository.write("over.scene.yaml", FREE.replace("table.scene", "link.scene"))
+    (repository.folder / "outside.scene.yaml").symlink_to("../../etc/passwd")
+    (repository.folder / "nowhere.scene.yaml").symlink_to("nowhere/else.scene.yaml")
+    (repository.folder / "loop.scene.yaml").symlink_to("loop.scene.yaml")
+    repository.commit("links")
+    commit(repository, "base", table=MOVED)
+    assert run("diff", "HEAD~1..HEAD", "link.scene.yaml").out.splitlines() == MOVES
+    assert run("diff", "HEAD~1..HEAD", "over.scene.yaml").out.splitlines() == MOVES
+    assert told("link.scene.yaml")[0][0] != "uncommitted changes"
+    for name in ("outside", "nowhere", "loop"):
+        done = run("diff", "HEAD~1..HEAD", f"{name}.scene.yaml")
+        assert done.code == 2 and "there is no document" in done.err
 
 
 # -- where it is asked ----------------------------------------------------------------------------------------------

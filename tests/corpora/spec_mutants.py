@@ -107,20 +107,20 @@ Candidate = tuple[Spot, str, str]
 """A place, what stands there, and what shall stand there."""
 
 
-def _scalars(found: list[Spot]) -> Iterator[Spot]:
+def scalars(found: list[Spot]) -> Iterator[Spot]:
     return (s for s in found if s.node.plain and s.node.children is None)
 
 
-def _numbers(found: list[Spot]) -> Iterator[Spot]:
-    return (s for s in _scalars(found) if isinstance(s.node.value, int | float) and not isinstance(s.node.value, bool))
+def numbers(found: list[Spot]) -> Iterator[Spot]:
+    return (s for s in scalars(found) if isinstance(s.node.value, int | float) and not isinstance(s.node.value, bool))
 
 
 def wrong_type(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number becomes a text or a mapping, a truth a number, a name a list."""
-    for s in _numbers(found):
+    for s in numbers(found):
         if "conflicts" not in s.path:
             yield s, s.node.plain, rng.choice(["heavy", "{a: 1}", "true", "[[1]]", '"1"'])
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.name in (*NAMES, *FILES, "name") and isinstance(s.path[-1], str):
             yield s, s.node.plain, rng.choice(["[a]", "3", "true", "{a: 1}"])
         if isinstance(s.node.value, bool):
@@ -129,7 +129,7 @@ def wrong_type(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def out_of_range(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number that no such quantity can have."""
-    for s in _numbers(found):
+    for s in numbers(found):
         own = s.path[-1]
         if own in POSITIVE:
             yield s, s.node.plain, rng.choice(["0", "-1", ".nan", ".inf"])
@@ -147,14 +147,14 @@ def out_of_range(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def wrong_choice(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A word that is not among the valid ones."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path[-1:] and s.path[-1] in CHOICES and "objects" not in s.path[:1]:
             yield s, s.node.plain, s.node.plain + rng.choice(["x", "_z"])
 
 
 def dangling_name(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A name that nothing has."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path and s.path[-1] in NAMES and isinstance(s.node.value, str):
             yield (
                 s,
@@ -171,7 +171,7 @@ def dangling_name(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def dangling_file(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A file that is not there, or leaves the project."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if s.path and s.path[-1] in FILES and isinstance(s.node.value, str):
             yield (
                 s,
@@ -182,7 +182,7 @@ def dangling_file(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
 
 def bad_call(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A predicate that there is not, with too many arguments, or without its parenthesis."""
-    for s in _scalars(found):
+    for s in scalars(found):
         if CALL.fullmatch(s.node.plain):
             head = s.node.plain.partition("(")[0]
             yield (
@@ -234,7 +234,7 @@ def misspelled_key(found: list[Spot], rng: random.Random) -> Iterator[Candidate]
 
 def with_unit(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A number with its unit behind it."""
-    for s in _numbers(found):
+    for s in numbers(found):
         if "conflicts" not in s.path:
             yield s, s.node.plain, f"{s.node.plain} {rng.choice(['cm', 'kg', 'mm', 'deg', 'g'])}"
 

@@ -281,7 +281,7 @@ def test_every_bad_mesh_is_reported_not_only_the_first(tmp_path: Path) -> None:
     vertices, faces = block((0.1, 0.2, 0.3))
     (tmp_path / "open.obj").write_text(obj(vertices, faces[2:]))
     text = "objects:\n  cup2: {asset: open.obj, mass: 1}\n"
-    text += "  cup: {shape: {box: [1.0e-120, 1.0e-120, 1.0e-120]}, density: 9}\n"
+    text += "  cup: {shape: {box: [1.0e-8, 1.0e-8, 1.0e-8]}, density: 9}\n"
     with pytest.raises(SpecError) as caught:
         lowered(tmp_path, text)
     assert [(d.code, d.line) for d in caught.value.diagnostics] == [("SF302", 4), ("SF104", 5)]

@@ -58,10 +58,8 @@ POSITIVE = st.floats(1e-12, 1e4) | st.floats(1e-3, 1e300)
 COORDINATES = st.floats(-1e4, 1e4) | st.floats(-FARTHEST, FARTHEST) | st.integers(-99, 99).map(float)
 LENGTHS = st.floats(1e-12, 1e4) | st.floats(1e-3, FARTHEST)
 FRACTIONS = st.floats(0, 1)
-VEC3 = st.tuples(NUMBERS, NUMBERS, NUMBERS)
-POINT3 = st.tuples(COORDINATES, COORDINATES, COORDINATES)
+VEC3 = POINT3 = st.tuples(COORDINATES, COORDINATES, COORDINATES)
 INERTIAS = st.tuples(*[st.floats(1, 1.9)] * 3, *[st.floats(-0.01, 0.01)] * 3)
-POINT3 = st.tuples(COORDINATES, COORDINATES, COORDINATES)
 COLORS = st.tuples(FRACTIONS, FRACTIONS, FRACTIONS) | st.tuples(FRACTIONS, FRACTIONS, FRACTIONS, FRACTIONS)
 
 
@@ -186,7 +184,7 @@ LIGHTS = st.builds(
     type=st.sampled_from(["distant", "point", "dome"]),
     intensity=st.floats(0, 1e6),
     color=COLORS,
-    direction=st.tuples(NUMBERS, NUMBERS, st.floats(0.1, 1)),
+    direction=st.tuples(COORDINATES, COORDINATES, st.floats(0.1, 1)),
     xyz=POINT3,
 )
 SCENES = st.builds(
@@ -221,7 +219,7 @@ JOINT: dict[str, st.SearchStrategy[Any]] = {
     "parent": NAMES,
     "child": NAMES,
     "pose": POSES,
-    "axis": st.tuples(NUMBERS, st.floats(0.1, 1), NUMBERS),
+    "axis": st.tuples(COORDINATES, st.floats(0.1, 1), COORDINATES),
     "damping": st.floats(0, 1e6),
     "friction": st.floats(0, 1e-3),
     "armature": st.floats(0, 9),

@@ -6,6 +6,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.features import Loss, drop
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
@@ -100,13 +102,28 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
     ET.SubElement(body, "geom", attributes)
 
 
+# Relative margin of the triangle inequality of moments of inertia, above the rounding of numbers to twelve digits.
+MARGIN = 1e-11
+
+
+def _below_sum(moments: Array) -> Array:
+    """Return moments of inertia of which none exceeds the sum of the others, even after rounding.
+
+    The largest moment of a thin plate equals the sum of the others, and MuJoCo rejects a moment above it. In a long
+    rod, the two largest moments are almost equal, so the larger one becomes the other.
+    """
+    largest, middle = int(moments.argmax()), float(np.sort(moments)[1])
+    limit = max(middle, (1 - MARGIN) * float(moments.sum() - moments[largest]))
+    return moments if moments[largest] <= limit else np.where(np.arange(3) == largest, limit, moments)
+
+
 def _fill_body(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
     """Add the mass properties and geoms of a link to its body.
 
     A primitive that is both visual and collider becomes one geom in the visual group.
     """
     moments, q = link.principal
-    inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
+    inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(_below_sum(moments))}
     ET.SubElement(body, "inertial", inertial | _turn(q))
     both: dict[str, Visual] = {v.name: v for v in link.visuals if not isinstance(v.geometry, Mesh)}
     shapes = {c.name: _placed_shape(c, assets, f"{name}_collision") for c in link.colliders}

@@ -77,12 +77,10 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
     """Reference the robot's own USD, copy all files in its folder, and set the joint positions of the scene."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    stage = Usd.Stage.Open(str(native.file))
+    stage, by_name = open_model(robot, native)
     default = stage.GetDefaultPrim()
-    if not default:
-        raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to reference")
     found.losses.extend(_missing(robot, stage))
     folder = f"robots/{native.file.stem}_{native.digest[:8]}"
     top = native.file.parent
@@ -95,12 +93,7 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
     model.place(_UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
-    by_name: dict[str, Usd.Prim] = {}
-    for one in Usd.PrimRange(default):
-        by_name.setdefault(one.GetName(), one)
     for name, position in robot.start(native).items():
-        if name not in by_name:
-            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`")
         _set_joint(_over(model, default, by_name[name]), by_name[name], position)
     _hold(prim, model, default)
     for name in wanted:
@@ -108,6 +101,31 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
         if frame.link not in by_name:
             raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no link `{frame.link}`")
         found.frames[robot.name, name] = _over(model, default, by_name[frame.link]), frame.X_LF
+
+
+def open_model(robot: Robot, native: NativeModel) -> tuple[Usd.Stage, dict[str, Usd.Prim]]:
+    """Open a robot's own USD, and return its stage and the prims below its default prim by name.
+
+    Raises:
+        RobotModelError: If the file cannot be read, has no default prim, or lacks a joint of the robot.
+    """
+    from pxr import Tf, Usd
+
+    try:
+        stage = Usd.Stage.Open(str(native.file))
+    except Tf.ErrorException as error:
+        reason = " ".join(str(error).split())[:120]
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} could not be read as USD: {reason}") from None
+    default = stage.GetDefaultPrim()
+    if not default:
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to reference")
+    by_name: dict[str, Usd.Prim] = {}
+    for one in Usd.PrimRange(default):
+        by_name.setdefault(one.GetName(), one)
+    for name in robot.start(native):
+        if name not in by_name:
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`")
+    return stage, by_name
 
 
 def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:

@@ -8,6 +8,7 @@ from itertools import islice, takewhile
 from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Path_, volume
+from simfoundry.spec.check.plausible import check_friction, check_size, check_travel
 from simfoundry.spec.files import MESH_SUFFIXES
 from simfoundry.spec.models.base import WORLD, PoseSpec
 from simfoundry.spec.models.scene import Degrees, Written, position
@@ -21,6 +22,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     for name, link in spec.links.items():
         path = ("links", name)
         c.material(link, path)
+        check_friction(c, link, path)
         solid_parts = [part for part in link.parts.values() if part.use != "visual"]
         c.mass(link, [part.material or link.material for part in solid_parts], spec.materials, path)
         shapes = [part.shape for part in solid_parts]
@@ -30,6 +32,8 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
             part_path = (*path, "parts", part_name)
             c.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
             c.material(part, part_path)
+            if part.shape is not None:
+                check_size(c, part.shape, (*part_path, "shape"))
     if WORLD in c.names("links"):
         c.reserved(("links", WORLD), "link")
     links = spec.links.values()
@@ -38,6 +42,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     _tree(c, spec)
     _mimics(c, spec)
     for name, joint in spec.joints.items():
+        check_travel(c, joint.limits, ("joints", name))
         if joint.drive is not None and joint.drive.target is not None:
             place = ("joints", name, "drive", "target")
             _within(c, f"the target of `{name}`", joint, joint.drive.target, place)

@@ -125,8 +125,11 @@ class Checker:
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
 
     def materials(self, materials: Mapping[str, Material]) -> None:
-        """Check that the densities of materials are plausible, and that their textures exist."""
+        """Check that the densities and frictions of materials are plausible, and that their textures exist."""
+        from simfoundry.spec.check.plausible import check_friction
+
         for name, material in materials.items():
+            check_friction(self, material, ("materials", name))
             self.file(material.texture, ("materials", name, "texture"), TEXTURE_SUFFIXES)
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Use
+from simfoundry.spec.check.plausible import check_intrinsics, check_values
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.files import PICTURE_SUFFIXES, Loaded
 from simfoundry.spec.models.base import DocumentSpec
@@ -36,6 +37,7 @@ def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> 
     c = Checker(loaded, whole, use)
     kind = str(getattr(sound, "simfoundry")).partition("/")[0]  # noqa: B009
     getattr(import_module(f"{__package__}.{_MODULES[kind]}"), f"check_{kind}")(c, sound)
+    check_values(c)
     _conflicts(c, sound)
     return c.findings
 
@@ -57,6 +59,7 @@ def check_capture(c: Checker, spec: CaptureSpec) -> None:
     """Check a capture."""
     for name, shot in spec.frames.items():
         path = ("frames", name)
+        check_intrinsics(c, shot.camera, (*path, "camera"))
         c.file(shot.color, (*path, "color"), PICTURE_SUFFIXES)
         c.file(shot.depth.image, (*path, "depth", "image"), PICTURE_SUFFIXES)
         c.file(shot.masks.image if shot.masks is not None else None, (*path, "masks", "image"), PICTURE_SUFFIXES)

@@ -13,6 +13,8 @@ from pydantic import ValidationError
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
 from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
+from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
+from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
@@ -56,7 +58,9 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     _names(c, names, spec)
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     names.check_places(c, places, {name: ("objects", name, "place") for name in places})
+    check_gravity(c, spec.gravity)
     for name, camera in spec.cameras.items():
+        check_camera(c, camera, ("cameras", name))
         if camera.mount is not None:
             _mount(c, names, camera.mount, ("cameras", name, "mount"))
         if isinstance(camera.pose.look_at, str):
@@ -100,6 +104,9 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
     if (clash := piece_clash({key: part.shape for key, part in parts.items()})) is not None:
         message = f"a piece of the part `{clash[0]}` is also called `{clash[1]}`"
         c.add("SF213", (*path, "shape", "compound", clash[1]), message, "rename one of the parts")
+    check_friction(c, item, path)
+    if item.shape is not None:
+        check_size(c, item.shape, (*path, "shape"), item.fixed)
     c.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
     if item.asset is not None:
         _asset(c, item, item.asset, path)
@@ -186,7 +193,7 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     carrier, _, link = mount.partition(".")
     if carrier not in names.robots:
         if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
-            names.check_part(c, mount, path)
+            names.check_link(c, mount, path)
         return
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
     known = robot.known() if robot is not None and link else None
@@ -230,6 +237,14 @@ def asset_in(used: Loaded | None) -> AssetSpec | None:
 EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
+def _selected(item: ObjectSpec) -> ObjectSpec:
+    """Return the variant of an object that a scene selects, or the object itself if the variant is invalid."""
+    if item.variant in item.variants:
+        with suppress(ValidationError):
+            return variant_of(item, str(item.variant))
+    return item
+
+
 class SceneNames:
     """Names in a scene: all ``objects`` and ``robots`` in its text, including invalid ones, and their parts."""
 
@@ -237,7 +252,7 @@ class SceneNames:
         assert scene.document is not None
         self.scene, self.spec = scene, spec
         self.objects, self.robots = (scene.document.section(name) for name in ("objects", "robots"))
-        self._items = spec.objects if spec is not None else {}
+        self._items = {name: _selected(item) for name, item in spec.objects.items()} if spec is not None else {}
 
     def asset(self, name: str) -> AssetSpec | None:
         """Return the asset document of an object, or None if the document does not exist or is invalid."""
@@ -307,15 +322,31 @@ class SceneNames:
             elif self.is_known(name):
                 c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
+    def check_link(self, c: Checker, argument: str, path: Path_) -> None:
+        """Check the name of an object, or of a link. Here, a joint does not stand for the link that it moves."""
+        name, _, part = argument.partition(".")
+        asset = self.asset(name)
+        if part and name in self.objects and asset is not None:
+            c.name(part, asset.links, path, f"link of `{name}`")
+        else:
+            self.check_part(c, argument, path)
+
     def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object with joints, or of one of its joints."""
+        """Check the name of an object with joints, or of one of its joints, that have limits and so can be closed."""
         name, _, joint = argument.partition(".")
         if not c.name(name, self.objects, path, "object"):
             return
         asset = self.asset(name)
         moving = [n for n, j in asset.joints.items() if j.type != "fixed"] if asset is not None else []
+        limited = [n for n in moving if asset is not None and asset.joints[n].type in ("prismatic", "revolute")]
         if joint and asset is not None and asset.joints:
-            c.name(joint, asset.joints, path, f"joint of `{name}`")
+            if c.name(joint, asset.joints, path, f"joint of `{name}`") and joint not in limited:
+                message = (
+                    f"`{joint}` is a {asset.joints[joint].type} joint without limits, so it has no closed position"
+                )
+                c.add("SF201", path, message, nearest("", limited) if limited else "use a joint with limits")
+        elif moving and not limited:
+            c.add("SF201", path, f"no joint of `{name}` has limits, so its closed position is undefined")
         elif not moving and self.is_known(name):
             so = f", so there is no joint `{joint}`" if joint else ""
             c.add("SF201", path, f"`{name}` does not have any joints{so}")
@@ -327,7 +358,7 @@ class SceneNames:
             named = {key: other for key in PLACE_REFERENCES if (other := getattr(place, key)) is not None}
             for key, other in named.items():
                 if key in ("on", "inside"):
-                    self.check_part(c, other, (*paths[name], key))
+                    self.check_link(c, other, (*paths[name], key))
                 else:
                     c.name(other, self.objects, (*paths[name], key), "object")
             needs[name] = {other.partition(".")[0] for other in named.values()} & places.keys()

