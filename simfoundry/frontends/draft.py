@@ -104,10 +104,19 @@ class MeshDraft:
 
 
 @dataclass(eq=False)
+class TextureDraft:
+    """The image of a primitive as the content of a PNG file, with its name and the width of one repetition [m]."""
+
+    name: str
+    png: bytes
+    size: float | None = None
+
+
+@dataclass(eq=False)
 class PartDraft:
     """A part of a link, with its pose in the link frame.
 
-    ``use`` is `both`, `visual` or `collision`.
+    ``use`` is `both`, `visual` or `collision`. ``texture`` is the image of a primitive; a mesh contains its own.
     """
 
     name: str
@@ -116,6 +125,7 @@ class PartDraft:
     X_LG: Pose = IDENTITY
     color: Rgba | None = None
     contact: Contact = field(default_factory=dict)
+    texture: TextureDraft | None = None
 
     @property
     def collides(self) -> bool:
