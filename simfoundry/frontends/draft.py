@@ -240,7 +240,7 @@ class CameraDraft:
 
 @dataclass(eq=False)
 class LightDraft:
-    """A light in a scene."""
+    """A light in a scene. ``panorama`` is the file name and the content of the image of a dome light."""
 
     name: str
     type: str
@@ -248,6 +248,7 @@ class LightDraft:
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     xyz: tuple[float, float, float] = (0.0, 0.0, 2.0)
+    panorama: tuple[str, bytes] | None = None
 
 
 @dataclass(eq=False)

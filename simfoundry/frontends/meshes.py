@@ -83,7 +83,11 @@ class FileShelf:
 
     def place_texture(self, texture: TextureDraft) -> str:
         """Add the image of a primitive and return its path relative to ``base``."""
-        return self._store({f"{plain_name(texture.name, 'texture')}.png": texture.png}).removeprefix("./")
+        return self.place_file(f"{plain_name(texture.name, 'texture')}.png", texture.png)
+
+    def place_file(self, name: str, content: bytes) -> str:
+        """Add a file and return its path relative to ``base``."""
+        return self._store({name: content}).removeprefix("./")
 
     def _store(self, files: dict[str, bytes]) -> str:
         main = next(iter(files))

@@ -153,3 +153,30 @@ def test_a_texture_on_a_primitive_of_mujoco_becomes_that_of_a_material(importing
     (collider,) = item.root.colliders
     assert isinstance(collider.geometry, Box) and collider.friction == pytest.approx(0.8)
     assert any("projected" in str(note) for note in report.notes)
+
+
+def test_the_panorama_of_a_dome_is_kept(importing: Importing, tmp_path: Path) -> None:
+    image = b"#?RADIANCE\n\n-Y 1 +X 1\n\x80\x80\x80\x80"
+    (tmp_path / "source").mkdir()
+    (tmp_path / "source" / "room.hdr").write_bytes(image)
+    text = """#usda 1.0
+( upAxis = "Z"; metersPerUnit = 1 )
+def Sphere "Ball" ( prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"] )
+{
+  double radius = 0.1
+}
+def DomeLight "Sky"
+{
+  asset inputs:texture:file = @room.hdr@
+  float inputs:intensity = 0.5
+}
+def DomeLight "Lost"
+{
+  asset inputs:texture:file = @absent.hdr@
+}
+"""
+    report, scene = importing("s.usda", text)
+    panoramas = {light.name: light.panorama for light in scene.lights}
+    assert panoramas["sky"] is not None and panoramas["sky"].content == image and panoramas["lost"] is None
+    notes = [str(note) for note in report.notes if "texture of light" in str(note)]
+    assert len(notes) == 2 and "direction of x" in notes[0] and "could not be found" in notes[1]
