@@ -9,8 +9,9 @@ import pytest
 
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec
-from simfoundry.geometry.shapes import Cone, Ellipsoid
+from simfoundry.geometry.shapes import Box, Cone, Ellipsoid, Mesh
 from simfoundry.scene.lower import lower_file
+from simfoundry.scene.meshfile import has_texture
 from tests.frontends.conftest import Importing
 from tests.frontends.usd.stages import OBJECTS
 
@@ -136,3 +137,46 @@ def test_a_part_of_a_compound_that_is_moved_is_told(stage: Usd.Stage) -> None:
     leg.GetAttribute("xformOp:translate").Set(Gf.Vec3d(0, 0, 0))
     found = reading(stage)
     assert found.data == found.before and [note.prim.rpartition("/")[2] for note in found.notes] == ["leg_2"]
+
+
+def test_a_texture_on_a_primitive_of_mujoco_becomes_that_of_a_material(importing: Importing) -> None:
+    text = """<mujoco><asset>
+      <texture name="tiles" type="2d" builtin="checker" rgb1="1 0 0" rgb2="0 0 1" width="32" height="32"/>
+      <material name="tiled" texture="tiles" texrepeat="4 4" texuniform="true" rgba="1 0.5 1 1"/></asset>
+      <worldbody><geom name="floor" type="box" size="1 1 0.05" material="tiled" friction="0.8"/></worldbody></mujoco>"""
+    report, scene = importing("floor.xml", text)
+    (item,) = scene.objects
+    (visual,) = item.root.visuals
+    assert isinstance(visual.geometry, Mesh) and has_texture(visual.geometry)
+    assert visual.geometry.uv is not None and visual.geometry.uv.max() == pytest.approx(2 / 0.25)
+    assert visual.rgba == pytest.approx([1, 0.5, 1, 1])
+    (collider,) = item.root.colliders
+    assert isinstance(collider.geometry, Box) and collider.friction == pytest.approx(0.8)
+    assert any("projected" in str(note) for note in report.notes)
+
+
+def test_the_panorama_of_a_dome_is_kept(importing: Importing, tmp_path: Path) -> None:
+    image = b"#?RADIANCE\n\n-Y 1 +X 1\n\x80\x80\x80\x80"
+    (tmp_path / "source").mkdir()
+    (tmp_path / "source" / "room.hdr").write_bytes(image)
+    text = """#usda 1.0
+( upAxis = "Z"; metersPerUnit = 1 )
+def Sphere "Ball" ( prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"] )
+{
+  double radius = 0.1
+}
+def DomeLight "Sky"
+{
+  asset inputs:texture:file = @room.hdr@
+  float inputs:intensity = 0.5
+}
+def DomeLight "Lost"
+{
+  asset inputs:texture:file = @absent.hdr@
+}
+"""
+    report, scene = importing("s.usda", text)
+    panoramas = {light.name: light.panorama for light in scene.lights}
+    assert panoramas["sky"] is not None and panoramas["sky"].content == image and panoramas["lost"] is None
+    notes = [str(note) for note in report.notes if "texture of light" in str(note)]
+    assert len(notes) == 2 and "direction of x" in notes[0] and "could not be found" in notes[1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft, TextureDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
@@ -114,12 +114,24 @@ class MjcfGeoms:
                 part.contact["torsional_friction"] = spinning
             if dimensions >= 6:
                 part.contact["rolling_friction"] = rolling
-        if self.texture(int(model.geom_matid[geom])) >= 0 and not isinstance(part.geometry, MeshDraft):
-            self.draft.dropped(f"texture of geom `{part.name}`", "only meshes can have textures")
+        if not isinstance(part.geometry, MeshDraft):
+            part.texture = self.texture_draft(geom, part)
         color = self.rgba(geom)
         if color != UNSET and part.use != "collision":
             part.color = color
         return part
+
+    def texture_draft(self, geom: int, part: PartDraft) -> TextureDraft | None:
+        """Return the image of a primitive, or None if there is none."""
+        material = int(self.model.geom_matid[geom])
+        if (texture := self.texture(material)) < 0 or part.use == "collision":
+            return None
+        repeat = float(self.model.mat_texrepeat[material][0])
+        across = 1.0 if self.model.mat_texuniform[material] else 2 * float(max(self.model.geom_size[geom]))
+        why = "the image is projected along the nearest axis of the shape"
+        self.draft.changed(f"texture of geom `{part.name}`", why)
+        name = self.source.name("texture", texture) or f"texture_{texture}"
+        return TextureDraft(name, self.png(texture), across / repeat if repeat > 0 and across > 0 else None)
 
     def rgba(self, geom: int) -> Rgba:
         """Return the color of a geom, which may come from its material."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, srgb_of_linear, texture_png
-from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft, TextureDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
@@ -51,7 +51,11 @@ class UsdGprims:
         geometry, X_LP = found
         part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP, contact=self.surface(prim)[0])
         if not isinstance(geometry, MeshDraft) and part.use != "collision":
-            part.color, _ = self.look(prim)
+            part.color, png = self.look(prim)
+            if png is not None:
+                part.texture = TextureDraft(prim.GetName(), png)
+                why = "the image is projected along the nearest axis of the shape"
+                self.draft.changed(f"texture of `{prim.GetPath()}`", why)
         return part
 
     def use(self, prim: Any) -> str:
