@@ -16,9 +16,10 @@ from simfoundry.spec.change.diff.changes import Rename, renamed, same
 from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
+from simfoundry.spec.compose.compose import inherited_data
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import compose, load, load_kind
+from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.base import Conflict, DocumentSpec, Model
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.types import field_adapter, field_type, file_patterns, models_at
@@ -154,8 +155,6 @@ class EditableDocument(DocumentEntry):
 
     def _set_loaded(self, loaded: Loaded) -> None:
         """Make a loaded document the current state, without edits."""
-        from simfoundry.spec.yaml.text import read
-
         assert loaded.spec is not None and loaded.document is not None
         text = loaded.document.text
         self._file, self._loaded = loaded.path, loaded
@@ -163,8 +162,7 @@ class EditableDocument(DocumentEntry):
         # All values that the text states, including defaults, joined with the documents that it extends.
         self._before: dict[str, Any] = loaded.document.data if text else to_data(loaded.spec)
         self._data = self._before  # edits replace the mappings that contain them and leave others as they are
-        bases = loaded.bases[:1]
-        self._base = compose(read(bases[0]), self._kind, loaded.root)[0].data if bases else ABSENT
+        self._base = inherited_data(loaded, self._kind, loaded.root)
 
     def _load(self) -> Loaded:
         """Return the edited document, including any findings."""

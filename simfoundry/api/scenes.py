@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, robot, scene, shapes
+from simfoundry.spec.models import base, reuse, robot, scene, shapes
 
 if TYPE_CHECKING:
     import mujoco
@@ -40,9 +40,10 @@ Origin = ValueField[base.Origin | None, base.Origin | Values | None]
 
 
 class PoseEntry(DocumentEntry):
-    """A pose relative to its parent: a position [m] and a rotation in one of three representations."""
+    """A pose in the world or in a frame: a position [m] and a rotation in one of three representations."""
 
-    _model = base.PoseSpec
+    _model = reuse.FramedPose
+    frame = Text()
     xyz = Position()
     yaw_deg = OptionalNumber()
     rpy_deg = ValueField[Vector | None, Sequence[float] | None]()
@@ -53,6 +54,7 @@ class CameraPoseEntry(DocumentEntry):
     """The pose of a camera: a position [m], and either a target (a point or a name) or a rotation."""
 
     _model = base.CameraPose
+    frame = Text()
     xyz = Position()
     look_at = ValueField[Vector | str | None, Sequence[float] | str | None]()
     quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
@@ -76,6 +78,8 @@ class ObjectEntry(DocumentEntry):
     """An object with a shape or asset, mass [kg] or density [kg/m^3], surface properties, and a pose or placement."""
 
     _model = scene.ObjectSpec
+    like = Text()
+    repeat = ValueField[reuse.RepeatSpec | str | None, reuse.RepeatSpec | Values | str | None]()
     category = Text()
     labels = Names()
     fixed = Flag()
@@ -134,6 +138,7 @@ class LightEntry(DocumentEntry):
     direction = Position()
     xyz = Position()
     texture = Text()
+    frame = Text()
 
 
 class SceneDocument(EditableDocument):
@@ -145,6 +150,10 @@ class SceneDocument(EditableDocument):
     description = Text()
     viewpoint = Text()
     gravity = Position()
+    parameters = ValueField[Mapping[str, float], Mapping[str, float] | None]()
+    include = ValueField[Mapping[str, reuse.IncludeSpec], Values | None]()
+    templates = ValueField[Mapping[str, scene.TemplateSpec], Values | None]()
+    frames = ValueField[Mapping[str, reuse.ReferenceFrame], Values | None]()
     background = ValueField[scene.BackgroundSpec | None, scene.BackgroundSpec | Values | None]()
     objects = section(ObjectEntry)
     materials = section(MaterialEntry)

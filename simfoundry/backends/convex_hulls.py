@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.backends.features import Loss, approximate
 from simfoundry.geometry.frames import Array
-from simfoundry.geometry.shapes import Cone, Ellipsoid, Geometry, Mesh, hull_mesh
+from simfoundry.geometry.shapes import Cone, Ellipsoid, Faces, Geometry, Mesh, closed_mesh, hull_mesh
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject
 
 # The primitives that each backend writes as convex hulls. PhysX ignores the scale of a sphere along single axes.
@@ -82,14 +82,24 @@ def hull_of(geometry: Geometry) -> tuple[Mesh, float]:
         ring = np.column_stack([np.cos(turn), np.sin(turn)]) * geometry.radius
         base = np.column_stack([ring, np.full(_SIDES, -geometry.height / 2)])
         inside = geometry.radius * (1 - math.cos(math.pi / _SIDES))
-        return _hull(np.vstack([base, [[0.0, 0.0, geometry.height / 2]]])), inside
+        return closed_mesh(np.vstack([base, [[0.0, 0.0, geometry.height / 2]]]), _pyramid_faces()), inside
     assert isinstance(geometry, Ellipsoid)
-    return _hull(_sphere_points() * geometry.radii), (_REACH - 1) * float(geometry.radii.max())
+    sphere = _sphere_hull()  # scaled afterwards, because the hull of an extremely thin ellipsoid is not robust
+    return closed_mesh(sphere.vertices * geometry.radii, sphere.faces), (_REACH - 1) * float(geometry.radii.max())
 
 
-def _hull(points: Array) -> Mesh:
-    mesh = hull_mesh(points)
-    assert mesh is not None  # the points span a volume, because all lengths are positive
+def _pyramid_faces() -> Faces:
+    """Return the triangles of a pyramid whose corners are those of its base, followed by its tip."""
+    here = np.arange(_SIDES)
+    base = np.column_stack([np.zeros(_SIDES - 2, int), here[2:], here[1:-1]])
+    walls = np.column_stack([here, (here + 1) % _SIDES, np.full(_SIDES, _SIDES)])
+    return np.concatenate([base, walls]).astype(np.int32)
+
+
+@lru_cache(maxsize=1)
+def _sphere_hull() -> Mesh:
+    mesh = hull_mesh(_sphere_points())
+    assert mesh is not None  # the points span a volume
     return mesh
 
 

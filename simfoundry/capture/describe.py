@@ -18,6 +18,7 @@ from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
 from simfoundry.spec.models import shapes
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 
@@ -107,7 +108,7 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
         shape=shapes.PrismShape(prism=shapes.Prism(outline=outline, height=thickness)),
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
-        pose=spec.PoseSpec(xyz=(0.0, 0.0, -thickness / 2)),
+        pose=FramedPose(xyz=(0.0, 0.0, -thickness / 2)),
         origin=spec.Origin(capture=capture, fit_error=meters(support.residual), note=note),
     )
 

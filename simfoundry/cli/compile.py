@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FOLDER, option
+from simfoundry.cli.options import ANY, NEW_FOLDER, option, set_option
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
@@ -41,9 +41,10 @@ LONGEST_TEXT = 60
 @click.option("--strict", is_flag=True, help="Exit with code 1 if a target cannot represent everything.")
 @click.option("--force", is_flag=True,
               help="Recompile scenes that are up to date, and replace folders that contain other files.")  # fmt: skip
+@set_option
 def compile_command(
     scenes: tuple[Path, ...], targets: tuple[str, ...], out: Path, jobs: int | None, strict: bool, force: bool,
-    as_json: bool,
+    parameters: dict[str, float], as_json: bool,
 ) -> int:  # fmt: skip
     """Compile scenes for simulators, and report everything that a target cannot represent.
 
@@ -55,17 +56,24 @@ def compile_command(
     """
     targets = targets or TARGETS
     if len(scenes) > 1 or scenes[0].is_dir():
+        if parameters:
+            raise SimfoundryError("--set applies to a single scene; compile the scenes one by one")
         return _compile_many(scenes, targets, out, jobs, strict, force, as_json)
-    return _compile_one(scenes[0], targets, out, strict, force, as_json)
+    return _compile_one(scenes[0], targets, out, strict, force, parameters, as_json)
 
 
-def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
+def _compile_one(
+    scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, parameters: Mapping[str, float],
+    as_json: bool,
+) -> int:  # fmt: skip
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
     from simfoundry.targets.build import LOSSES, TargetsError, build, report, table
 
     with output.progress_bar(as_json) as progress:
-        lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
+        lowered = lower_file(
+            scene, Cache.default(), lambda name, done, total: progress(name, done / total), parameters=parameters
+        )
         failures: Mapping[str, str] = {}
         try:
             artifacts = build(lowered, targets, out, force)

@@ -88,10 +88,12 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
         "changed": changed,
         "notes": [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes],
         "disputed": list(imported.disputed),
+        "exceptions": dict(imported.exceptions),
     }
     lines = [f"{out}  from the stage {path}: " + ("written" if changed else "no changes")]
     lines += [f"  not applied: {n.prim}: {n.message}" + (f"; {n.hint}" if n.hint else "") for n in imported.notes]
     edited = "edited in both the stage and the document"
+    lines += [f"  {name} has an entry of its own now, unlike the rest of {rest}" for name, rest in imported.exceptions]
     lines += [f"  {edited}: {disputed}; the values in the stage were kept" for disputed in imported.disputed]
     output.print_result(as_json, report, "\n".join(lines))
     return output.FINDINGS if strict and (imported.notes or imported.disputed) else output.DONE

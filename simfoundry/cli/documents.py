@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import option
+from simfoundry.cli.options import option, set_option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.report import FORMATS
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
@@ -66,7 +66,8 @@ MANY = 100
 @option("--format", "form", type=click.Choice(FORMATS), default="text",
         help="Output format: text, or a format for scripts, code scanning or GitHub.")  # fmt: skip
 @click.option("--lints/--no-lints", default=True, help="Also check the geometry, or only the structure.")
-def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
+@set_option
+def check_command(paths: tuple[Path, ...], form: str, lints: bool, parameters: dict[str, float], as_json: bool) -> int:
     """Check the given documents, and all documents below the given folders (default: the working folder).
 
     The exit code is 1 if there are errors or warnings. To see a detailed description of a finding, run `simfoundry
@@ -80,7 +81,11 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
     _known.clear()
     _linted.clear()
     with output.progress_bar(len(files) < MANY or not sys.stderr.isatty()) as progress:
-        checked = map_parallel(partial(_check, lints=lints), files, lambda done: progress("check", done / len(files)))
+        checked = map_parallel(
+            partial(_check, lints=lints, parameters=parameters),
+            files,
+            lambda done: progress("check", done / len(files)),
+        )
     report = gather(map(str, files), checked)
     if form == "text":
         output.print_findings(list(report.findings))
@@ -102,14 +107,14 @@ _known: dict[Path, Known] = {}
 _linted: set[Path] = set()
 
 
-def _check(file: Path, lints: bool) -> Checked:
+def _check(file: Path, lints: bool, parameters: Mapping[str, float]) -> Checked:
     """Return the findings for one document. This function is also called in worker processes."""
     from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import load
     from simfoundry.spec.project import project_root
 
     root = project_root(file)
-    loaded = load(file, root, _known.setdefault(root, {}))
+    loaded = load(file, root, _known.setdefault(root, {}), parameters=parameters)
     findings = loaded.all_findings()
     if lints:
         from simfoundry.lint.lints import lint

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER
+from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, set_option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.kinds import KINDS
 
@@ -98,8 +98,11 @@ def schema_command(kind: str | None, out: Path | None, force: bool) -> None:
 @click.argument("file", type=FILE)
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
-def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> None:
-    """Write a complete document that includes everything it extends and all default values.
+@set_option
+def flatten_command(
+    file: Path, parameters: dict[str, float], out: Path | None, only_hash: bool, force: bool, as_json: bool
+) -> None:
+    """Write a complete document with everything it extends, includes or repeats, and with all default values.
 
     Equivalent documents produce the same text and therefore the same hash. File paths are made relative to the location
     of the output.
@@ -108,7 +111,7 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load
 
-    loaded = load(file)
+    loaded = load(file, parameters=parameters)
     if loaded.spec is None or loaded.errors:
         raise SpecError(loaded.errors)
     text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)

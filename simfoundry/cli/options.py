@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterable, Iterator
@@ -42,6 +43,25 @@ def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, .
         if not name or not value:
             raise click.BadParameter(f"expected {option.metavar}, but got `{name}`")
     return found
+
+
+def numbers(_context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
+    """Parse options of the form ``NAME=NUMBER``."""
+    found: dict[str, float] = {}
+    for name, value in (text.partition("=")[::2] for text in values):
+        try:
+            found[name] = int(value) if re.fullmatch("[-+]?[0-9]{1,15}", value) else float(value)
+        except ValueError:
+            raise click.BadParameter(f"expected {option.metavar}, but got `{name}={value}`") from None
+        if not name or not math.isfinite(found[name]):
+            raise click.BadParameter(f"expected {option.metavar}, but got `{name}={value}`")
+    return found
+
+
+set_option = click.option(
+    "--set", "parameters", multiple=True, metavar="NAME=NUMBER", callback=numbers,
+    help="Value of a parameter of the scene, such as gap=0.1. Can be repeated.",
+)  # fmt: skip
 
 
 def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:

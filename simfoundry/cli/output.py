@@ -161,12 +161,15 @@ def in_color(stream: TextIO) -> bool:
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, SceneSpec, Scene]:
+def lower_scene(
+    path: Path, quiet: bool, parameters: Mapping[str, float] | None = None, fetch: bool = True
+) -> tuple[Loaded, SceneSpec, Scene]:
     """Load and lower a scene, showing a progress bar.
 
     Args:
         path: The scene document.
         quiet: Whether to hide the progress bar.
+        parameters: Values that replace those of the scene's parameters.
         fetch: Whether to download robot models that are not available locally.
     """
     from simfoundry.assets.cache import Cache
@@ -174,7 +177,7 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.scene import SceneSpec
 
-    loaded = load_scene(path)
+    loaded = load_scene(path, parameters)
     assert isinstance(loaded.spec, SceneSpec)
     with progress_bar(quiet) as progress:
         scene = lower(loaded, Cache.default(), lambda name, done, total: progress(name, done / total), fetch)

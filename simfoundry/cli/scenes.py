@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, option, scene_argument
+from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, option, scene_argument, set_option
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
@@ -18,19 +18,21 @@ if TYPE_CHECKING:
 
 @output.subcommand()
 @scene_argument
-def show_command(scene: Path, as_json: bool) -> None:
+@set_option
+def show_command(scene: Path, parameters: dict[str, float], as_json: bool) -> None:
     """Show a scene as a tree of support relations, with sizes, masses and joints."""
     from simfoundry.scene.summary import summary, tree
 
-    _, spec, lowered = output.lower_scene(scene, as_json, fetch=False)
+    _, spec, lowered = output.lower_scene(scene, as_json, parameters, fetch=False)
     facts = summary(lowered, spec)
     output.print_result(as_json, facts, tree(facts))
 
 
 @output.subcommand()
 @scene_argument
+@set_option
 @click.argument("conditions", nargs=-1)
-def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
+def judge_command(scene: Path, parameters: dict[str, float], conditions: tuple[str, ...], as_json: bool) -> int:
     """Evaluate predicates in a scene, such as 'Inside(cup, bowl)', and print their values, margins and explanations.
 
     If no predicates are specified, the relations defined in the scene are evaluated. The exit code is 1 if any
@@ -40,7 +42,7 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
     from simfoundry.scene.state import SceneState
     from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
-    lowered = output.lower_scene(scene, as_json)[2]
+    lowered = output.lower_scene(scene, as_json, parameters)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)
     rows, lines = [], []
     for text in conditions or tuple(str(relation) for relation in lowered.relations):
@@ -57,16 +59,20 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
 
 @output.subcommand(force=True)
 @scene_argument
+@set_option
 @camera_option
 @click.option("-o", "--out", type=NEW_FILE, help="Output file. Default: SCENE-CAMERA.png.")
 @option("--engine", type=click.Choice(["auto", "egl", "osmesa", "raycast"]), default="auto",
         help="Renderer: MuJoCo with EGL or OSMesa, or a ray caster that does not need a GL driver.")  # fmt: skip
-def render_command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
+def render_command(
+    scene: Path, parameters: dict[str, float], camera: str | None, out: Path | None, engine: str, force: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Render a PNG image from a camera in a scene. No display is required."""
     from simfoundry.render.montage import save_png
     from simfoundry.worlds.render import choose_engine, render
 
-    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    loaded, spec, lowered = output.lower_scene(scene, as_json, parameters)
     view = output.choose_camera(lowered, spec, camera)
     chosen = choose_engine(engine)
     target = out or Path(f"{lowered.name}-{view.name}.png")
@@ -78,9 +84,12 @@ def render_command(scene: Path, camera: str | None, out: Path | None, engine: st
 
 @output.subcommand(force=True)
 @scene_argument
+@set_option
 @click.option("-o", "--out", type=NEW_FILE, help="Write the settled scene to this file.")
 @option("--engine", type=WorldName(), default="mujoco")
-def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
+def settle_command(
+    scene: Path, parameters: dict[str, float], out: Path | None, engine: str, force: bool, as_json: bool
+) -> int:
     """Simulate a scene until it is at rest, and report how its objects moved.
 
     With -o, the settled scene is written in canonical form, without the comments in the input. The exit code is 1 if
@@ -94,7 +103,7 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
         raise SimfoundryError("write the settled scene to the original folder, because mesh paths are relative to it")
-    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    loaded, spec, lowered = output.lower_scene(scene, as_json, parameters)
     with output.progress_bar(as_json) as progress, open_world(lowered, engine) as world:
         settled = settle(world, progress=progress)
     if out is not None:
@@ -124,17 +133,19 @@ def settle_table(objects: Iterable[ObjectSettle]) -> str:
 
 @output.subcommand(force=True)
 @scene_argument
+@set_option
 @camera_option
 @click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture to this folder.")
 @option("--seed", type=int, default=0, help="Seed for the sensor noise.")
 @click.option("--masks", is_flag=True, help="Also write instance masks.")
 def synthesize_command(
-    scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool
-) -> None:
+    scene: Path, parameters: dict[str, float], camera: str | None, out: Path, seed: int, masks: bool, force: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Render a scene as a synthetic capture: color and depth images with the noise and holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
 
-    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    loaded, spec, lowered = output.lower_scene(scene, as_json, parameters)
     view = output.choose_camera(lowered, spec, camera)
     for name in CAPTURE_FILES:
         output.protect_output(out / name, [scene, *loaded.files()], force)

@@ -209,7 +209,15 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
     Raises:
         SpecError: If the task or its scene is invalid. The error contains all findings.
     """
-    loaded = load_kind(path, "task/1")
+    return task_of(load_kind(path, "task/1"), cache)
+
+
+def task_of(loaded: Loaded, cache: Cache | None = None) -> Task:
+    """Lower the scene of a task document, and return the task; see :func:`load_task`.
+
+    Raises:
+        SpecError: If the scene is invalid. The error contains all findings.
+    """
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)
     scene = loaded.used(spec.scene)

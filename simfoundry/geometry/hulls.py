@@ -94,7 +94,11 @@ class Hulls:
 
     def of_link(self, link: int) -> Hulls:
         """Return a copy that contains only the parts of one link, without renumbering the parts."""
-        kept = self.link[self.part] == link
+        return self.of_parts(np.flatnonzero(self.link == link))
+
+    def of_parts(self, parts: Sequence[int] | Index) -> Hulls:
+        """Return a copy that contains only the parts with the given indices, without renumbering the parts."""
+        kept = np.isin(self.part, parts)
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
         numbered = np.where(self.beside >= 0, (np.cumsum(triangles) - 1)[self.beside], -1)

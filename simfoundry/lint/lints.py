@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from simfoundry.runtime.plugins import PluginError, Registry, plugins
 from simfoundry.spec.check.documents import sift, unused
+from simfoundry.spec.compose.findings import collapsed, with_sources
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.predicate import Call
@@ -149,8 +150,8 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
         return ()
     seen.add(path)
     findings = [d for used in loaded.uses.values() for d in lint(used, seen)]
-    kept, silenced = sift(_lints(loaded), loaded.spec.allow)
-    findings += kept
+    kept, silenced = sift(with_sources(_lints(loaded), loaded.reuse), loaded.spec.allow)
+    findings += collapsed(kept, loaded.reuse)
     # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
     findings += [d for d in idle if d.file == loaded.document.file]

@@ -11,6 +11,7 @@ import numpy as np
 
 from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.lints import Lint, Path_, Subject, warning
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds, solid
 from simfoundry.scene.state import SceneState
@@ -70,7 +71,7 @@ def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
     """Find objects that must be reached but are out of reach initially or in a corner of their reset region."""
     from simfoundry.robots.reach import hands_of, nearest_miss
 
-    draft, hands = subject.scene, hands_of(acting_robots(subject))
+    draft, hands = subject.scene, hands_of(acting_robots(subject), FrameTree(subject.scene.spec))
     if not hands:
         return
     seen = set[str]()

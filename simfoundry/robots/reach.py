@@ -18,6 +18,7 @@ import numpy as np
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm, jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
@@ -76,16 +77,17 @@ class Miss(NamedTuple):
         return self.distance - self.reach
 
 
-def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> tuple[Hand, ...]:
+def hands_of(robots: Mapping[str, RobotSpec], frames: FrameTree, payload: float | None = None) -> tuple[Hand, ...]:
     """Return the hands of a document's robots, whether or not their models are installed.
 
-    ``payload`` [kg] overrides the payloads of the robots.
+    ``frames`` are the frames to which the poses of the robots may refer. ``payload`` [kg] overrides the payloads of the
+    robots.
     """
     found = []
     for name, robot in robots.items():
         known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
         reach, opening, lifts = (known.reach, known.opening, known.payload) if known is not None else (None, None, None)
-        x, y, _ = pose(robot.pose).p.tolist()
+        x, y, _ = (frames.pose(robot.pose.frame) @ pose(robot.pose)).p.tolist()
         own = (robot.reach or reach, robot.opening or opening, payload or lifts or PAYLOAD)
         found.append(Hand(name, (x, y), *own, kind))
     return tuple(found)

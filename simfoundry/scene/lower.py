@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -20,10 +21,12 @@ from simfoundry.assets.panorama import read_panorama
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
-from simfoundry.scene.cameras import lower_cameras, viewer, viewer_target
+from simfoundry.scene.cameras import lower_cameras
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import LeftOut, Light, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.place import RELATIONS, PlaceError, needs, order, place_all
+from simfoundry.scene.place import RELATIONS, Placement, needs, order, place_all
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
@@ -61,6 +64,17 @@ class Lowering:
         """The placements to be solved, keyed by object name."""
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
+    @property
+    def placements(self) -> dict[str, Placement]:
+        """The placements and the poses in frames, keyed by object name."""
+        framed = {name: item.pose for name, item in self.spec.objects.items() if item.pose.frame is not None}
+        return {**framed, **self.places}
+
+    @cached_property
+    def frames(self) -> FrameTree:
+        """The frames of the scene."""
+        return FrameTree(self.spec)
+
     def run(self, passes: tuple[Pass, ...]) -> Scene:
         """Run the passes and return the scene.
 
@@ -69,7 +83,9 @@ class Lowering:
         """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
-        scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
+        seen = self.spec.viewpoint
+        viewer = None if self.frames.viewer_needs(seen) else self.frames.viewer(seen)
+        scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer)
         for lowering_pass in passes:
             scene = lowering_pass(self, scene)
         return scene
@@ -91,15 +107,23 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
 
 
-def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
+def lower_file(
+    path: Path,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+    fetch: bool = True,
+    parameters: Mapping[str, float] | None = None,
+) -> Scene:
     """Load, check and lower the scene document at ``path``; see :func:`lower`.
+
+    ``parameters`` replace the values of the scene's parameters.
 
     Raises:
         SpecError: If the document is invalid or cannot be lowered.
     """
     from simfoundry.spec.load import load_scene
 
-    return lower(load_scene(path), cache, progress, fetch)
+    return lower(load_scene(path, parameters), cache, progress, fetch)
 
 
 # -- passes, in the order of PASSES ------------------------------------------------------------------------------------
@@ -118,7 +142,8 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
     found: dict[str, SceneObject | None] = {}
-    is_late = lowering.draft or viewer_target(spec) is not None  # the viewer is unknown until the target is placed
+    # A viewpoint that looks at an object is unknown until the object is placed.
+    is_late = lowering.draft or bool(lowering.frames.viewer_needs(spec.viewpoint))
     first = () if is_late else _containers_and_contents(lowering)
     misfits = _certain_misfits(lowering, first) if first else []
     work.cuts = not misfits
@@ -129,8 +154,8 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         if first and len(found) == len(first) and not work.findings and not misfits:
             # These objects do not depend on any others, so their placements can be solved before the rest is lowered.
             objects = {k: item for k, item in found.items() if item is not None}
-            places = {k: place for k, place in lowering.places.items() if k in objects}
-            misfits = _findings(lowering, place_all(objects, places, viewer(spec))[1])
+            places = {k: place for k, place in lowering.placements.items() if k in objects}
+            misfits = _findings(lowering, place_all(objects, places, scene.viewer, lowering.frames)[1])
             work.cuts = not misfits
     if work.findings or misfits:
         raise SpecError([*work.findings, *misfits])
@@ -140,12 +165,12 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 def _containers_and_contents(lowering: Lowering) -> tuple[str, ...]:
     """Return the objects placed `inside` other objects and all objects on which they depend, in spec order."""
-    places = lowering.places
-    todo, seen = [name for name, place in places.items() if place.inside is not None], set[str]()
+    todo, seen = [name for name, place in lowering.places.items() if place.inside is not None], set[str]()
+    places = lowering.placements
     while todo:
         if (name := todo.pop()) not in seen:
             seen.add(name)
-            todo += needs(places[name]) if name in places else ()
+            todo += needs(places[name], lowering.frames) if name in places else ()
     return tuple(name for name in lowering.spec.objects if name in seen)
 
 
@@ -166,30 +191,35 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     work = ObjectLowering(loaded, lowering.cache, cuts=False)
     found = {name: item for name in names if (item := work.lower(name)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
-    return _findings(lowering, certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate))
+    viewer = lowering.frames.viewer(spec.viewpoint)
+    placements = lowering.placements
+    return _findings(lowering, certain_misfits(shapes, placements, viewer, draft.approximate, lowering.frames))
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
     """Return a finding for each failed placement, located at the keys that specify the placement."""
-    return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
+    paths = {k: ("objects", k, "place" if lowering.spec.objects[k].place is not None else "pose") for k in errors}
+    return [lowering.loaded.finding("SF210", paths[k], e.message, e.hint) for k, e in errors.items()]
 
 
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Solve every `place` constraint and replace it with a pose."""
-    places = lowering.places
-    if (target := viewer_target(lowering.spec)) is not None:
-        scene = replace(scene, viewer=_viewer_of_target(lowering, scene, target))
+    """Solve every `place` constraint, and replace it and each pose in a frame with a pose in the world."""
+    places, frames = lowering.placements, lowering.frames
+    if frames.viewer_needs(lowering.spec.viewpoint):
+        scene = replace(scene, viewer=_moving_viewer(lowering, scene))
     if not places:
         return scene
-    solved, errors = place_all(scene.by_name, places, scene.viewer)
+    solved, errors = place_all(scene.by_name, places, scene.viewer, frames)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
             # Solve for the pose of each variant separately, with all other objects unchanged.
-            stood = [place_all(solved | {name: v}, {name: places[name]}, scene.viewer) for v in item.variants]
+            own = {name: places[name]}
+            stood = [place_all(solved | {name: v}, own, scene.viewer, frames) for v in item.variants]
             solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
             errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
-    for name in order(places):
-        if lowering.approximate & {name, *needs(places[name])} or lowering.unplaced & {*needs(places[name])}:
+    for name in order(places, frames):
+        needed = {*needs(places[name], frames)}
+        if lowering.approximate & {name, *needed} or lowering.unplaced & needed:
             lowering.unplaced.add(name)
     errors = {name: error for name, error in errors.items() if name not in lowering.unplaced}
     if errors:
@@ -197,25 +227,26 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     return replace(scene, objects=tuple(solved.values()))
 
 
-def _viewer_of_target(lowering: Lowering, scene: Scene, target: str) -> Pose | None:
-    """Return the frame of a viewpoint camera that looks at an object, which is placed first.
+def _moving_viewer(lowering: Lowering, scene: Scene) -> Pose | None:
+    """Return the frame of a viewpoint that depends on the poses of objects, which are placed first.
 
     Raises:
-        SpecError: If the position of the object depends on the viewpoint.
+        SpecError: If the pose of one of these objects depends on the viewpoint.
     """
-    places, chain = lowering.places, list[str]()
-    todo = [target.partition(".")[0]]
+    places, frames, viewpoint = lowering.placements, lowering.frames, lowering.spec.viewpoint
+    chain, todo = list[str](), frames.viewer_needs(viewpoint)
     while todo:
         if (name := todo.pop()) in places and name not in chain:
             chain.append(name)
-            todo += needs(places[name])
+            todo += needs(places[name], frames)
     for name in chain:
-        if any(getattr(places[name], word) is not None for word in RELATIONS):
-            message = f"the viewpoint looks at `{target}`, but the place of `{name}` depends on the viewpoint"
+        place = lowering.places.get(name)
+        if place is not None and place.seen_from is None and any(getattr(place, word) for word in RELATIONS):
+            message = f"the viewpoint depends on the pose of `{name}`, which in turn depends on the viewpoint"
             hint = "let the camera look at a point"
             raise SpecError([lowering.loaded.finding("SF210", ("viewpoint",), message, hint)])
-    placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None)
-    return viewer(lowering.spec, placed)
+    placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None, frames)
+    return frames.viewer(viewpoint, placed)
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
@@ -255,9 +286,13 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
     found, lost = [], []
     for name, item in spec.robots.items():
         try:
-            found.append(lower_robot(name, item, lowering.loaded.path, lowering.fetch))
+            robot = lower_robot(name, item, lowering.loaded.path, lowering.fetch)
+            if item.pose.frame is not None:
+                robot = replace(robot, X_WB=lowering.frames.pose(item.pose.frame) @ robot.X_WB)
+            found.append(robot)
         except NoModelError as error:
-            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
+            X_WB = lowering.frames.pose(item.pose.frame) @ pose(item.pose)
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", X_WB))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"the camera is mounted on `{name}`, which has no model") for n in carried]
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
@@ -266,7 +301,10 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
-    lights = tuple(_light(lowering.loaded, name, light) for name, light in spec.lights.items())
+    frames, placed = lowering.frames, scene.by_name
+    lights = tuple(
+        _light(lowering.loaded, name, light, frames.pose(light.frame, placed)) for name, light in spec.lights.items()
+    )
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
     if spec.background is None:
         return scene
@@ -307,7 +345,7 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
                 yield LeftOut(f"objects.{name}.texture", fault)
 
 
-def _light(loaded: Loaded, name: str, spec: LightSpec) -> Light:
+def _light(loaded: Loaded, name: str, spec: LightSpec, X_WF: Pose) -> Light:
     """Convert a light, which shines along -z of its frame.
 
     Raises:
@@ -324,4 +362,5 @@ def _light(loaded: Loaded, name: str, spec: LightSpec) -> Light:
         except MeshError as error:
             place = ("lights", name, "texture")
             raise SpecError([loaded.finding(error.code, place, str(error), error.hint)]) from None
-    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL, panorama)
+    rgb = frozen(spec.color[:3], (3,))
+    return Light(name, model.LightType(spec.type), spec.intensity, rgb, X_WF @ X_WL, panorama)

@@ -17,9 +17,11 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.walls import FOOT, LEVELS
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import Collider, Link, SceneObject
-from simfoundry.scene.place import PlaceError, approach, misfit
-from simfoundry.spec.models.scene import Place
+from simfoundry.scene.place import Placement, approach, misfit
+from simfoundry.spec.models.reuse import FramedPose
 
 # Number of surface points at which vertical lines are tested; one every few millimeters on a hand-sized mesh.
 POINTS = 600
@@ -47,7 +49,11 @@ def _uncut_link(link: Link) -> Link:
 
 
 def certain_misfits(
-    objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None, meshes: Collection[str]
+    objects: Mapping[str, SceneObject],
+    places: Mapping[str, Placement],
+    viewer: Pose | None,
+    meshes: Collection[str],
+    frames: FrameTree,
 ) -> dict[str, PlaceError]:
     """Return errors for objects that are certain not to fit inside their containers at any height.
 
@@ -57,7 +63,7 @@ def certain_misfits(
     placed = {name: item for name, item in objects.items() if name not in places}
     found = {}
     for name, place in places.items():
-        if place.inside is None or name not in objects:
+        if isinstance(place, FramedPose) or place.inside is None or name not in objects:
             continue
         container = place.inside.partition(".")[0]
         if container not in objects:
@@ -67,7 +73,7 @@ def certain_misfits(
         if place.xy is not None and container in places:
             continue
         try:
-            held, carrier, _ = approach(objects[name], place, stands, viewer)
+            held, carrier, _ = approach(objects[name], place, stands, viewer, frames)
         except PlaceError:
             continue
         cut = [shape for n, shape in ((name, held), (container, carrier.part)) if n in meshes]

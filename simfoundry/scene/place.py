@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
@@ -20,10 +19,22 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.vertical_contact import heights
 from simfoundry.geometry.walls import hollow, surrounded
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.carriers import Carrier, PlaceError, flipped
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
+from simfoundry.scene.state import pose
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import Place
+
+# A placement relative to other objects, or a pose in a frame that may move with an object.
+Placement = Place | FramedPose
+
+# The frames of a scene without named frames.
+WORLD_FRAME = FrameTree()
+
+# Maximum deviation of a level frame's vertical axis, as 1 - cos(angle); 1e-9 corresponds to 0.003 degrees.
+LEVEL = 1e-9
 
 # Height of a placed object above its support [m], which prevents interpenetration.
 CLEARANCE = 1e-4
@@ -41,22 +52,14 @@ RELATIONS = {
 }
 
 
-class PlaceError(Exception):
-    """Raised if a placement is infeasible. The message contains the relevant sizes, and the hint suggests a fix."""
-
-    def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message, self.hint = message, hint
-
-
-def order(places: Mapping[str, Place]) -> list[str]:
+def order(places: Mapping[str, Placement], frames: FrameTree = WORLD_FRAME) -> list[str]:
     """Return the names in ``places``, ordered so that each object comes after its support and anchors.
 
     Objects in a dependency cycle come last, in document order.
     """
     sorter = TopologicalSorter[str](dict.fromkeys(places, ()))
     for name, place in places.items():
-        sorter.add(name, *(other for other in needs(place) if other in places))
+        sorter.add(name, *(other for other in needs(place, frames) if other in places))
     with suppress(CycleError):
         sorter.prepare()
     out: list[str] = []
@@ -67,14 +70,22 @@ def order(places: Mapping[str, Place]) -> list[str]:
     return out + [name for name in places if name not in known]
 
 
-def needs(place: Place) -> list[str]:
-    """Return the objects that must be placed first, which are the support and the anchors."""
+def needs(place: Placement, frames: FrameTree = WORLD_FRAME) -> list[str]:
+    """Return the objects that must be placed first: the support, the anchors, and the object of the frame."""
+    moving = frames.carrier(place.frame)
+    carriers = [moving] if moving is not None else []
+    if isinstance(place, FramedPose):
+        return carriers
+    carriers += frames.viewer_needs(place.seen_from)
     named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
-    return [name.partition(".")[0] for name in named if name is not None]
+    return [*(name.partition(".")[0] for name in named if name is not None), *carriers]
 
 
 def place_all(
-    objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None
+    objects: Mapping[str, SceneObject],
+    places: Mapping[str, Placement],
+    viewer: Pose | None,
+    frames: FrameTree = WORLD_FRAME,
 ) -> tuple[dict[str, SceneObject], dict[str, PlaceError]]:
     """Place all objects that have a placement.
 
@@ -85,10 +96,10 @@ def place_all(
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     errors: dict[str, PlaceError] = {}
-    for name in order(places):
-        if all(other in placed for other in needs(places[name])):
+    for name in order(places, frames):
+        if all(other in placed for other in needs(places[name], frames)):
             try:
-                X_WO = solve(objects[name], places[name], placed, viewer)
+                X_WO = solve(objects[name], places[name], placed, viewer, frames)
                 placed[name] = replace(objects[name], X_WO=X_WO)
             except PlaceError as error:
                 errors[name] = error
@@ -96,108 +107,106 @@ def place_all(
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None) -> Pose:
+def solve(
+    item: SceneObject,
+    place: Placement,
+    placed: Mapping[str, SceneObject],
+    viewer: Pose | None,
+    frames: FrameTree = WORLD_FRAME,
+) -> Pose:
     """Compute the pose ``X_WO`` of an object from its placement.
 
     Args:
         item: The object to place.
-        place: The placement of the object.
+        place: The placement of the object, or its pose in a frame.
         placed: The objects that are already placed.
         viewer: The frame that defines left, right, front and behind, with x pointing away from the viewer, or None for
             the world frame.
+        frames: The frames to which the placement can refer.
 
     Raises:
         PlaceError: If the placement is infeasible.
     """
-    held, carrier, xy = approach(item, place, placed, viewer)
+    if isinstance(place, FramedPose):
+        return frames.pose(place.frame, placed) @ pose(place)
+    held, carrier, xy = approach(item, place, placed, viewer, frames)
     lift = _lift(held, carrier, walled=place.inside is not None)
     if lift is None:
         raise unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
     at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
     if not np.isfinite(at).all():
         raise PlaceError(f"the position of `{item.name}` is not finite", "check the sizes and positions around it")
-    return Pose.of(at, _rotation(place))
+    return Pose.of(at, _rotation(place, _level_frame(place, placed, frames)))
 
 
 def approach(
-    item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None
-) -> tuple[Hulls, _Carrier, Array]:
-    """Return an object's rotated shape above its target position, its support, and the target position (x, y) [m]."""
-    carrier = _Carrier.of(_carrier_name(place) or "", placed)
-    shape = hulls(replace(item, X_WO=Pose.of(q=_rotation(place))))
+    item: SceneObject,
+    place: Place,
+    placed: Mapping[str, SceneObject],
+    viewer: Pose | None,
+    frames: FrameTree = WORLD_FRAME,
+) -> tuple[Hulls, Carrier, Array]:
+    """Return an object's rotated shape above its target position, its support, and the target position (x, y) [m].
+
+    Raises:
+        PlaceError: If the position cannot be computed.
+    """
+    carrier = Carrier.of(_carrier_name(place) or "", placed)
+    X_WF = _level_frame(place, placed, frames)
+    shape = hulls(replace(item, X_WO=Pose.of(q=_rotation(place, X_WF))))
     if not len(shape.corners):
         raise PlaceError(f"`{item.name}` has no shape to place")
-    xy = _position(place, shape, carrier, placed, viewer)
+    if place.seen_from is not None:
+        viewer = frames.viewer(place.seen_from, placed)
+    xy = _position(place, shape, carrier, placed, viewer, X_WF)
     return shape.moved(np.array([*xy, 0.0])), carrier, xy
 
 
-def seen_by_camera(X_WC: Pose) -> Pose:
-    """Return the frame of a viewer looking through a camera, with x pointing away from the viewer and y to the left.
+def _level_frame(place: Place, placed: Mapping[str, SceneObject], frames: FrameTree) -> Pose:
+    """Return the frame of a place.
 
-    If the camera looks straight down, x is the up direction of the image.
+    Raises:
+        PlaceError: If the z axis of the frame is not vertical.
     """
-    forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
-    x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
-    return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
-
-
-# Caches of the parts of placed objects and of their mirror images; many objects may be placed on the same surface.
-_standing = lru_cache(maxsize=16)(hulls)
-_flipped = lru_cache(maxsize=16)(Hulls.flipped)
+    X_WF = frames.pose(place.frame, placed)
+    if X_WF.rotation[2, 2] < 1 - LEVEL:
+        hint = "use a level frame, or give the object a `pose` in this frame"
+        raise PlaceError(f"the z axis of the frame `{place.frame}` is not vertical", hint)
+    return X_WF
 
 
 def _carrier_name(place: Place) -> str | None:
     return place.on if place.on is not None else place.inside
 
 
-def _rotation(place: Place) -> Array:
-    return quat_from_rpy(*map(math.radians, place.rpy_deg or (0.0, 0.0, place.yaw_deg or 0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Carrier:
-    """The support for a placement.
-
-    It consists of the ``whole`` object, the named ``part``, and the frame of this part.
-    """
-
-    name: str
-    whole: Hulls
-    part: Hulls
-    link: int | None
-    X_WC: Pose
-
-    @classmethod
-    def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
-        owner, _, link = name.partition(".")
-        if owner not in placed:
-            raise PlaceError(f"`{owner}` is not placed itself", f"place `{owner}` without depending on this object")
-        item = placed[owner]
-        part = whole = _standing(item)
-        number, X_WC = None, item.X_WO
-        if link:
-            names = [each.name for each in item.links]
-            if link not in names:
-                raise PlaceError(f"`{owner}` has no link `{link}`", f"available links: {', '.join(names)}")
-            number = names.index(link)
-            part, X_WC = whole.of_link(number), item.X_WO @ link_poses(item)[link]
-        if not len(part.corners):
-            raise PlaceError(f"`{name}` has no colliders, so it cannot support objects", "add a `collision` to it")
-        return cls(name, whole, part, number, X_WC)
+def _rotation(place: Place, X_WF: Pose) -> Array:
+    """Return the rotation of an object in the world as a quaternion, shape (4,)."""
+    own = quat_from_rpy(*map(math.radians, place.rpy_deg or (0.0, 0.0, place.yaw_deg or 0.0)))
+    return own if X_WF is IDENTITY else (X_WF @ Pose.of(q=own)).q
 
 
 def _position(
-    place: Place, shape: Hulls, carrier: _Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None
+    place: Place, shape: Hulls, carrier: Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None, X_WF: Pose
 ) -> Array:
-    """Return the horizontal position of the object frame [m], as an array of shape (2,).
+    """Return the horizontal position of the object frame in the world [m], as an array of shape (2,).
 
     ``shape`` is posed at the origin.
     """
+    if place.offset is None:
+        return _anchored(place, shape, carrier, placed, viewer, X_WF)
+    shift = X_WF.rotation @ np.array([*place.offset, 0.0])
+    return np.asarray(_anchored(place, shape, carrier, placed, viewer, X_WF) + shift[:2])
+
+
+def _anchored(
+    place: Place, shape: Hulls, carrier: Carrier, placed: Mapping[str, SceneObject], viewer: Pose | None, X_WF: Pose
+) -> Array:
+    """Return the horizontal position without the offset [m], as an array of shape (2,)."""
     if place.xy is not None:
-        return np.array(place.xy)
+        return np.asarray(X_WF.apply(np.array([*place.xy, 0.0]))[:2])
     if place.local_xy is not None:
         return np.asarray(carrier.X_WC.apply(np.array([*place.local_xy, 0.0]))[:2])
-    own = shape.middle(Pose.of(q=_rotation(place)).rotation)[:2]
+    own = shape.middle(Pose.of(q=_rotation(place, X_WF)).rotation)[:2]
     anchors = {word: name for word in RELATIONS if (name := getattr(place, word)) is not None}
     if not anchors:
         middle = carrier.part.middle(carrier.X_WC.rotation)
@@ -208,7 +217,7 @@ def _position(
     along: dict[int, float] = {}
     for word, name in anchors.items():
         axis, side = RELATIONS[word]
-        anchor = _Carrier.of(name, placed)
+        anchor = Carrier.of(name, placed)
         (low, high), (mine_low, mine_high) = anchor.part.extent(axes[axis]), shape.extent(axes[axis])
         along[axis] = high + place.gap - mine_low if side > 0 else low - place.gap - mine_high
         if len(anchors) == 1:
@@ -226,18 +235,18 @@ def _axes(viewer: Pose | None) -> tuple[Array, Array]:
     return np.array([x, y, 0.0]) / length, np.array([-y, x, 0.0]) / length
 
 
-def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
+def _lift(held: Hulls, carrier: Carrier, walled: bool) -> float | None:
     """Return the height [m] by which an object must be lifted to rest on its support, or None if it cannot rest there.
 
     If one part of the support is above another, such as a cabinet above its drawer, the result is the highest free
     space in which the object rests on the specified part and, if ``walled`` is set, has walls around it.
     """
     touching = heights(held, carrier.whole)
-    if carrier.link is None and not walled:
+    if carrier.pieces is None and not walled:
         return float(touching.max()) if np.isfinite(touching.max()) else None
-    leaving = -heights(held.flipped(), _flipped(carrier.whole))
+    leaving = -heights(held.flipped(), flipped(carrier.whole))
     for lift, part in _spaces(leaving, touching):
-        on_it = carrier.link is None or carrier.whole.link[part] == carrier.link
+        on_it = carrier.pieces is None or part in carrier.pieces
         if on_it and (not walled or surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part)):
             return lift
     return None
@@ -265,7 +274,7 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
         ceiling = min(ceiling, float(bottom))
 
 
-def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+def unfit(name: str, xy: Array, held: Hulls, carrier: Carrier, where: str) -> PlaceError:
     """Return the error for an object that misses its support or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
         spans = [" to ".join(map(_meters, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
@@ -279,7 +288,7 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
     return misfit(name, held, carrier, where)
 
 
-def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+def misfit(name: str, held: Hulls, carrier: Carrier, where: str) -> PlaceError:
     """Return the error for an object that does not have enough room on or inside its support."""
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))

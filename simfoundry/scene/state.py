@@ -12,6 +12,7 @@ import numpy as np
 from simfoundry.geometry.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import SceneSpec
 
 
@@ -107,7 +108,7 @@ def pose(spec: PoseSpec) -> Pose:
     return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
-def pose_spec(X_WO: Pose) -> PoseSpec:
+def pose_spec(X_WO: Pose) -> FramedPose:
     """Convert a pose to a form that is easy to read.
 
     The position is rounded to 0.1 mm. The rotation is specified by yaw if the pose is upright, and otherwise by roll,
@@ -116,9 +117,9 @@ def pose_spec(X_WO: Pose) -> PoseSpec:
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
     if tilt >= UPRIGHT_DEG:
-        return PoseSpec(xyz=(x, y, z), rpy_deg=_rpy_deg(X_WO))
+        return FramedPose(xyz=(x, y, z), rpy_deg=_rpy_deg(X_WO))
     yaw = _rpy_deg(X_WO)[2]
-    return PoseSpec(xyz=(x, y, z), yaw_deg=yaw) if yaw else PoseSpec(xyz=(x, y, z))
+    return FramedPose(xyz=(x, y, z), yaw_deg=yaw) if yaw else FramedPose(xyz=(x, y, z))
 
 
 def _rpy_deg(pose: Pose) -> tuple[float, float, float]:

@@ -6,11 +6,15 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import PicklableError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.yaml.text import Document
+
+if TYPE_CHECKING:
+    from simfoundry.spec.compose.expand import Reuse
 
 MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 ASSET_SUFFIX = ".asset.yaml"
@@ -127,7 +131,8 @@ class Loaded:
     ``spec`` is the typed content, including everything that the document extends, or None if there are errors.
     ``document`` is the underlying text, or None if it could not be read. ``bases`` are the files that the document
     extends. ``uses`` contains, by resolved path, the documents that it refers to: assets, and the scene of a task.
-    ``silenced`` contains the warnings suppressed by the document's ``allow``.
+    ``silenced`` contains the warnings suppressed by the document's ``allow``. ``reuse`` records what the document
+    reuses, or is None if it does not reuse anything.
     """
 
     path: Path
@@ -138,6 +143,12 @@ class Loaded:
     bases: tuple[Path, ...] = ()
     uses: dict[str, Loaded] = field(default_factory=dict)
     silenced: tuple[Diagnostic, ...] = ()
+    reuse: Reuse | None = None
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Return the values of the parameters of a scene, by name."""
+        return self.document.section("parameters") if self.document is not None else {}
 
     @property
     def errors(self) -> list[Diagnostic]:
@@ -150,7 +161,8 @@ class Loaded:
 
     def files(self) -> list[Path]:
         """Return all files that were read: this document, its bases, and the files of documents that it uses."""
-        return [self.path, *self.bases, *(file for used in self.uses.values() for file in used.files())]
+        included = self.reuse.files if self.reuse is not None else ()
+        return [self.path, *self.bases, *included, *(file for used in self.uses.values() for file in used.files())]
 
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
         """Return an error at a location in this document."""

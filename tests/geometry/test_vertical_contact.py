@@ -14,7 +14,8 @@ from simfoundry.assets.convex import hull
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
-from simfoundry.scene.place import CLEARANCE, PlaceError, solve
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.place import CLEARANCE, solve
 from simfoundry.spec.models.scene import Place
 from tests.placing import (
     CUBE,

@@ -18,11 +18,13 @@ from simfoundry.assets.solids import lathe_mesh
 from simfoundry.geometry.frames import Array, Pose, look_at, quat_from_rpy
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.frames import FrameTree, seen_by_camera
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.misfits import certain_misfits, uncut
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.objects import ObjectLowering
-from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
+from simfoundry.scene.place import CLEARANCE, order, place_all
 from simfoundry.scene.state import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
@@ -188,7 +190,7 @@ def test_other_impossible_places() -> None:
     cases = [
         (cube, Place(on="bare"), "`bare` has no colliders, so it cannot support objects"),
         (bare, Place(on="desk"), "`bare` has no shape to place"),
-        (cube, Place(inside="desk.drawer"), "`desk` has no link `drawer`"),
+        (cube, Place(inside="desk.drawer"), "`desk` has no link or part `drawer`"),
         (cube, Place(on="ghost"), "`ghost` is not placed itself"),
     ]
     for item, place, message in cases:
@@ -365,7 +367,8 @@ def test_what_is_refused_uncut_fits_no_cut_container_either(tmp_path: Path) -> N
         objects = {name: work.lower(name) for name in loaded.spec.objects}
         assert objects["bowl"] is not None and objects["stick"] is not None
         shapes = {"bowl": uncut(objects["bowl"]), "stick": objects["stick"]}
-        if certain_misfits(shapes, {"stick": loaded.spec.objects["stick"].place}, None, {"bowl"}):  # type: ignore[dict-item]
+        stick = {"stick": loaded.spec.objects["stick"].place}
+        if certain_misfits(shapes, stick, None, {"bowl"}, FrameTree()):  # type: ignore[arg-type]
             refused += 1
             with pytest.raises(SpecError, match="SF210"):
                 lower_file(tmp_path / "cut.scene.yaml")

@@ -11,9 +11,10 @@ import pytest
 
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Capsule, Sphere
+from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import SceneObject
-from simfoundry.scene.place import CLEARANCE, PlaceError, place_all
+from simfoundry.scene.place import CLEARANCE, place_all
 from simfoundry.spec.models.scene import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.placing import (

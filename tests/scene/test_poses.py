@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
 from simfoundry.scene.state import pose_spec, with_poses
-from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.models.shapes import BoxShape
 
@@ -45,15 +45,15 @@ def test_upside_down_is_not_upright() -> None:
 
 
 def test_upright_poses_are_written_as_a_person_would() -> None:
-    assert pose_spec(Pose.of([0.12345, -0.0, 0])) == PoseSpec(xyz=(0.1235, 0, 0))
-    assert pose_spec(Pose.of([0, 0, 1], quat_from_rpy(0, 0, math.radians(30)))) == PoseSpec(xyz=(0, 0, 1), yaw_deg=30)
+    assert pose_spec(Pose.of([0.12345, -0.0, 0])) == FramedPose(xyz=(0.1235, 0, 0))
+    assert pose_spec(Pose.of([0, 0, 1], quat_from_rpy(0, 0, math.radians(30)))) == FramedPose(xyz=(0, 0, 1), yaw_deg=30)
     tilted = Pose.of([0, 0, 1], quat_from_rpy(math.radians(0.2), 0, math.radians(30)))
-    assert pose_spec(tilted) == PoseSpec(xyz=(0, 0, 1), rpy_deg=(0.2, 0, 30))
+    assert pose_spec(tilted) == FramedPose(xyz=(0, 0, 1), rpy_deg=(0.2, 0, 30))
 
 
 def test_only_what_is_free_and_named_moves() -> None:
     shape = BoxShape(box=(0.1, 0.1, 0.1))
-    at = PoseSpec(xyz=(1, 2, 3), yaw_deg=4)
+    at = FramedPose(xyz=(1, 2, 3), yaw_deg=4)
     objects = {n: ObjectSpec(shape=shape, mass=1.0, fixed=n == "desk", pose=at) for n in ("desk", "cup", "plate")}
     spec = SceneSpec(simfoundry="scene/1", name="s", objects=objects)
     X_WO = Pose.of([0.5, 0.6, 0.7], quat_from_rpy(0.1, 0.2, 0.3))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec, LinkSpec, MimicSpec, PartSpec
 from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, Origin, PoseSpec
 from simfoundry.spec.models.capture import MAX_FOCAL
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 from simfoundry.spec.models.shapes import (
     BoxShape,
@@ -73,13 +74,20 @@ def _unit(values: tuple[float, float, float, float]) -> tuple[float, ...]:
 
 
 QUATERNIONS = st.tuples(*[st.floats(0.1, 1)] * 4).map(_unit)
+
+
+def _poses(kind: type[PoseSpec], **more: st.SearchStrategy[Any]) -> st.SearchStrategy[PoseSpec]:
+    return st.one_of(
+        st.builds(kind, xyz=POINT3, **more),
+        st.builds(kind, xyz=POINT3, yaw_deg=NUMBERS, **more),
+        st.builds(kind, xyz=POINT3, rpy_deg=VEC3, **more),
+        st.builds(kind, xyz=POINT3, quat_wxyz=QUATERNIONS, **more),
+    )
+
+
+POSES = _poses(PoseSpec)
+FRAMED_POSES = _poses(FramedPose, frame=st.none() | NAMES)
 ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
-POSES = st.one_of(
-    st.builds(PoseSpec, xyz=POINT3),
-    st.builds(PoseSpec, xyz=POINT3, yaw_deg=NUMBERS),
-    st.builds(PoseSpec, xyz=POINT3, rpy_deg=VEC3),
-    st.builds(PoseSpec, xyz=POINT3, quat_wxyz=QUATERNIONS),
-)
 PART_SHAPES = st.one_of(
     st.builds(EllipsoidShape, ellipsoid=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
     st.builds(ConeShape, cone=ROUNDS),
@@ -158,7 +166,7 @@ OBJECT = {
     "visual": maybe(TEXTS),
     "category": maybe(NAMES),
     "fixed": st.booleans(),
-    "pose": POSES,
+    "pose": FRAMED_POSES,
     "joints": st.dictionaries(NAMES, NUMBERS | st.builds(Degrees, deg=NUMBERS) | POSES, max_size=3),
     "origin": maybe(ORIGINS),
 }

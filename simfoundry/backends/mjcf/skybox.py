@@ -53,7 +53,7 @@ def _faces(light: Light) -> dict[str, bytes]:
     face = np.stack([*np.meshgrid(centers, -centers), np.ones((SIDE, SIDE))])
     faces = {}
     for name, rows in _DIRECTIONS.items():
-        x, y, z = np.tensordot(np.array(rows, dtype=np.float64), face, axes=1)
+        x, y, z = np.tensordot(light.X_WL.rotation.T @ np.array(rows, dtype=np.float64), face, axes=1)
         column = (np.pi - np.arctan2(y, x)) / (2 * np.pi) * width
         row = (np.pi / 2 - np.arctan2(z, np.hypot(x, y))) / np.pi * height
         seen = pixels[np.clip(row.astype(int), 0, height - 1), column.astype(int) % width]

@@ -17,7 +17,8 @@ from simfoundry.geometry.cavity import Cavity, volume_samples
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.predicates.judging.thresholds import ENCLOSED
-from simfoundry.scene.place import PlaceError, solve
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.place import solve
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.scene import Place
 

@@ -15,14 +15,15 @@ from simfoundry.cousins.layout.twin_objects import Solids, TwinObject, TwinRobot
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.placement import rounded
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.task import task_of
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState, object_at
-from simfoundry.spec.load import load, load_kind
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.predicate import Condition, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -83,10 +84,20 @@ class Twin:
             SpecError: The document is invalid.
             TwinError: The scene does not come to rest.
         """
-        if isinstance(load(path).spec, TaskSpec):
-            task = load_task(path, cache)
+        return cls.of_document(load_kind(path, "scene/1", "task/1"), cache)
+
+    @classmethod
+    def of_document(cls, loaded: Loaded, cache: Cache | None = None) -> Twin:
+        """Create a twin from a scene or task document without errors.
+
+        Raises:
+            SpecError: The document cannot be lowered.
+            TwinError: The scene does not come to rest.
+        """
+        if isinstance(loaded.spec, TaskSpec):
+            task = task_of(loaded, cache)
             return cls.of(task.scene, task.goal, task.robots)
-        return cls.of(lower(load_kind(path, "scene/1", "task/1"), cache))
+        return cls.of(lower(loaded, cache))
 
     @classmethod
     def of(cls, scene: Scene, goal: Condition | None = None, robots: Sequence[str] | None = None) -> Twin:

@@ -20,10 +20,12 @@ from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.predicates import Judge
 from simfoundry.predicates.judging.bodies import PredicateError
 from simfoundry.robots.reach import hands_of
+from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds, solid
-from simfoundry.scene.place import PlaceError, solve
+from simfoundry.scene.place import solve
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.check.checker import HEAVIEST, LIGHTEST
 from simfoundry.spec.models.predicate import Call, Effect, parse_call, texts
@@ -70,7 +72,7 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     carried = any(c.declaration.effect.grasps and c.args[0].partition(".")[0] == name for c in mine)
     joints = tuple(j.name for j in known[name].joints if j.has_axis and j.limits is not None)
     others = {o: known[o] for c in rests for a in c.args if (o := a.partition(".")[0]) != name}
-    widths = [hand.opening for hand in hands_of(spec.robots) if hand.opening is not None]
+    widths = [hand.opening for hand in hands_of(spec.robots, FrameTree(spec)) if hand.opening is not None]
     opening = max(widths, default=None) if carried else None
     return Needs(tuple(rests), joints, opening, MappingProxyType(others))
 

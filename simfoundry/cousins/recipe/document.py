@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -157,6 +157,9 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     if scene is None or not isinstance(scene.spec, SceneSpec) or scene.path.suffix != ".yaml":
         message = f"`{spec.twin}` is not a scene or task document that other documents can extend"
         raise SpecError([loaded.finding("SF005", ("twin",), message, "use a .scene.yaml or .task.yaml file")])
+    if spec.parameters:
+        changed = load_kind(scene.path, "scene/1", parameters=spec.parameters)
+        scene, task = changed, None if task is None else replace(task, uses={**task.uses, str(scene.path): changed})
     return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
 
 
@@ -216,14 +219,22 @@ def scene_overlay(
     """
     objects: dict[str, Data] = {}
     for name in dict.fromkeys((*recipe.scene_spec.objects, *changes)):
-        pose = {"pose": to_data(pose_spec(poses[name]))} if name in poses else {}
+        pose = {"pose": _world_pose(recipe, name, poses[name])} if name in poses else {}
         moved = {"joints": dict(joints[name])} if joints.get(name) else {}
         objects |= {name: data} if (data := {**changes.get(name, {}), **pose, **moved}) else {}
     document = _overlay("scene/1", recipe, recipe.scene, out, index)
+    document |= {"parameters": dict(recipe.spec.parameters)} if recipe.spec.parameters else {}
     document |= {"objects": objects} if objects else {}
     document |= {"relations": relations} if relations != recipe.scene_spec.relations else {}
     document["origin"] = origin(recipe, index)
     return write_tree(plain_tree(document), SceneSpec)
+
+
+def _world_pose(recipe: Recipe, name: str, X_WO: Pose) -> Data:
+    """Return the data of a pose that replaces the pose of an object in the twin."""
+    item = recipe.scene_spec.objects.get(name)
+    framed = item is not None and item.place is None and item.pose.frame is not None
+    return {**({"frame": None} if framed else {}), **to_data(pose_spec(X_WO))}
 
 
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:

@@ -27,6 +27,7 @@ from simfoundry.cousins.recipe.library import LibraryItem
 from simfoundry.cousins.run.log import WORK
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.files import ASSET_SUFFIX, Loaded, located
@@ -187,7 +188,7 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
         found, _ = task_cousins(twin, recipe.scene_spec, axis, recipe.seed, reference, **asked)
         rows = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
         write_atomically(path, (json.dumps(rows, indent=1, ensure_ascii=False) + "\n").encode())
-    hands = hands_of(recipe.scene_spec.robots)
+    hands = hands_of(recipe.scene_spec.robots, FrameTree(recipe.scene_spec))
     kept = json.loads(path.read_text())
     return tuple(TaskCousin(_task(one["task"], path), one["goal"], hands, axis.engines) for one in kept)
 

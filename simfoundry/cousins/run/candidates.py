@@ -33,6 +33,7 @@ from simfoundry.cousins.recipe.document import (
     written,
 )
 from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
@@ -69,7 +70,7 @@ class CandidateSampler:
             vlm: Name of the vision-language model that may be queried for the variant pool.
         """
         recipe = read_recipe(path, seed)
-        twin = Twin.load(recipe.twin_file, Cache.default())
+        twin = Twin.of_document(recipe.task or recipe.scene, Cache.default())
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
 
     def require_possible(self) -> None:
@@ -193,6 +194,8 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
         relations = _relations(draw, state, spec.relations)
         changes = _changes(shared, draw)
         documents["scene"] = scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
+    elif recipe.spec.parameters:
+        documents["scene"] = scene_overlay(recipe, shared.out, index, {}, {}, {}, spec.relations)
     if shared.pool.tasks:
         task = shared.pool.tasks[(index - 1) % len(shared.pool.tasks)]
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
@@ -218,7 +221,9 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, TaskContext(draw.twin.at(found.state), hands_of(recipe.scene_spec.robots)))
+    return impossible(
+        goal, TaskContext(draw.twin.at(found.state), hands_of(recipe.scene_spec.robots, FrameTree(recipe.scene_spec)))
+    )
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:

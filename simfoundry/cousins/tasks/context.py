@@ -21,6 +21,7 @@ from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.walls import free_distance
 from simfoundry.robots.reach import Hand, hands_of, nearest_miss
+from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
@@ -178,7 +179,12 @@ class TaskContext:
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
-        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec.robots, payload), path, engines=tuple(engines))
+        return cls(
+            Twin.of(lower(loaded, cache)),
+            hands_of(loaded.spec.robots, FrameTree(loaded.spec), payload),
+            path,
+            engines=tuple(engines),
+        )
 
     # -- object poses and joints ------------------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ from simfoundry.cousins.tasks.witness import ALLOWED, ON
 from simfoundry.errors import SimfoundryError
 from simfoundry.robots.reach import Hand, hands_of
 from simfoundry.runtime.extras import install_line
+from simfoundry.scene.frames import FrameTree
 from simfoundry.spec.models.cousins import TaskAxis
 from simfoundry.spec.models.predicate import texts
 from simfoundry.spec.models.task import TaskSpec
@@ -345,7 +346,7 @@ def task_cousins(
     Raises:
         ImpossibleError: If no task is feasible, or if the axis requires a model but ``vlm`` is None.
     """
-    setting = TaskContext(twin, hands_of(scene.robots), engines=axis.engines)
+    setting = TaskContext(twin, hands_of(scene.robots, FrameTree(scene)), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
             why = "`proposals: model` requires a model; specify one, or use `affordances`"

@@ -11,9 +11,10 @@ from simfoundry.cousins.layout.supports import Outline, Support
 from simfoundry.cousins.layout.twin import bare
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
+from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint
-from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve
+from simfoundry.scene.place import CLEARANCE, overlap, solve
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.models.scene import Place
 from simfoundry.worlds import open_world

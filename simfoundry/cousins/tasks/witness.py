@@ -22,7 +22,7 @@ from simfoundry.cousins.tasks.trial import dropped, lost, open_end, put, rest, s
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.predicates.judging.bodies import Bodies
-from simfoundry.scene.place import PlaceError
+from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parts
 

@@ -147,6 +147,10 @@ def compare(
         before = relocated(before, type(old.spec), old.loaded.path.parent, new.loaded.path.parent)
     changes = diff(before, new.data)
     entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
+    if old.loaded.reuse is not None or new.loaded.reuse is not None:
+        from simfoundry.spec.change.diff.reuse import with_reuse  # only documents that reuse something
+
+        entries = with_reuse(entries, old.loaded.reuse, new.loaded.reuse, verbose)
     if files:
         entries += (*_changed_files(old, new, verbose), *_changed_source(old, new, verbose))
     return DocumentComparison(name, old, new, changes, entries)

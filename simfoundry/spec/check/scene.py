@@ -12,12 +12,15 @@ from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
+from simfoundry.spec.check.cameras import check_mount, check_target
 from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
+from simfoundry.spec.check.frames import check_frames, check_reference
 from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
+from simfoundry.spec.models.reuse import FramedPose, frame_carrier
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
 from simfoundry.spec.models.scene import (
     DEFAULT_VARIANT,
@@ -56,15 +59,17 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
         _robot(c, robot, ("robots", name))
     names = SceneNames(c.loaded, spec)
     _names(c, names, spec)
-    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
-    names.check_places(c, places, {name: ("objects", name, "place") for name in places})
+    places: dict[str, Place | FramedPose] = {n: o.place or o.pose for n, o in spec.objects.items()}
+    keys = {name: "pose" if isinstance(place, FramedPose) else "place" for name, place in places.items()}
+    names.check_places(c, places, {name: ("objects", name, key) for name, key in keys.items()})
+    check_frames(c, names, spec)
     check_gravity(c, spec.gravity)
     for name, camera in spec.cameras.items():
         check_camera(c, camera, ("cameras", name))
         if camera.mount is not None:
-            _mount(c, names, camera.mount, ("cameras", name, "mount"))
+            check_mount(c, names, camera.mount, ("cameras", name, "mount"))
         if isinstance(camera.pose.look_at, str):
-            _target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
+            check_target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
     for name, light in spec.lights.items():
         c.file(light.texture, ("lights", name, "texture"), PANORAMA_SUFFIXES)
     if spec.viewpoint is not None:
@@ -189,34 +194,6 @@ def _robot_file(c: Checker, reference: str, path: Path_) -> None:
         c.add("SF107", path, str(error).replace(str(file), reference))
 
 
-def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
-    carrier, _, link = mount.partition(".")
-    if carrier not in names.robots:
-        if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
-            names.check_link(c, mount, path)
-        return
-    robot = names.spec.robots.get(carrier) if names.spec is not None else None
-    known = robot.known() if robot is not None and link else None
-    if known is not None:
-        c.name(link, known.links, path, f"link of `{carrier}`")
-
-
-def _target(c: Checker, names: SceneNames, target: str, mount: str | None, path: Path_) -> None:
-    """Check the name of the object, link or robot that a camera looks at."""
-    owner, _, part = target.partition(".")
-    if mount is not None and mount.partition(".")[0] in names.robots:
-        message = "a camera on a robot cannot look at a name, because the robot moves it"
-        c.add("SF107", path, message, "give a point in the frame of the robot's link, or `quat_wxyz`")
-    elif not c.name(owner, [*names.objects, *names.robots], path, "object or robot"):
-        return
-    elif owner not in names.robots:
-        names.check_part(c, target, path)
-        if mount is not None and mount == target:
-            c.add("SF107", path, "a camera cannot look at the object that it is mounted on", "give a point")
-    elif part:
-        c.add("SF107", path, f"a camera can look at the base of a robot, but not at its link `{part}`", "give a point")
-
-
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
     """Check the relations as written, including invalid ones."""
     written = c.document.data.get("relations") if spec.relations else ()
@@ -246,12 +223,14 @@ def _selected(item: ObjectSpec) -> ObjectSpec:
 
 
 class SceneNames:
-    """Names in a scene: all ``objects`` and ``robots`` in its text, including invalid ones, and their parts."""
+    """Names in a scene, including those of invalid objects, robots, frames and cameras, and their parts."""
 
     def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
         assert scene.document is not None
         self.scene, self.spec = scene, spec
-        self.objects, self.robots = (scene.document.section(name) for name in ("objects", "robots"))
+        self.objects, self.robots, self.frames, self.cameras = (
+            scene.document.section(name) for name in ("objects", "robots", "frames", "cameras")
+        )
         self._items = {name: _selected(item) for name, item in spec.objects.items()} if spec is not None else {}
 
     def asset(self, name: str) -> AssetSpec | None:
@@ -322,12 +301,18 @@ class SceneNames:
             elif self.is_known(name):
                 c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
-    def check_link(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object, or of a link. Here, a joint does not stand for the link that it moves."""
+    def check_link(self, c: Checker, argument: str, path: Path_, with_parts: bool = False) -> None:
+        """Check the name of an object, or of a link. Here, a joint does not stand for the link that it moves.
+
+        If ``with_parts`` is set, the name of a part of a link is valid as well.
+        """
         name, _, part = argument.partition(".")
         asset = self.asset(name)
         if part and name in self.objects and asset is not None:
-            c.name(part, asset.links, path, f"link of `{name}`")
+            inner = [piece for link in asset.links.values() for piece in link.parts] if with_parts else []
+            c.name(
+                part, [*asset.links, *inner], path, f"link or part of `{name}`" if with_parts else f"link of `{name}`"
+            )
         else:
             self.check_part(c, argument, path)
 
@@ -351,17 +336,16 @@ class SceneNames:
             so = f", so there is no joint `{joint}`" if joint else ""
             c.add("SF201", path, f"`{name}` does not have any joints{so}")
 
-    def check_places(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
+    def check_places(self, c: Checker, places: Mapping[str, Place | FramedPose], paths: Mapping[str, Path_]) -> None:
         """Check the names in the places of objects, and that no place depends on itself through other places."""
         needs: dict[str, set[str]] = {}
+        frames = self.spec.frames if self.spec is not None else {}
         for name, place in places.items():
-            named = {key: other for key in PLACE_REFERENCES if (other := getattr(place, key)) is not None}
-            for key, other in named.items():
-                if key in ("on", "inside"):
-                    self.check_link(c, other, (*paths[name], key))
-                else:
-                    c.name(other, self.objects, (*paths[name], key), "object")
-            needs[name] = {other.partition(".")[0] for other in named.values()} & places.keys()
+            carrier = frame_carrier(frames, place.frame)
+            named = [carrier] if carrier is not None else []
+            if isinstance(place, Place):
+                named += self._check_place(c, place, paths[name])
+            needs[name] = {other.partition(".")[0] for other in named} & places.keys()
         needs = _unsolved(needs)
         for name in needs:
             cycle = _cycle(name, needs)
@@ -369,6 +353,21 @@ class SceneNames:
                 shown = " → ".join(f"`{n}`" for n in (*cycle, name))
                 hint = "give one of them a `pose`, or place it on something else"
                 c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
+
+    def _check_place(self, c: Checker, place: Place, path: Path_) -> list[str]:
+        """Check the names in a place, and return the objects to which it refers."""
+        named = {key: other for key in PLACE_REFERENCES if (other := getattr(place, key)) is not None}
+        for key, other in named.items():
+            if key in ("on", "inside"):
+                self.check_link(c, other, (*path, key), with_parts=True)
+            else:
+                c.name(other, self.objects, (*path, key), "object")
+        if place.frame is not None:
+            check_reference(c, self, place.frame, (*path, "frame"))
+        if place.seen_from is not None:
+            views = [*self.cameras, *self.robots, *self.frames]
+            c.name(place.seen_from, views, (*path, "seen_from"), "camera, robot or frame")
+        return list(named.values())
 
 
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:

@@ -118,6 +118,8 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
     names = scene_names(twin.used(spec_of_twin.scene) if twin and isinstance(spec_of_twin, TaskSpec) else twin)
     if names is None:
         return
+    for name in spec.parameters:
+        c.name(name, names.scene.parameters, ("parameters", name), "parameter of the twin's scene")
     if spec.scene is not None:
         if spec.scene.anchor is not None:
             c.name(spec.scene.anchor, names.objects, ("scene", "anchor"), "object")

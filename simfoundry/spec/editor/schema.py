@@ -54,6 +54,11 @@ def _predicate_pattern() -> str:
 LISTED = "Listed"
 
 
+# Keywords that describe a value, and keywords whose value is not a schema.
+_WORDS = ("title", "description", "markdownDescription", "defaultSnippets")
+_LITERAL = (*_WORDS, "enum", "const", "required", "pattern")
+
+
 def schemas() -> dict[str, str]:
     """Return the name and content of every file in ``schemas/``.
 
@@ -70,6 +75,8 @@ def schema(kind: str) -> Schema:
     keys and in which null removes a value.
     """
     parts = _Parts(model_of(kind).model_json_schema()).all()
+    if "parameters" in parts["Document"]["properties"]:
+        parts = with_expressions(parts) | {"Expression": EXPRESSION}
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
     never_null = {key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")}
     overlay[f"{OVERLAY}Document"]["properties"] |= never_null
@@ -84,6 +91,31 @@ def schema(kind: str) -> Schema:
         "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
         "else": {"$ref": "#/$defs/Document"},
     }
+
+
+# A number that is computed from parameters.
+EXPRESSION: Schema = {
+    "title": "expression",
+    "description": "An expression with parameters, such as `2 * $gap`.",
+    "type": "string",
+    "pattern": r"^[-+*/(). 0-9eE$a-z_]*\$[a-z][-+*/(). 0-9eE$a-z_]*$",
+    "patternErrorMessage": "expected a number, or an expression with parameters such as `2 * $gap`",
+}
+
+
+def with_expressions(part: Any) -> Any:
+    """Return a schema that accepts an expression wherever it accepts a number but no other string."""
+    if isinstance(part, list):
+        return [with_expressions(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    out = {key: value if key in _LITERAL else with_expressions(value) for key, value in part.items()}
+    types = part.get("type")
+    listed = [types] if isinstance(types, str) else types if isinstance(types, list) else []
+    if {"number", "integer"}.isdisjoint(listed) or "string" in listed:
+        return out
+    words = {key: out.pop(key) for key in _WORDS if key in out}
+    return words | {"anyOf": [out, {"$ref": "#/$defs/Expression"}]}
 
 
 @dataclass

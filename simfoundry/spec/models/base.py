@@ -232,6 +232,9 @@ Target = Annotated[
 class CameraPose(Model):
     """The pose of a camera: a position, and either a target or a rotation (x right, y down, z forward)."""
 
+    frame: PartName | None = Field(
+        None, description="Reference frame: a name from `frames`, an object or one of its links; default: the world."
+    )
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center [m].")
     look_at: Target | None = Field(
         None,

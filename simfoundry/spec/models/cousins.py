@@ -14,6 +14,7 @@ from simfoundry.spec.models.base import (
     Model,
     Name,
     NonNegative,
+    Number,
     Ordered,
     Positive,
     consistent,
@@ -151,6 +152,7 @@ class CousinsSpec(DocumentSpec):
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")
+    parameters: dict[Name, Number] = Field({}, description="Values for parameters of the twin's scene.")
     count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="Number of cousins.")
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="Seed for the random choices.")
     scene: SceneAxis | None = Field(None, description="Vary the layout.")

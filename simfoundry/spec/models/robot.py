@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive, consistent, fault
+from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, Positive, consistent, fault
+from simfoundry.spec.models.reuse import FramedPose
 
 # Name of a joint in the robot's model.
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
@@ -63,7 +64,9 @@ class RobotSpec(Model):
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
     ] = Field(description="The name of a known robot, such as `franka_robotiq`, or the files of a custom robot.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the robot's base in the world.")
+    pose: FramedPose = Field(
+        FramedPose.model_construct(), description="Pose of the robot's base in the world, or in `frame`."
+    )
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),

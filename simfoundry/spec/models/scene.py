@@ -36,6 +36,7 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.capture import FocalLength, ImagePoint
+from simfoundry.spec.models.reuse import FramedPose, IncludeSpec, ReferenceFrame, Repeat
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.shapes import Shape
 
@@ -56,7 +57,7 @@ class Place(Model):
     set, the object is aligned with the center of that reference object along the other axis.
     """
 
-    on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
+    on: PartName | None = Field(None, description="Support: an object, or one of its links or parts (`shelf.board`).")
     inside: PartName | None = Field(
         None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
@@ -69,6 +70,17 @@ class Place(Model):
     in_front_of: Name | None = Field(None, description="Reference object; this object is placed closer to the viewer.")
     behind: Name | None = Field(None, description="Reference object; this object is placed farther from the viewer.")
     gap: NonNegative = Field(0.03, le=FARTHEST, description="Gap to the reference object [m].")
+    offset: Point2 | None = Field(None, description="Shift of the position that the other keys define [m].")
+    frame: PartName | None = Field(
+        None,
+        description="Frame of `xy`, `offset` and the rotation: a name from `frames`, an object or one of its links; "
+        "default: the world.",
+    )
+    seen_from: Name | None = Field(
+        None,
+        description="Camera, robot or frame whose view defines left, right, front and behind; default: the scene's "
+        "`viewpoint`.",
+    )
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
@@ -141,16 +153,24 @@ class VariantSpec(GeometrySpec):
             raise fault("sf107", "a variant must override at least one property of its object")
 
 
-class ObjectSpec(GeometrySpec):
-    """An object in the scene: a primitive `shape` or an `asset` (a mesh file or an asset document)."""
+class ObjectFields(GeometrySpec):
+    """Fields shared by objects and templates."""
 
+    like: Name | None = Field(None, description="A name from `templates`; this entry states only what differs.")
+    repeat: Repeat | None = Field(
+        None,
+        description="Copies of the object, or the name of another repeated object: one copy for each of its copies, "
+        "and references to that object mean the respective copy.",
+    )
     visual: FileName | None = Field(
         None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
     category: Name | None = Field(None, description="Category, such as `mug`; default: the object's name.")
     labels: Labels = Field((), description="Labels for vision systems, most specific first; default: the category.")
     fixed: bool = Field(False, description="If true, the object is welded to the world.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the object's frame in the world.")
+    pose: FramedPose = Field(
+        FramedPose.model_construct(), description="Pose of the object's frame in the world, or in `frame`."
+    )
     place: Place | None = Field(None, description="Placement from which the pose is computed; replaces `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
@@ -168,13 +188,26 @@ class ObjectSpec(GeometrySpec):
     origin: Origin | None = Field(None, description="Origin of the description.")
 
     @consistent
-    def _one_geometry(self) -> None:
-        exclusive(self, "shape", "asset", needed=True)
+    def _consistent(self) -> None:
+        exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
             message = "no variant may be named `default`, which is reserved for the object without overrides"
             raise fault("sf107", message, "variants")
+
+
+class TemplateSpec(ObjectFields):
+    """An incomplete object, which objects complete with `like`."""
+
+
+class ObjectSpec(ObjectFields):
+    """An object in the scene: a primitive `shape` or an `asset` (a mesh file or an asset document)."""
+
+    @consistent
+    def _one_geometry(self) -> None:
+        if self.like is None and self.repeat is None:  # otherwise the object could not be resolved, which is reported
+            exclusive(self, "shape", "asset", needed=True)
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise fault("sf107", "`scale` applies only to meshes; change the dimensions of the shape instead", "scale")
 
@@ -235,7 +268,11 @@ class LightSpec(Model):
     texture: FileName | None = Field(
         None,
         description="Panorama around a dome light (.hdr, .exr, .png, .jpg), relative to this document: an "
-        "equirectangular image whose center is in the direction of x and whose top is in that of z. `color` tints it.",
+        "equirectangular image whose center is in the direction of x and whose top is in that of z of `frame`. `color` "
+        "tints it.",
+    )
+    frame: PartName | None = Field(
+        None, description="Frame of the position or direction: a name from `frames`; default: the world."
     )
 
     @consistent
@@ -269,7 +306,13 @@ class SceneSpec(DocumentSpec):
         "from the viewer and y points left.",
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
+    parameters: dict[Name, Number] = Field(
+        {}, description="Numbers by name; `$gap`, `2 * $gap + 0.1` can be written wherever a number is expected."
+    )
+    include: dict[Name, IncludeSpec] = Field({}, description="Scenes that are part of this scene, by name.")
+    templates: dict[Name, TemplateSpec] = Field({}, description="Incomplete objects by name, for `like`.")
     materials: dict[Name, Material] = Field({}, description="Materials by name.")
+    frames: dict[Name, ReferenceFrame] = Field({}, description="Reference frames by name, for `pose: {frame: ...}`.")
     objects: dict[Name, ObjectSpec] = Field({}, description="Objects by name.")
     robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
     cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")

@@ -16,12 +16,12 @@ from simfoundry.spec.models.base import (
     Ordered,
     Origin,
     Point2,
-    PoseSpec,
     Positive,
     consistent,
     fault,
 )
 from simfoundry.spec.models.predicate import Condition
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
 
 Instruction = Annotated[str, StringConstraints(min_length=1, max_length=500)]
@@ -32,7 +32,7 @@ class Start(Model):
     """The differences between the initial state and the scene."""
 
     place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
-    pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")
+    pose: dict[Name, FramedPose] = Field({}, description="Objects with a different pose, by name.")
     joints: dict[Name, dict[Name, JointPosition]] = Field({}, description="Joint positions by object and joint.")
 
     @consistent

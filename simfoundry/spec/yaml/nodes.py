@@ -70,6 +70,21 @@ class Node:
         """Return the line and column."""
         return self.line, self.column
 
+    def with_members(
+        self, members: dict[str, Node] | list[Node], keys: dict[str, tuple[int, int]] | None = None
+    ) -> Node:
+        """Return a copy with other members. ``keys`` are their positions, by default those in this node."""
+        value: Any
+        if isinstance(members, dict):
+            known = self.keys if keys is None else keys
+            value = {key: member.value for key, member in members.items()}
+            weight = 1 + sum([member.weight for member in members.values()])
+            places = {key: known.get(key, self.place) for key in members}
+        else:
+            value, places = tuple([member.value for member in members]), _NO_KEYS
+            weight = 1 + sum([member.weight for member in members])
+        return Node(value, self.line, self.column, members, places, "", weight, self.file)
+
 
 class YamlError(PicklableError):
     """Raised if a YAML text could not be read."""

@@ -29,7 +29,7 @@ _FRAME: dict[Where, tuple[str, Any]] = {
 }
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
-_PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
+_PLAIN = re.compile("(?:[\\w/.($]|-(?=[$(]))[^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 # Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date.
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
 # Words that YAML 1.1 readers take for a truth value. As keys, such as `on`, they stay without quotes.

@@ -13,8 +13,8 @@ from simfoundry.spec.load import load
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.yaml.text import parse
 from tests.cli.command import run
+from tests.spec.compose.test_extends import TWIN
 from tests.spec.strategies import ASSETS, SCENES
-from tests.spec.test_compose import TWIN
 
 
 @given(SCENES | ASSETS)

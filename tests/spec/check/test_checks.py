@@ -86,7 +86,7 @@ SLIPS: dict[str, dict[str, list[tuple[str, str, str]]]] = {
             ("left_of: bowl", "SF208", "depends on itself: `bowl` → `bowl`"),
         ],
         "{on: desk, left": [
-            ("{on: cabinet.shelf, left", "SF201", "no link of `cabinet`"),
+            ("{on: cabinet.shelf, left", "SF201", "no link or part of `cabinet`"),
             ("{on: cup.rim, left", "SF201", "`cup` does not have any parts"),
         ],
         "left_of: cup}": [

@@ -225,7 +225,7 @@ KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
-    *("open", "closed", "threshold", "retries", "index", "multiplier"),
+    *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
 

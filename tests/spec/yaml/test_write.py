@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import Model, PoseSpec
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.models.shapes import BoxShape
 from simfoundry.spec.yaml.text import parse
@@ -103,7 +104,7 @@ def plain_objects(count: int) -> dict[str, ObjectSpec]:
             shape=BoxShape(box=(0.123456, 0.234567, 0.345678)),
             mass=0.123456,
             material="some_material_with_a_long_name",
-            pose=PoseSpec(xyz=(1.234567, -2.345678, 3.456789), quat_wxyz=(0.5, -0.5, 0.5, -0.5)),
+            pose=FramedPose(xyz=(1.234567, -2.345678, 3.456789), quat_wxyz=(0.5, -0.5, 0.5, -0.5)),
         )
         for k in range(count)
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from simfoundry.errors import OutputError
 from simfoundry.frontends.errors import refusing_faults
@@ -15,14 +15,16 @@ from simfoundry.frontends.usd.compiled.stage import StageError, StageNote, open_
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import validate
+from simfoundry.spec.compose.compose import compose, inherited_data
+from simfoundry.spec.compose.expand import Reuse
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import Known, checked, compose
+from simfoundry.spec.load import Known, checked
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import RIVALS, models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
-from simfoundry.spec.yaml.text import Document, read
+from simfoundry.spec.yaml.text import Document, parse, read
 from simfoundry.spec.yaml.tree import YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import to_yaml, write_tree
 
@@ -52,14 +54,32 @@ def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
     return found
 
 
-def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str, ...]]:
+# Lists that follow from the members of a scene: removing a copy also removes its relations.
+LISTS = (("relations",), ("no_contact",))
+
+
+class AppliedEdits(NamedTuple):
+    """The edits of a stage, applied to its document.
+
+    Attributes:
+        name: Name of the document.
+        text: The new text.
+        disputed: Paths of values that had also been changed in the document.
+        exceptions: Copies of repeated objects and members of included scenes that have an entry of their own now, each
+            with the object or include that it comes from.
+    """
+
+    name: str
+    text: str
+    disputed: tuple[str, ...] = ()
+    exceptions: tuple[tuple[str, str], ...] = ()
+
+
+def written_into(path: Path, reading: StageReading) -> AppliedEdits:
     """Apply the edits in a stage to the document at ``path``, without modifying the file.
 
     An overlay remains an overlay: only the differences are written, with ``null`` for values of its base that were
     removed.
-
-    Returns:
-        The name of the document, its new text, and the paths of values that had also been changed in the document.
 
     Raises:
         SpecError: If the document cannot be read.
@@ -69,34 +89,45 @@ def written_into(path: Path, reading: StageReading) -> tuple[str, str, tuple[str
     except YamlError as error:
         raise SpecError([error.diagnostic(str(path))]) from None
     tree = read_tree(document)
-    whole, findings, bases = compose(document, KIND, project_root(path).resolve())
-    if findings or not isinstance(tree.value, dict):
-        raise SpecError(findings)
-    base, name = _base(path, bases), str(whole.data.get("name"))
+    root = project_root(path).resolve()
+    composed = compose(document, KIND, root)
+    if composed.findings or not isinstance(tree.value, dict):
+        raise SpecError(composed.findings)
+    whole = composed.document
+    base, name = inherited_data(composed, KIND, root), str(whole.data.get("name"))
     own = {key: new_name for key, new_name in reading.renamed.items() if _at(base, key) is NOTHING}
     todo = edits(renamed(reading.before, own), reading.data)
     if not todo and not own:
-        return name, document.text, ()
+        return AppliedEdits(name, document.text)
     if own:
         tree = _with_names(tree, own)
     present = renamed(whole.data, own)
     data, disputed = tree.data, []
-    for place, old, new in todo:
+    # Lists come last: relations of a copy that was removed are gone already.
+    for place, old, new in sorted(todo, key=lambda edit: edit[0] in LISTS):
+        if place in LISTS and composed.reuse is not None and _expanded(path, tree, data, root).get(place[0]) == new:
+            continue
         there = _at(present, place)
         if there is not NOTHING and there != new and _other(there, old):
             disputed.append(".".join(place))
         data = _applied(data, base, (), place, new)
-    return name, write_tree(with_data(tree, data), SceneSpec), tuple(disputed)
+    text = write_tree(with_data(tree, data), SceneSpec)
+    return AppliedEdits(name, text, tuple(disputed), tuple(_exceptions(composed.reuse, tree.data, data)))
 
 
-def _base(path: Path, bases: list[Path]) -> Data:
-    """Return the flattened base of the document at ``path``, or empty data if the document has no base."""
-    if not bases:
-        return {}
-    from simfoundry.spec.load import load
+def _expanded(path: Path, tree: YamlTree, data: Data, root: Path) -> Data:
+    """Return the data of the edited document with everything written out."""
+    document = parse(write_tree(with_data(tree, data), SceneSpec), str(path))
+    expanded: Data = compose(document, KIND, root).document.data
+    return expanded
 
-    loaded = load(bases[0], project_root(path))
-    return loaded.document.data if loaded.document is not None else {}
+
+def _exceptions(reuse: Reuse | None, before: Data, after: Data) -> Iterator[tuple[str, str]]:
+    """Yield the generated members that only the edited document has an entry for, each with its source."""
+    for section, name in reuse.generated if reuse is not None else ():
+        source = reuse.source(section, name) if reuse is not None else None
+        if source is not None and name in (after.get(section) or {}) and name not in (before.get(section) or {}):
+            yield name, source[1]
 
 
 def _other(there: Any, old: Any) -> bool:
@@ -232,12 +263,14 @@ class Imported:
     """The text of an imported document, with ``notes`` on stage content that the document does not include.
 
     ``disputed`` contains the paths of values in the document that differed from both the compiled and the edited stage.
-    The values of the edited stage were used for them.
+    The values of the edited stage were used for them. ``exceptions`` contains the copies of repeated objects, and the
+    members of included scenes, that have an entry of their own now, each with the object or include it comes from.
     """
 
     text: str
     notes: tuple[StageNote, ...] = ()
     disputed: tuple[str, ...] = ()
+    exceptions: tuple[tuple[str, str], ...] = ()
 
 
 def import_usd(path: Path, original: Path | None = None, into: Path | None = None) -> Imported:
@@ -263,10 +296,10 @@ def import_usd(path: Path, original: Path | None = None, into: Path | None = Non
         folder = home(path, reading.file).parent
         data = relocated({k: v for k, v in reading.data.items() if k != "extends"}, SceneSpec, folder, into or folder)
         return Imported(to_yaml(SceneSpec.model_validate(data)), reading.notes)
-    name, text, disputed = written_into(original, reading)
+    name, text, disputed, exceptions = written_into(original, reading)
     if name != reading.data["name"]:
         raise StageError(f"{path} was compiled from `{reading.data['name']}`, but {original} is `{name}`")
-    return Imported(text, reading.notes, disputed)
+    return Imported(text, reading.notes, disputed, exceptions)
 
 
 def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = False) -> Imported:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -138,7 +138,10 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 
 
 # Document sections with named members, in the order in which changes are shown.
-NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
+NAMED = (
+    *("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames"),
+    *("templates", "include"),
+)
 
 # Keys whose value is a mapping with named members.
 SECTIONS = (*NAMED, "parts", "compound", "variants", "place", "pose")
@@ -299,11 +302,27 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
     key = path[-1] if local and path else ""
     if key in BESIDE:
         return local.get((*path[:-1], BESIDE[key]), {}).get(value, value) if isinstance(value, str) else value
+    return copied(value, lambda item: renamed_reference(key, item, spaces))
+
+
+def renamed_reference(key: str, value: Any, spaces: Mapping[str, Mapping[str, str]]) -> Any:
+    """Rename the names in a scalar, such as ``cup`` in ``on: cup`` or ``OnTop(cup, desk)``.
+
+    Args:
+        key: The key whose value is the scalar, or a list that contains it.
+        value: The scalar.
+        spaces: The new names, by section and old name.
+    """
     if key in REFERENCES:
-        return copied(value, lambda item: _reference(item, REFERENCES[key], spaces))
+        return _reference(value, REFERENCES[key], spaces)
+    return _expression(value, spaces) if key in _EXPRESSIONS else value
+
+
+def names_in(key: str, text: str) -> list[str]:
+    """Return the names of objects and robots in a scalar, such as ``cup`` and ``desk`` in ``OnTop(cup, desk)``."""
     if key in _EXPRESSIONS:
-        return copied(value, lambda item: _expression(item, spaces))
-    return copied(value)
+        return [match[2] for match in _ARGUMENT.finditer(text)]
+    return [text.partition(".")[0]] if key in REFERENCES else []
 
 
 def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
@@ -328,19 +347,19 @@ def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]
         kept = clear
 
 
-def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
+def _expression(value: Any, spaces: Mapping[str, Mapping[str, str]]) -> Any:
     """Rename the arguments of an expression."""
     if not isinstance(value, str):
         return value
     return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)
 
 
-def _reference(value: Any, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> Any:
+def _reference(value: Any, sections: tuple[str, ...], spaces: Mapping[str, Mapping[str, str]]) -> Any:
     if not isinstance(value, str):
         return value
     head, dot, tail = value.partition(".")
     return _name(head, sections, spaces) + dot + tail
 
 
-def _name(name: str, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> str:
+def _name(name: str, sections: tuple[str, ...], spaces: Mapping[str, Mapping[str, str]]) -> str:
     return next((spaces[s][name] for s in sections if name in spaces.get(s, {})), name)

@@ -15,7 +15,10 @@ from simfoundry.spec.models.base import Model
 WIDTH = 100
 
 # Sections in the order in which their changes are reported; "" represents all other sections.
-_ORDER = ("objects", "robots", "links", "joints", "goal", "subtasks", "relations", "", "cameras", "lights", "materials")
+_ORDER = (
+    *("parameters", "include", "templates", "objects", "robots", "links", "joints", "goal", "subtasks", "relations"),
+    *("", "cameras", "lights", "materials"),
+)
 
 _MARKS = ("moved", "added", "removed", "renamed", "changed")
 
