@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -70,9 +71,9 @@ def item_of_asset(asset: Loaded) -> ObjectAsset:
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
-    textures = [material.texture for material in spec.materials.values() if material.texture is not None]
-    files = {file: asset.file(file) for file in (*meshes, *textures)}
-    flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}})
+    files = {mesh: asset.file(mesh) for mesh in meshes}
+    materials = _with_textures(spec.materials, asset, files)
+    flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}, "materials": materials})
     return ObjectAsset(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
 
 
@@ -105,15 +106,23 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
     files = {} if written.shape is not None else {mesh.name: scene.file(written.asset or "")}
     named = dict.fromkeys((written.material, *(part.material for part in parts.values())))
     used = {key: scene.spec.materials[key] for key in named if key is not None}
-    for key, material in used.items():
-        if material.texture is not None:
-            texture = Path(material.texture).name
-            files[texture] = scene.file(material.texture)
-            used[key] = material.model_copy(update={"texture": texture})
+    used = _with_textures(used, scene, files)
     links = {LINK: LinkSpec(**body, parts=parts)}
     category = written.category or name
     spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials=used, links=links)
     return ObjectAsset(name, category, spec, f"{scene.spec.name}.{name}", MappingProxyType(files))
+
+
+def _with_textures(materials: Mapping[str, Material], source: Loaded, files: dict[str, Path]) -> dict[str, Material]:
+    """Return materials whose textures have names that depend on their content, and add the textures to ``files``."""
+    out = dict(materials)
+    for key, material in materials.items():
+        if material.texture is not None:
+            path = source.file(material.texture)
+            name = f"{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}{path.suffix}"
+            files[name] = path
+            out[key] = material.model_copy(update={"texture": name})
+    return out
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:

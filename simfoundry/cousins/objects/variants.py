@@ -246,7 +246,8 @@ def _variant(
     spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
     thing = lowered(spec, folder, item.name, cache)
     files = dict(made.files)
-    for name in made.kept.keys() & {part.mesh for part in parts_of(spec).values()}:
+    named = {part.mesh for part in parts_of(spec).values()} | {m.texture for m in spec.materials.values()}
+    for name in made.kept.keys() & named:
         path = made.kept[name]
         files |= {name: path.read_bytes()}
         files |= {Path(name).with_name(o.name).as_posix(): o.read_bytes() for o in companions(path)}
