@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 
 def check_mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
+    """Check the name of the object, link or robot link that a camera is attached to."""
     carrier, _, link = mount.partition(".")
     if carrier not in names.robots:
         if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
