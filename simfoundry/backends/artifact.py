@@ -102,6 +102,28 @@ def rounded_list(values: Array) -> list[float]:
     return [rounded(v) for v in np.asarray(values).ravel().tolist()]
 
 
+# Errors of this size [1] come from converting numbers between frames and units in double precision.
+NOISE = 5e-16
+
+
+def exact(value: float) -> str:
+    """Format a number so that reading it returns the number, up to the noise of a few conversions.
+
+    A number that is within this noise of a short decimal, such as most numbers that people write, becomes that decimal.
+    """
+    tolerance = NOISE * max(1.0, abs(value))
+    for digits in (6, 12):
+        text = f"{value:.{digits}g}"
+        if abs(float(text) - value) <= tolerance:
+            return "0" if float(text) == 0 or abs(value) <= NOISE else text
+    return repr(float(value))
+
+
+def exacts(values: Array | Iterable[float]) -> str:
+    """Format values with :func:`exact`, separated by spaces."""
+    return " ".join(exact(float(v)) for v in values)
+
+
 @dataclass(frozen=True)
 class Backend:
     """A compiler for one format.

@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import yaml
 
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
+from simfoundry.scene.attachments import Options
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
@@ -110,6 +111,43 @@ def _is_textured(item: SceneObject) -> bool:
     return any(has_texture(mesh) for mesh in meshes)
 
 
+def _of_attached(label: str, field: str) -> Feature:
+    return Feature(
+        "object", label, lambda scene: [f"{o.name}.{each.name}" for o in scene.objects for each in getattr(o, field)]
+    )
+
+
+def native_count(scene: Scene) -> dict[str, int]:
+    """Return the number of elements and of sets of attributes that only MJCF knows, by kind."""
+    data = scene.native or {}
+    counts = Counter(tag for elements in data.values() if isinstance(elements, list | tuple)
+                     for element in elements for tag in element)  # fmt: skip
+    counts.update({"setting": sum(len(v) for k, v in data.items() if isinstance(v, Mapping) and k != "order")})
+    for item in scene.objects:
+        own = item.native
+        counts.update({"link": len(own.links), "joint": len(own.joints), "part": len(own.parts)})
+    return {kind: count for kind, count in counts.items() if count}
+
+
+def attachment_losses(scene: Scene, cells: Cells, drives: bool) -> Iterator[Loss]:
+    """Yield the losses of sites, sensors, actuators, options and native data in a format that does not hold them.
+
+    With ``drives``, the format has joint drives, and those actuators that became drives are not lost.
+    """
+    for item in scene.objects:
+        driven = {joint.drive.actuator for joint in item.joints if joint.drive is not None} if drives else set()
+        for feature in ("sites", "sensors", "actuators"):
+            if cells[feature].fidelity is not None:
+                for each in getattr(item, feature):
+                    if feature != "actuators" or each.name not in driven:
+                        yield drop(feature, f"{item.name}.{each.name}", cells[feature].reason)
+    if cells["options"].fidelity is not None and scene.options != Options():
+        yield Loss("options", "options", cells["options"].fidelity, cells["options"].reason)
+    if found := native_count(scene):
+        known = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in found.items())
+        yield drop("native", "native.mjcf", f"{known} {'are' if sum(found.values()) > 1 else 'is'} known to MJCF only.")
+
+
 def _excluded(scene: Scene) -> list[str]:
     return [item.name for item in scene.objects if item.no_contact] + ["no_contact"] * bool(scene.no_contact)
 
@@ -146,6 +184,8 @@ FEATURES: dict[str, Feature] = {
     "dome_textures": Feature("scene", "panoramas of dome lights", _panoramas, "texture"),
     "background_mesh": _of_background("background mesh", "visuals"),
     "background_splat": _of_background("Gaussian splat background", "splat"),
+    "options": Feature("scene", "time step and solver", lambda s: ["options"] * (s.options != Options())),
+    "native": Feature("scene", "data of one format", lambda s: ["native.mjcf"] * bool(native_count(s))),
     "pose": _of_objects("pose in the world", lambda o: True, "pose"),
     "fixed": _of_objects("welded to the world", lambda o: o.fixed, "fixed"),
     "category": _of_objects("category", lambda o: o.category, "category"),
@@ -153,6 +193,9 @@ FEATURES: dict[str, Feature] = {
     "variants": _of_objects("variants", lambda o: o.variants, "variants"),
     "visuals": _of_objects("visual shapes and their color", lambda o: any(k.visuals for k in o.links), "visuals"),
     "texture": _of_objects("textures", _is_textured, "texture"),
+    "sites": _of_attached("sites", "sites"),
+    "sensors": _of_attached("sensors", "sensors"),
+    "actuators": _of_attached("actuators", "actuators"),
     "mass": _of_objects("mass", lambda o: True, "mass", "body"),
     "inertia": _of_objects("center of mass and inertia", lambda o: True, "inertia", "body"),
     "box": _of_colliders("collision boxes", lambda c: isinstance(c.geometry, Box)),

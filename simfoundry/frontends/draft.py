@@ -126,6 +126,7 @@ class PartDraft:
     color: Rgba | None = None
     contact: Contact = field(default_factory=dict)
     texture: TextureDraft | None = None
+    native: dict[str, Any] = field(default_factory=dict)
 
     @property
     def collides(self) -> bool:
@@ -151,6 +152,7 @@ class LinkDraft:
     contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
+    native: dict[str, Any] = field(default_factory=dict)
 
     @property
     def colliders(self) -> list[PartDraft]:
@@ -187,6 +189,33 @@ class JointDraft:
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
+    native: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class AttachmentDraft:
+    """A site, an actuator or a sensor of a body, with its ``data`` in the words of documents.
+
+    ``place`` is the key that names what it is attached to, which ``target`` names as in the file.
+    """
+
+    name: str
+    data: dict[str, Any]
+    place: str
+    target: str
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledName:
+    """A reference in native data to an element, which is replaced by the name of the element in the compiled file.
+
+    ``kind`` is body, joint, geom, site, actuator or sensor. ``owner`` is the name of the body draft, and ``element`` is
+    the name of the element in the draft, or the part for a geom.
+    """
+
+    kind: str
+    owner: str
+    element: Any
 
 
 @dataclass(eq=False)
@@ -209,6 +238,9 @@ class BodyDraft:
     labels: tuple[str, ...] = ()
     note: str = ""
     exact: bool = False
+    sites: list[AttachmentDraft] = field(default_factory=list)
+    actuators: list[AttachmentDraft] = field(default_factory=list)
+    sensors: list[AttachmentDraft] = field(default_factory=list)
 
     def carrier(self, link: str) -> JointDraft | None:
         """Return the joint that connects a link to its parent, or None if the link is the root."""
@@ -270,7 +302,8 @@ class ModelDraft:
 
     ``background`` is a visual mesh in the world frame. ``no_contact`` lists pairs of links in different bodies that do
     not collide, and ``notes`` lists all differences between the file and the documents. ``density`` [kg/m^3] applies to
-    links without a mass, or is None for the default of the format.
+    links without a mass, or is None for the default of the format. ``native`` is what only the file's own format knows
+    of the scene, in which case numbers are exact, or None if the importer does not keep such data.
     """
 
     name: str
@@ -285,6 +318,8 @@ class ModelDraft:
     no_contact: list[tuple[LinkPath, LinkPath]] = field(default_factory=list)
     notes: list[ImportNote] = field(default_factory=list)
     density: float | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    native: dict[str, Any] | None = None
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
         """Record an element that is omitted."""

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.frontends.documents import BuiltDocuments, build_asset, build_scene, document_text
+from simfoundry.frontends.asset_documents import BuiltDocuments
+from simfoundry.frontends.document_data import document_text
+from simfoundry.frontends.documents import build_asset, build_scene
 from simfoundry.frontends.draft import DEFAULTS, ImportNote, ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError, refusing_faults
 from simfoundry.frontends.registry import TaskReader, model_reader, task_readers

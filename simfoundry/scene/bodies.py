@@ -78,7 +78,8 @@ class BodyBuilder:
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
-    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one.
+    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one. ``hidden`` contains the
+    whole meshes of parts with native data that are not shown.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -95,6 +96,7 @@ class BodyBuilder:
     colliders: list[Collider] = field(default_factory=list)
     solids: list[tuple[float | None, mass.SolidMoments]] = field(default_factory=list)
     collision_error: float = 0.0
+    hidden: dict[str, Mesh] = field(default_factory=dict)
     report: Callable[[str], object] = lambda said: None
     texture_of: Callable[[str], Texture | None] = lambda material: None
 
@@ -134,6 +136,8 @@ class BodyBuilder:
         body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
         if show and _use(part) != "collision":
             self._show(name, body.pieces, X_LG, part)
+        elif isinstance(part, PartSpec) and part.native is not None and len(body.pieces) == 1:
+            self.hidden[name] = closed_mesh(body.pieces[0].vertices, body.pieces[0].faces)
         if body.solid is not None:
             self._weigh(body.solid, X_LG, part)
         self.collision_error = max(self.collision_error, body.error)

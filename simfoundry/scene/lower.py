@@ -21,6 +21,7 @@ from simfoundry.assets.panorama import read_panorama
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
+from simfoundry.scene.attachments import Options
 from simfoundry.scene.cameras import lower_cameras
 from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.frames import FrameTree
@@ -86,6 +87,10 @@ class Lowering:
         seen = self.spec.viewpoint
         viewer = None if self.frames.viewer_needs(seen) else self.frames.viewer(seen)
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer)
+        if (given := self.spec.options) is not None:
+            scene = replace(scene, options=Options(given.timestep, given.solver_iterations))
+        if (native := self.spec.native) is not None:
+            scene = replace(scene, native=MappingProxyType(native.mjcf))
         for lowering_pass in passes:
             scene = lowering_pass(self, scene)
         return scene

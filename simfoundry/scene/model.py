@@ -21,6 +21,8 @@ from simfoundry.assets.panorama import Panorama as Panorama
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
+from simfoundry.scene.attachments import Actuator, NativeAttributes, Options, Sensor, Site
+from simfoundry.scene.source import Source as Source
 
 if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
@@ -132,13 +134,14 @@ class Drive:
     """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
     Units: ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m], ``force_limit`` [N m
-    or N], which is None if the force is unlimited.
+    or N], which is None if the force is unlimited. ``actuator`` is the name of the actuator that the drive stands for.
     """
 
     stiffness: float
     damping: float
     target: float = 0.0
     force_limit: float | None = None
+    actuator: str = ""
 
 
 # The name of a joint limit.
@@ -210,6 +213,7 @@ class SceneObject:
         labels: The semantic labels. If they are empty, the category is used.
         variant: The name of the selected variant, or empty if the object has no variants.
         variants: All other variants, each of which is a complete object with the same name.
+        native: What only MJCF knows of the object's elements.
     """
 
     name: str
@@ -222,6 +226,10 @@ class SceneObject:
     labels: tuple[str, ...] = ()
     variant: str = ""
     variants: tuple[SceneObject, ...] = ()
+    sites: tuple[Site, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    native: NativeAttributes = field(default_factory=NativeAttributes)
 
     @property
     def semantics(self) -> tuple[str, ...]:
@@ -338,6 +346,7 @@ class Scene:
         left_out: The parts of the spec that could not be lowered. Every target reports them as lost.
         no_contact: The pairs of links in different objects whose contacts are disabled, by qualified name.
         source: The document, for targets that embed it.
+        native: What only MJCF knows of the scene, by section, or None if MJCF is written in the usual way.
         viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y to the left.
             If None, the world axes are used.
     """
@@ -355,6 +364,8 @@ class Scene:
     no_contact: tuple[tuple[str, str], ...] = ()
     source: Source | None = None
     viewer: Pose | None = None
+    options: Options = field(default_factory=Options)
+    native: Mapping[str, Any] | None = None
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:
@@ -386,19 +397,3 @@ def pair_resistance(a: float, b: float) -> float:
     The larger value is used, because a single soft surface is enough to cause resistance.
     """
     return max(a, b)
-
-
-@dataclass(frozen=True)
-class Source:
-    """The document from which a scene was lowered.
-
-    Backends may store the source, but must not base any decisions on it.
-
-    Attributes:
-        file: The POSIX path of the document in its project.
-        data: The plain data of the document and of everything that it extends, in canonical order. The data consists of
-            mappings, tuples, strings and numbers.
-    """
-
-    file: str
-    data: Mapping[str, Any]

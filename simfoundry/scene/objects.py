@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.textures import read_texture
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.attachments import Actuator, NativeAttributes, Sensor, Site
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.box_mapping import Texture
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
@@ -117,17 +121,21 @@ class ObjectLowering:
         category = item.category or name
         joints: tuple[Joint, ...] = ()
         no_contact: tuple[tuple[str, str], ...] = ()
+        attached: dict[str, Any] = {"native": inline_native(item)}
         if item.asset is not None and is_document(item.asset):
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
-            links, joints = self.articulated(asset, asset.spec, item, name)
+            attached = attachments(asset.spec)
+            links, joints = self.articulated(asset, asset.spec, item, name, attached["native"].meshes)
             no_contact = asset.spec.no_contact
         else:
             links = self._rigid(item, place, name)
         if len(self.findings) > before:
             return None
-        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, no_contact, item.labels)
+        return SceneObject(
+            name, category, item.fixed, pose(item.pose), tuple(links), joints, no_contact, item.labels, **attached
+        )
 
     def _rigid(self, item: scene.ObjectSpec, place: tuple[str, ...], owner: str) -> list[Link]:
         """Return a list with the single link of a primitive or mesh object."""
@@ -144,9 +152,13 @@ class ObjectLowering:
         return self._built(builder, None, self.loaded, place, item.fixed, before, owner)
 
     def articulated(
-        self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str
-    ) -> tuple[list[Link], tuple[Joint, ...]]:
-        """Return an asset's links in topological order, and its joints at the positions set by the object."""
+        self, asset: Loaded, spec: AssetSpec, item: scene.ObjectSpec, owner: str,
+        hidden: dict[tuple[str, str], Mesh] | None = None,
+    ) -> tuple[list[Link], tuple[Joint, ...]]:  # fmt: skip
+        """Return an asset's links in topological order, and its joints at the positions set by the object.
+
+        The whole meshes of parts with native data that are not shown are added to ``hidden``.
+        """
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -158,6 +170,8 @@ class ObjectLowering:
                         builder.add_shape(part_name, part.shape, pose(part.pose), part)
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
+            if hidden is not None:
+                hidden |= {(name, part_name): mesh for part_name, mesh in builder.hidden.items()}
             links += self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
         return links, lower_joints(spec, item.joints)
 
@@ -186,7 +200,55 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, scene.Written]) -> tuple[Joint, ...]:
     """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders."""
-    return tuple(_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
+    joints = (_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
+    return tuple(_with_actuator(joint, spec) for joint in joints)
+
+
+def _with_actuator(joint: Joint, spec: AssetSpec) -> Joint:
+    """Return the joint with a drive that acts like its first position or velocity actuator, unless it has a drive."""
+    servos = ((n, a) for n, a in spec.actuators.items() if a.joint == joint.name and a.type != "motor" and a.gear)
+    name, servo = next(servos, ("", None))
+    if servo is None or joint.drive is not None or not joint.has_axis:
+        return joint
+    target = servo.control / servo.gear if servo.type == "position" else 0.0
+    if joint.limits is not None:
+        target = min(max(target, joint.limits[0]), joint.limits[1])
+    limits = [max(map(abs, servo.force_range)) * abs(servo.gear)] if servo.force_range is not None else []
+    limit = min([*limits, *([] if joint.effort is None else [joint.effort])], default=None)
+    gear = servo.gear**2
+    return replace(joint, drive=Drive((servo.kp or 0.0) * gear, servo.kv * gear, target, limit or None, name))
+
+
+def attachments(spec: AssetSpec) -> dict[str, Any]:
+    """Return the sites, actuators, sensors and native data of an asset, as fields of an object."""
+    sites = (Site(n, s.link, pose(s.pose), _mjcf(s)) for n, s in spec.sites.items())
+    keys = ("type", "joint", "gear", "kv", "control", "control_range", "force_range")
+    actuators = (
+        Actuator(n, kp=a.kp or 0.0, mjcf=_mjcf(a), **{key: getattr(a, key) for key in keys})
+        for n, a in spec.actuators.items()
+    )
+    sensors = []
+    for name, s in spec.sensors.items():
+        place = next(p for p in ("site", "joint", "link") if getattr(s, p) is not None)
+        sensors.append(Sensor(name, s.type, place, getattr(s, place), s.noise, s.cutoff, _mjcf(s)))
+    native = NativeAttributes(
+        {n: _mjcf(k) for n, k in spec.links.items() if _mjcf(k)},
+        {n: _mjcf(j) for n, j in spec.joints.items() if _mjcf(j)},
+        {(n, m): _mjcf(p) for n, k in spec.links.items() for m, p in k.parts.items() if _mjcf(p)},
+    )
+    return {"sites": tuple(sites), "actuators": tuple(actuators), "sensors": tuple(sensors), "native": native}
+
+
+def inline_native(item: scene.ObjectSpec) -> NativeAttributes:
+    """Return the native data of an object with an inline shape, whose body and part share their attributes."""
+    given = dict(_mjcf(item))
+    merge = given.pop("merge", False)
+    links = {"base": {"merge": merge}} if merge else {}
+    return NativeAttributes(links, {}, {("base", "shape"): given} if given else {})
+
+
+def _mjcf(spec: Any) -> Mapping[str, Any]:
+    return MappingProxyType({} if spec.native is None else spec.native.mjcf)
 
 
 def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scene.Written]) -> Joint:

@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from pathlib import Path
@@ -101,7 +101,11 @@ class BehaviorResult:
 
 
 def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
-    """Compile a scene for ``engines`` into ``folder``. Engines that read the same build share it."""
+    """Compile a scene for ``engines`` into ``folder``. Engines that read the same build share it.
+
+    Native data is left out, because it may merge bodies that the scene has.
+    """
+    scene = replace(scene, native=None)
     builds: dict[str, Path] = {}
     losses: dict[str, tuple[Loss, ...]] = {}
     compiled: dict[str, Artifact] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,7 +49,8 @@ class MujocoWorld(World):
             raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
-        files = compile_mjcf(scene).files
+        # Native data may merge bodies that the scene has, and changes the rules for contacts.
+        files = compile_mjcf(replace(scene, native=None)).files
         with naming_scene(scene.name):
             self.model: mujoco.MjModel = exact_model(files)
         self._data: mujoco.MjData | None = mujoco.MjData(self.model)

@@ -74,6 +74,24 @@ joints:
   weld: {type: fixed, parent: drawer, child: grip, pose: {xyz: [0.12, 0, 0.1]}}
 """
 
+ATTACHMENTS = """\
+sites:
+  handle: {link: door, pose: {xyz: [0.02, 0.15, 0.1], rpy_deg: [10, 20, 30]}}
+actuators:
+  spin: {type: motor, joint: turn, gear: 2, control: 0.1, control_range: [-1, 1]}
+  close: {type: position, joint: hinge, kp: 5, kv: 0.5, force_range: [-3, 3]}
+sensors:
+  pull: {type: force, site: handle, noise: 0.1}
+  angle: {type: joint_position, joint: hinge}
+  place: {type: position, link: drawer}
+"""
+
+OPTIONS = """\
+options: {timestep: 0.001, solver_iterations: 60}
+native:
+  mjcf: {custom: [{numeric: {name: answer, data: [42]}}]}
+"""
+
 LIGHTS = {
     "distant_lights": "  sun: {type: distant, intensity: 0.6, direction: [0.2, 0.1, -1]}\n",
     "point_lights": "  lamp: {type: point, intensity: 0.5, xyz: [0.2, 0.4, 1.1]}\n",
@@ -136,7 +154,10 @@ def write_everything(folder: Path, *features: str) -> Path:
         text += "background: {mesh: room.obj, pose: {xyz: [1, 2, 0], yaw_deg: 30}}\n"
     if "background_splat" in features:
         text += "background: {splat: room.ply, pose: {xyz: [1, 2, 0], yaw_deg: 30}, scale: 2}\n"
-    (folder / "cabinet.asset.yaml").write_text(CABINET)
+    if "attachments" in features:
+        text += OPTIONS
+    attached = ATTACHMENTS if "attachments" in features else ""
+    (folder / "cabinet.asset.yaml").write_text(CABINET + attached)
     (folder / "tile.obj").write_text(TILE)
     (folder / "tile.mtl").write_text("newmtl skin\nKd 1 1 1\nmap_Kd tile.png\n")
     (folder / "tile.png").write_bytes(checker_png())

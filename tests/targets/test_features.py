@@ -25,7 +25,8 @@ from tests.targets.everything import LIGHTS, write_everything
 OF_ROBOTS = ("robots", "robot_motors", "robot_contacts", "mounted_cameras")
 
 APART = {name: name for name in (*LIGHTS, "background_mesh", "background_splat")} | dict.fromkeys(OF_ROBOTS, "robots")
-"""Features that are looked at one at a time: a picture has one light, a scene one background; and a robot's.
+APART |= dict.fromkeys(("options", "native", "sites", "sensors", "actuators"), "attachments")
+"""Features that are looked at one at a time: a picture has one light, one background; robots; attachments.
 
 Without its model a robot is left out, in all targets alike.
 """

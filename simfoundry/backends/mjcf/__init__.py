@@ -27,15 +27,18 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, Backend, number, numbers
+from simfoundry.backends.artifact import Artifact, Backend, exact, exacts, numbers
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
-from simfoundry.backends.features import read_cells, splat_losses, variant_losses
+from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
+from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
+from simfoundry.backends.mjcf.native import NativeWriter
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.skybox import add_skybox, skybox_light
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
@@ -96,6 +99,10 @@ def compile_mjcf(
     losses = [*hull_losses(scene, hulled), *(prism_losses(scene, sides) if sides >= 3 else ())]
     scene = with_hulls(scene, hulled)
     scene = with_prisms(scene, sides) if sides >= 3 else scene
+    if timestep == TIMESTEP and scene.options.timestep is not None:
+        timestep = scene.options.timestep
+    if scene.native is not None:
+        return _compile_native(scene, timestep, losses)
     materials = scene_contacts.MaterialClasses(scene)
     root = _settings(scene, timestep, materials)
     assets = Assets(ET.SubElement(root, "asset"))
@@ -117,7 +124,8 @@ def compile_mjcf(
         for a, b in excluded:
             ET.SubElement(contact, "exclude", body1=a, body2=b)
     add_mimics(root, scene)
-    ctrl = add_drives(root, scene, timestep)
+    ctrl = add_drives(root, scene, timestep) + add_actuators(root, scene)
+    add_sensors(root, scene)
     add_texts(root, scene)
     for robot in scene.robots:
         read = add_robot(root, robot, assets, timestep)
@@ -139,13 +147,50 @@ def compile_mjcf(
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
     losses += [
         *scene_contacts.contact_losses(geoms, contacts == EXACT),
-        *scene_contacts.restitution_losses(scene),
         *stiffness_losses(scene, timestep, implicit_damping=True),
         *joint_losses(scene),
-        *light_losses(scene),
-        *variant_losses(scene, "MJCF"),
-        *splat_losses(scene, "MuJoCo"),
+        *_common_losses(scene),
     ]
+    return Artifact("mjcf", "scene.xml", files, tuple(losses))
+
+
+def _common_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield the losses that do not depend on how the scene is written."""
+    yield from scene_contacts.restitution_losses(scene)
+    yield from light_losses(scene)
+    yield from variant_losses(scene, "MJCF")
+    yield from splat_losses(scene, "MuJoCo")
+
+
+def _compile_native(scene: Scene, timestep: float, losses: list[Loss]) -> Artifact:
+    """Compile a scene with native data, for which MuJoCo's own rules apply."""
+    root = _settings(scene, timestep, None)
+    assets = Assets(ET.SubElement(root, "asset"))
+    world = ET.SubElement(root, "worldbody")
+    add_lights(world, scene.lights)
+    if (sky := skybox_light(scene.lights)) is not None:
+        assets.files |= add_skybox(assets.element, sky)
+    for camera in scene.cameras:
+        add_camera(world, camera)
+    if scene.background is not None:
+        add_background(world, scene.background, assets)
+    writer = NativeWriter(scene, root, world, assets)
+    writer.settings()
+    qpos, ctrl = writer.write()
+    for robot in scene.robots:
+        read = add_robot(root, robot, assets, timestep)
+        if read is None:
+            losses.append(without_model(robot.name))
+            continue
+        qpos.extend(read.qpos)
+        ctrl.extend(read.ctrl)
+        losses.extend(robot_losses(robot, read, timestep))
+    robots = {robot.name for robot in scene.robots}
+    add_mounted_cameras(world, replace(scene, mounted=tuple(m for m in scene.mounted if m.carrier in robots)))
+    writer.keyframes(qpos, ctrl)
+    files = {"load.py": _LOADER.read_bytes(), "scene.xml": xml_text(root), _RULES.name: _RULES.read_bytes()}
+    files |= {f"assets/{name}": data for name, data in assets.files.items()}
+    losses += [*scene_contacts.contact_losses(scene_contacts.contact_geoms(scene), False), *_common_losses(scene)]
     return Artifact("mjcf", "scene.xml", files, tuple(losses))
 
 
@@ -159,12 +204,15 @@ def _check_options(timestep: float, cylinder_sides: float, contacts: str) -> Non
         raise InvalidSceneError(message)
 
 
-def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses) -> ET.Element:
-    """Return the root of an MJCF file that contains compiler settings, solver settings and default classes."""
+def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses | None) -> ET.Element:
+    """Return the root of an MJCF file that contains compiler settings, solver settings and default classes.
+
+    Without ``materials``, MuJoCo's own defaults apply to everything except visual geoms.
+    """
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     root = ET.fromstring(_SETTINGS.read_text(encoding="utf-8").replace("SCENE", scene.name), comments)
     settings = {element.tag: element for element in root}
-    option = {"timestep": number(timestep), "gravity": numbers(scene.gravity)}
+    option = {"timestep": exact(timestep), "gravity": exacts(scene.gravity)}
     # Rolling resistance is small compared with friction, so it requires even stiffer tangential constraints; otherwise,
     # a ball at rest creeps.
     option["impratio"] = "100" if scene_contacts.resists_rolling(scene) else "10"
@@ -175,7 +223,11 @@ def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialC
         ET.SubElement(settings["visual"], "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(settings["visual"], "headlight", own_light)
-    materials.add_defaults(settings["default"][-1])
+    if materials is not None:
+        materials.add_defaults(settings["default"][-1])
+    else:
+        defaults = settings["default"]
+        defaults[:] = [each for each in defaults if each.get("class") == scene_contacts.VISUAL]
     return root
 
 

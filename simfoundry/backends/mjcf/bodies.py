@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.features import Loss, drop
+from simfoundry.backends.mjcf.attachments import add_site
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
@@ -18,7 +19,7 @@ from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_bytes
 from simfoundry.scene.model import Background, Collider, Drive, Joint, JointType, Link, Scene, SceneObject, Visual
 
-_JOINT_TYPES = {
+JOINT_TYPES = {
     JointType.REVOLUTE: "hinge",
     JointType.CONTINUOUS: "hinge",
     JointType.PRISMATIC: "slide",
@@ -35,6 +36,8 @@ def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: 
 
     def fill(body: ET.Element, tree: Tree, link: Link) -> Iterator[float]:
         _fill_body(body, item.qualified(link.name), link, assets, materials)
+        for site in (site for site in item.sites if site.link == link.name):
+            add_site(body, f"{item.name}.{site.name}", site, IDENTITY)
         for joint in (joint for joint in tree.joints if joint.parent == link.name):
             child = _add_child(body, item, joint)
             if joint.type is JointType.BALL:
@@ -66,7 +69,7 @@ def free_joint_name(tree: Tree) -> str:
 def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Element:
     body = ET.SubElement(parent, "body", {"name": item.qualified(joint.child)} | pose_attributes(joint.X_PC))
     if joint.type is not JointType.FIXED:
-        attributes = {"name": f"{item.name}.{joint.name}", "type": _JOINT_TYPES[joint.type]}
+        attributes = {"name": f"{item.name}.{joint.name}", "type": JOINT_TYPES[joint.type]}
         if joint.has_axis:
             attributes["axis"] = numbers(joint.axis)
         if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
@@ -183,16 +186,20 @@ class Assets:
         self.element = element
         self._counts: dict[str, int] = {}
         self._names: dict[object, str] = {}
+        self._files: dict[str, str] = {}
         self._taken: set[str] = set()
 
-    def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
-        """Return the name of the asset for ``mesh``. A new asset is named after ``wish``."""
-        key = (mesh.digest, collides)
+    def mesh(self, mesh: Mesh, wish: str, collides: bool, inertia: str = "") -> str:
+        """Return the name of the asset for ``mesh``. A new asset is named after ``wish``.
+
+        MuJoCo moves a mesh to its inertial frame, which it computes by the ``inertia`` mode or by a suitable default.
+        """
+        key = (mesh.digest, collides, inertia)
         if key not in self._names:
             name = self._names[key] = self._new_name(wish, numbered=collides)
-            file = self._names.get((mesh.digest, not collides), name)
+            file = self._files.setdefault(mesh.digest, name)
             # Visual meshes may be open or flat, which MuJoCo accepts only as shells. The computed mass is not used.
-            inertia = "convex" if collides else "shell"
+            inertia = inertia or ("convex" if collides else "shell")
             ET.SubElement(self.element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]
@@ -251,6 +258,8 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
         drives = stable_drives(item, timestep, implicit_damping=True)
         for joint in (joint for joint in item.joints if joint.name in drives):
             name, drive = f"{item.name}.{joint.name}", drives[joint.name]
+            if drive.actuator:  # written as that actuator
+                continue
             ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
             ctrl.append(drive.target)
     if ctrl:

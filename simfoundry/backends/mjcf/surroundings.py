@@ -13,7 +13,7 @@ from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.mjcf.contact_rules import ROBOTS
 from simfoundry.backends.mjcf.skybox import skybox_light
 from simfoundry.backends.robot_models.mujoco_robot import document_fields
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Camera, JointType, Light, LightType, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 
@@ -25,17 +25,22 @@ _HALF_PIXEL = 0.5
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:
-    """Add a camera with exact intrinsics.
+    """Add a camera with exact intrinsics."""
+    ET.SubElement(world, "camera", camera_attributes(camera))
+
+
+def camera_attributes(camera: Camera, X_BW: Pose = IDENTITY) -> dict[str, str]:
+    """Return the attributes of a camera in a body, where ``X_BW`` is the pose of the camera's parent frame.
 
     MuJoCo measures the principal point from the image center, to the left and up.
     """
-    X_WG = camera.X_WC @ OPENCV_FROM_OPENGL
+    X_WG = X_BW @ camera.X_WC @ OPENCV_FROM_OPENGL
     principal = (camera.width / 2 - (camera.cx + _HALF_PIXEL), camera.height / 2 - (camera.cy + _HALF_PIXEL))
     attributes = {"name": camera.name, "pos": numbers(X_WG.p), "quat": numbers(X_WG.q)}
     # Any sensor with the image's aspect ratio would work; one micrometer per pixel keeps the numbers readable.
     sensor = {"sensorsize": numbers([camera.width * 1e-6, camera.height * 1e-6])}
     lens = {"focalpixel": numbers([camera.fx, camera.fy]), "principalpixel": numbers(principal)}
-    ET.SubElement(world, "camera", attributes | {"resolution": f"{camera.width} {camera.height}"} | sensor | lens)
+    return attributes | {"resolution": f"{camera.width} {camera.height}"} | sensor | lens
 
 
 def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:

@@ -65,6 +65,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     Raises:
         InvalidSceneError: If a name or the time step is invalid.
     """
+    if timestep == TIMESTEP and scene.options.timestep is not None:
+        timestep = scene.options.timestep
     check_timestep(timestep)
     check_names(scene)
     hulls = tuple(hull_losses(scene, REPLACED["pybullet"]))

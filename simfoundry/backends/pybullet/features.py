@@ -6,7 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Loss, approximate, drop, read_cells, splat_losses, variant_losses
+from simfoundry.backends.features import (
+    Loss,
+    approximate,
+    attachment_losses,
+    drop,
+    read_cells,
+    splat_losses,
+    variant_losses,
+)
 from simfoundry.backends.pybullet.surfaces import SKIN, Resistances, link_mean
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.urdf.features import joint_losses
@@ -58,6 +66,7 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
             yield drop(feature, light.name, "PyBullet renders with one light; the first one is used.")
         if light.panorama is not None:
             yield drop("dome_textures", light.name, FEATURES["dome_textures"].reason)
+    yield from attachment_losses(scene, FEATURES, drives=True)
     yield from splat_losses(scene, "PyBullet")
     yield from variant_losses(scene, "PyBullet")
 

@@ -6,7 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Loss, approximate, drop, read_cells, splat_losses, variant_losses
+from simfoundry.backends.features import (
+    Loss,
+    approximate,
+    attachment_losses,
+    drop,
+    read_cells,
+    splat_losses,
+    variant_losses,
+)
 from simfoundry.scene.kinematics import contact_pairs
 from simfoundry.scene.model import JointType, Scene, SceneObject
 
@@ -50,6 +58,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
     yield from (_drop("dome_textures", light.name) for light in scene.lights if light.panorama is not None)
     if scene.background is not None and scene.background.visuals:
         yield _drop("background_mesh", "background")
+    yield from attachment_losses(scene, FEATURES, drives=False)
     yield from splat_losses(scene, "URDF")
     yield from variant_losses(scene, "URDF")
     if scene.relations:

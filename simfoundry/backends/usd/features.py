@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from simfoundry.backends.features import Loss, approximate, drop, read_cells
+from simfoundry.backends.features import Loss, approximate, attachment_losses, drop, read_cells
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.shapes import texture_of
 from simfoundry.geometry.shapes import Mesh
@@ -22,7 +22,8 @@ FEATURES = read_cells(Path(__file__).parent)
 def usd_losses(scene: Scene) -> tuple[Loss, ...]:
     """Return the losses that occur when ``scene`` is written as a stage, in scene order."""
     every = [item for each in scene.objects for item in (each, *each.variants)]
-    return (*_contacts(every), *dict.fromkeys(loss for item in every for loss in _object(item)), *_lights(scene))
+    objects = dict.fromkeys(loss for item in every for loss in _object(item))
+    return (*_contacts(every), *objects, *_lights(scene), *attachment_losses(scene, FEATURES, drives=True))
 
 
 def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:

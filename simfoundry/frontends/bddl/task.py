@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.bddl.problem import BddlGroup, BddlProblem, BddlRegion, ConditionReader, read_problem
-from simfoundry.frontends.documents import relative_path, rounded
+from simfoundry.frontends.document_data import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
@@ -11,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.draft import CameraDraft, LightDraft
-from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.geoms import MjcfSource
+from simfoundry.frontends.mjcf.native import NativeReader
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.asset import DriveSpec
@@ -23,35 +22,43 @@ PICTURE = (640, 480)
 # Maximum number of geom pairs to compare for contact masks, which takes a few seconds.
 MAX_PAIRS = 2_000_000
 
+# Maximum number of pairs of bodies that contact masks may add to a document, which may list at most 1000.
+MAX_EXCLUDED = 500
 
-def add_elements(source: MjcfSource, roots: list[Element]) -> None:
-    """Add all elements other than bodies to the draft, and record the unsupported ones."""
+
+def add_elements(source: MjcfSource, native: NativeReader | None) -> None:
+    """Add all elements other than bodies to the draft, and record the unsupported ones.
+
+    ``native`` keeps what documents cannot express, unless the file was compiled by SimFoundry.
+    """
     _add_mimics(source)
-    _add_drives(source)
-    _add_exclusions(source)
+    if native is None:
+        _add_drives(source)
+    _add_springs(source)
+    _add_exclusions(source, native)
     _add_cameras(source)
     _add_lights(source)
-    if not source.is_own:
-        _note_left_out(source, roots)
+    if native is not None:
+        _note_left_out(source)
 
 
 def _add_mimics(source: MjcfSource) -> None:
-    """Add mimic joints, and record all other equality constraints as dropped."""
+    """Add mimic joints. All other equality constraints are kept as native data."""
     mujoco, model, joints = source.mujoco, source.model, source.joints
     for k in range(model.neq):
-        kind = mujoco.mjtEq(model.eq_type[k])
-        what = f"{kind.name.removeprefix('mjEQ_').lower()} equality {source.label('equality', k)}"
         one, two = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if kind != mujoco.mjtEq.mjEQ_JOINT or one not in joints or two not in joints:
-            source.draft.inexpressible(what)
+        if model.eq_type[k] != mujoco.mjtEq.mjEQ_JOINT or one not in joints or two not in joints:
             continue
         (body, follower), (other, leader) = joints[one], joints[two]
         constant, ratio, *higher = model.eq_data[k][:5].tolist()
-        if body is not other or any(higher) or not bool(model.eq_active0[k]):
-            source.draft.dropped(what, "only linear couplings between two joints in the same object can be expressed")
+        if body is not other or any(higher) or not bool(model.eq_active0[k]) or follower.mimic is not None:
             continue
         zero_one, zero_two = (float(model.jnt(joint).qpos0[0]) for joint in (one, two))
-        follower.mimic = Mimic(leader.name, ratio, zero_one + constant - ratio * zero_two)
+        mimic = Mimic(leader.name, ratio, zero_one + constant - ratio * zero_two)
+        low, high = follower.limits or (-math.inf, math.inf)
+        if source.is_own or low <= mimic.position(leader.position) <= high:
+            follower.mimic = mimic
+            source.mimics.add(k)
 
 
 def _add_drives(source: MjcfSource) -> None:
@@ -77,21 +84,32 @@ def _add_drives(source: MjcfSource) -> None:
         target = float(source.data.ctrl[k]) / gear if stiffness > 0 and model.nkey and gear else None
         stiffness, damping = stiffness * gear**2, damping * gear**2
         driven.drive = DriveSpec(stiffness=stiffness, damping=damping, target=target, force_limit=limit or None)
-    for joint, (_, driven) in joints.items():
-        stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
-        what = f"spring of joint `{driven.name}`"
-        if stiffness and (driven.type == "ball" or driven.drive is not None):
-            draft.dropped(what, "a joint with a drive cannot also have a spring")
-        elif stiffness:
-            driven.drive = DriveSpec(stiffness=stiffness, target=float(model.jnt(joint).qpos_spring[0]))
-            draft.changed(what, "the spring became a drive with the same stiffness")
 
 
-def _add_exclusions(source: MjcfSource) -> None:
+def _add_springs(source: MjcfSource) -> None:
+    """Add joint springs as drives, or as native data where a drive cannot have the same target."""
+    for joint, (_, driven) in source.joints.items():
+        stiffness = float(np.ravel(source.model.jnt_stiffness[joint])[0])
+        if not stiffness or driven.type == "ball" or driven.drive is not None:
+            continue
+        target = float(source.model.jnt(joint).qpos_spring[0])
+        low, high = driven.limits or (-math.inf, math.inf)
+        if stiffness > 0 and low <= target <= high:
+            driven.drive = DriveSpec(stiffness=stiffness, target=target)
+            driven.native["drive"] = "spring"
+        else:
+            driven.native |= {"stiffness": stiffness, "springref": target}
+            why = "a drive needs a positive stiffness and a target within the joint limits; the spring is kept for MJCF"
+            source.draft.changed(f"spring of joint `{driven.name}`", why)
+
+
+def _add_exclusions(source: MjcfSource, native: NativeReader | None) -> None:
     """Add the pairs of bodies excluded by masks or by `<exclude>` elements, except those of compiled proxy geoms."""
     for k, signature in enumerate(source.model.exclude_signature.tolist()):
         one, two = signature >> 16, signature & 0xFFFF
-        if not source.is_own or (one in source.owners and two in source.owners):
+        if native is not None and not _is_expressible(source, one, two):
+            native.exclude(one, two)
+        elif native is not None or (one in source.owners and two in source.owners):
             _exclude(source, one, two, f"exclusion {source.label('exclude', k)}")
     if not source.is_own:  # in compiled files, pairs and masks are derived from contact parameters
         _add_masks(source)
@@ -100,8 +118,6 @@ def _add_exclusions(source: MjcfSource) -> None:
 def _add_masks(source: MjcfSource) -> None:
     """Add the pairs of bodies excluded by contact masks, and record masks that differ within a body as dropped."""
     model, draft, owners = source.model, source.draft, source.owners
-    if model.npair:
-        draft.inexpressible("contact pairs with explicit parameters", f"{model.npair}")
     types, affinities = model.geom_contype, model.geom_conaffinity
     colliders = np.flatnonzero(types | affinities).tolist()
     masks = {(int(types[g]), int(affinities[g])) for g in colliders}
@@ -113,20 +129,30 @@ def _add_masks(source: MjcfSource) -> None:
     by_body: dict[int, list[int]] = {}
     for geom in colliders:
         by_body.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    divided = 0
+    divided, count = 0, 0
     for one, two in combinations(sorted(by_body), 2):
         a, b = np.array(by_body[one])[:, None], np.array(by_body[two])
         meets = ((types[a] & affinities[b]) | (types[b] & affinities[a])).astype(bool)
         if meets.all() or two == int(model.body_parentid[one]) or one == int(model.body_parentid[two]):
             continue
         same = one in owners and two in owners and owners[one][0] is owners[two][0]
+        count += 1
         if meets.any() or not same:
             divided += 1
-        else:
+        elif count <= MAX_EXCLUDED:
             _exclude(source, one, two, "contact masks")
     if divided:
         why = "contact can be excluded only between entire links"
         draft.dropped("contact masks", why, f"{divided} pairs of bodies")
+
+
+def _is_expressible(source: MjcfSource, one: int, two: int) -> bool:
+    """Return True if a document can exclude a pair of bodies that MuJoCo does not exclude itself."""
+    owners = source.owners
+    if one not in owners or two not in owners:
+        return False
+    same = owners[one][0] is owners[two][0]
+    return not (same and any({j.parent, j.child} == {owners[one][1], owners[two][1]} for j in owners[one][0].joints))
 
 
 def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
@@ -211,29 +237,9 @@ def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, flo
     return max(rgb), (rgb[0] / strength, rgb[1] / strength, rgb[2] / strength)
 
 
-def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
-    """Record the kind and the name of every other element that is not imported."""
+def _note_left_out(source: MjcfSource) -> None:
+    """Record the kind and the name of every element that is not imported."""
     model, draft = source.model, source.draft
-    for kind in ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple"):
+    for kind in ("flex", "skin", "text", "tuple"):
         for k in range(int(getattr(model, f"n{kind}", 0))):
             draft.inexpressible(f"{kind} {source.label(kind, k)}")
-    for k in range(1, model.nkey):
-        draft.dropped(f"keyframe {source.label('key', k)}", "a scene has only one state; the first keyframe is used")
-    settings: Counter[str] = Counter()
-    for element in (element for root in roots for element in root.walk() if element.tag in ("option", "flag")):
-        settings.update(f"{element.tag} `{n}`" for n in element.attributes if (element.tag, n) != ("option", "gravity"))
-    for what in sorted(settings):
-        draft.dropped(what, "simulator settings are part of a target, not a scene")
-    for body in np.flatnonzero(model.body_gravcomp).tolist():
-        draft.inexpressible(f"gravity compensation of body {source.label('body', body)}")
-    geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
-    usual_reference = np.isclose(model.geom_solref[geoms], (0.02, 1)).all(axis=1)
-    usual_impedance = np.isclose(model.geom_solimp[geoms], (0.9, 0.95, 0.001, 0.5, 2)).all(axis=1)
-    counts = {
-        "`solref` and `solimp` of geoms": ~(usual_reference & usual_impedance),
-        "`margin` and `gap` of geoms": (model.geom_margin[geoms] != 0) | (model.geom_gap[geoms] != 0),
-        "`priority` of geoms": model.geom_priority[geoms] != 0,
-    }
-    for what, found in counts.items():
-        if found.any():
-            draft.inexpressible(what, f"{int(found.sum())}")

@@ -22,6 +22,7 @@ class MjcfSource:
 
     ``is_own`` is True for files that SimFoundry compiled. ``owners`` maps each body to its body draft, its link, and
     the pose of the link frame in the body frame. ``joints`` maps each joint to its body draft and its joint draft.
+    ``mimics`` contains the equalities that became mimic joints.
     """
 
     mujoco: Any
@@ -31,6 +32,7 @@ class MjcfSource:
     is_own: bool
     owners: dict[int, tuple[BodyDraft, str, Pose]] = field(default_factory=dict)
     joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
+    mimics: set[int] = field(default_factory=set)
 
     def name(self, kind: str, number: int) -> str:
         """Return the name of an element, or an empty string if it is unnamed.
@@ -50,6 +52,13 @@ HIDDEN_GROUP = 3
 
 # Default color of a geom in MuJoCo.
 UNSET = (0.5, 0.5, 0.5, 1.0)
+
+
+def height_field_extents(model: Any, field: int) -> tuple[float, float, float, float]:
+    """Return the width, the depth, the height of the highest point and the depth of the base of a height field [m]."""
+    x, y, height, base = model.hfield_size[field].tolist()
+    start, count = int(model.hfield_adr[field]), int(model.hfield_nrow[field] * model.hfield_ncol[field])
+    return 2 * x, 2 * y, height * float(model.hfield_data[start : start + count].max(initial=0.0)), base
 
 
 class MjcfGeoms:
@@ -85,6 +94,9 @@ class MjcfGeoms:
                 X_BG = X_BG @ X_GB
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
                 geometry, X_BG = self.mesh(geom, X_BG)
+            case types.mjGEOM_HFIELD if not self.source.is_own:
+                geometry, X_GB = self.height_field(geom, name)
+                X_BG = X_BG @ X_GB
             case _:
                 why = f"the scene language does not support the geom type {kind_name}"
                 self.draft.dropped(f"geom `{name or geom}`", why)
@@ -195,3 +207,10 @@ class MjcfGeoms:
         shape = (height, width) if channels == 1 else (height, width, channels)
         Image.fromarray(pixels.reshape(shape)).convert("RGB").save(stream, format="PNG")
         return stream.getvalue()
+
+    def height_field(self, geom: int, name: str) -> tuple[PrimitiveShape, Pose]:
+        """Return a box that represents a height field up to its highest point, and its pose in the geom."""
+        width, depth, top, bottom = height_field_extents(self.model, int(self.model.geom_dataid[geom]))
+        why = "the height field is represented by a box up to its highest point; only MJCF keeps its heights"
+        self.draft.changed(f"height field `{name or geom}`", why)
+        return primitive("box", width, depth, top + bottom), Pose.of([0.0, 0.0, (top - bottom) / 2])

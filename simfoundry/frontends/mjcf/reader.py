@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft
+from simfoundry.frontends.draft import BodyDraft, CompiledName, ImportOptions, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import Element, FileSearch, NotFoundError, missing_file, read_xml
 from simfoundry.frontends.mass_repair import feather_link, inertia_of_moments, repair_masses
@@ -18,6 +18,8 @@ from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
+from simfoundry.frontends.mjcf.native import NativeReader
+from simfoundry.frontends.mjcf.native_state import plain
 from simfoundry.frontends.names import free_name
 from simfoundry.geometry.frames import IDENTITY, Pose
 
@@ -152,6 +154,7 @@ class _MjcfReader:
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
+        self.native = NativeReader(self.source, roots) if self.own is None else None
         self.free_joints: dict[str, str] = {}  # names of free joints, by body name
         self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
@@ -184,12 +187,33 @@ class _MjcfReader:
                 self.chain(draft, body, parent, X_LB, self.joints_of(body))
         if not self.draft.bodies:
             raise ImportRefusedError(self.path, "the model has no bodies and no geoms")
-        add_elements(self.source, self.roots)
+        add_elements(self.source, self.native)
         if self.own is not None:
             poses = {self.names["body"][b]: self.body_pose(b) for b in range(1, model.nbody)}
             restore(self.draft, self.own, poses, self.free_joints)
+        if self.native is None:
+            repair_masses(self.draft, str(self.path))
+            return self.draft
+        given = {link: self.measured(link) for body in self.draft.bodies for link in body.links.values()}
         repair_masses(self.draft, str(self.path))
+        for body, (owner, name, _) in self.source.owners.items():
+            link = owner.links[name]
+            if given[link] != self.measured(link) and "massless" not in link.native:
+                link.native["inertial"] = self.inertial(body)
+        self.draft.native = self.native.read(self.roots)
         return self.draft
+
+    @staticmethod
+    def measured(link: LinkDraft) -> tuple[Any, ...]:
+        """Return the mass properties of a link for comparison."""
+        arrays = (link.com, link.inertia)
+        return (link.mass, *(None if array is None else tuple(array.ravel().tolist()) for array in arrays))
+
+    def inertial(self, body: int) -> dict[str, Any]:
+        """Return the attributes of a body's inertia."""
+        model = self.model
+        fields = {"mass": "mass", "pos": "ipos", "quat": "iquat", "diaginertia": "inertia"}
+        return {key: plain(getattr(model, f"body_{field}")[body]) for key, field in fields.items()}
 
     def world(self) -> None:
         """Convert each geom in the world body to a fixed object, and a compiled scene's background to a mesh."""
@@ -205,7 +229,12 @@ class _MjcfReader:
             X_WG, part.X_LG = part.X_LG, Pose.of()
             name = name or part.name
             unique = name if name == self.draft.free_name(name) else f"{name}_{geom}"
-            self.draft.bodies.append(BodyDraft(unique, "base", {"base": LinkDraft("base", [part])}, [], True, X_WG))
+            link = LinkDraft("base", [part])
+            if self.native is not None:
+                link.native["merge"] = True
+                self.native.geom(geom, part)
+                self.native.places["geom", geom] = CompiledName("geom", unique, part)
+            self.draft.bodies.append(BodyDraft(unique, "base", {"base": link}, [], True, X_WG))
         if background:
             self.draft.background = mesh_of_parts(background, "background")
 
@@ -221,12 +250,18 @@ class _MjcfReader:
                 self.free_joints[name] = self.names["joint"][joints[0]]
                 self.note_free_dynamics(joints[0])
             self.add_link(draft, body)
+            if free and self.native is not None and (kept := self.native.free_joint(joints[0])):
+                draft.links[name].native["freejoint"] = kept
             if int(model.body_mocapid[body]) >= 0:
                 self.draft.changed(f"mocap body `{name}`", "mocap bodies are not supported, so the body is fixed")
             return
         base = self.base_name(body)
         X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
-        draft = BodyDraft(unique, base, {base: LinkDraft(base, mass=0.0)}, fixed=True, X_WO=X_WB)
+        root = LinkDraft(base, mass=0.0)
+        if self.native is not None:
+            root = feather_link(base, float(model.body_subtreemass[body]))
+            root.native["merge"] = True
+        draft = BodyDraft(unique, base, {base: root}, fixed=True, X_WO=X_WB)
         self.draft.bodies.append(draft)
         self.chain(draft, body, base, Pose.of(), joints)
 
@@ -267,6 +302,7 @@ class _MjcfReader:
             anchor, parent, X_PB = model.jnt_pos[joint], link, Pose.of()
             if not is_last:
                 draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
+                feather.native |= {} if self.native is None else {"merge": True}
                 why = "a link can have only one parent joint, so a link with negligible mass was inserted"
                 self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         self.add_link(draft, body, Pose.of(model.jnt_pos[joints[-1]]))
@@ -282,10 +318,11 @@ class _MjcfReader:
         out = JointDraft(name, "revolute", parent, child, X_PL, axis, damping=float(source.damping.flat[0]))
         out.friction, out.armature = float(source.frictionloss[0]), float(source.armature[0])
         is_limited, qpos = bool(source.limited), self.data.joint(joint).qpos
+        out.native = {} if self.native is None else self.native.joint(joint, is_limited)
         if kind == kinds.mjJNT_BALL:
             out.type = "ball"
             out.motion = Pose.of(q=source.qpos0).inverse() @ Pose.of(q=qpos)
-            if is_limited:
+            if is_limited and self.native is None:
                 self.draft.inexpressible(f"limit of ball joint `{name}`")
             return out
         if model.jnt_actfrclimited[joint]:
@@ -330,6 +367,15 @@ class _MjcfReader:
             if (part := self.geoms.part(geom)) is not None:
                 part.X_LG = X_LB @ part.X_LG
                 link.parts.append(part)
+                if self.native is not None:
+                    self.native.geom(geom, part)
+        if self.native is not None:
+            self.native.body(body, link, X_LB)
+            if not link.mass:
+                feather = feather_link(name, float(model.body_subtreemass[model.body_rootid[body]]))
+                link.mass, link.com, link.inertia = feather.mass, feather.com, feather.inertia
+                link.assumed, link.native["massless"] = "import", True
+                return
         if link.mass:
             link.com = X_LB.apply(np.array(model.body_ipos[body]))
             axes = (X_LB @ Pose.of(q=model.body_iquat[body])).rotation

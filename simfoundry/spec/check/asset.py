@@ -46,6 +46,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         if joint.drive is not None and joint.drive.target is not None:
             place = ("joints", name, "drive", "target")
             _within(c, f"the target of `{name}`", joint, joint.drive.target, place)
+    _attachments(c, spec)
     check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 
 
@@ -101,6 +102,21 @@ def _mimics(c: Checker, spec: AssetSpec) -> None:
             cycle = " → ".join(f"`{joint}`" for joint in (name, *between, name))
             message = f"`{name}` follows itself through other joints: {cycle}"
             c.add("SF211", path, message, "remove `mimic` from one of them")
+
+
+def _attachments(c: Checker, spec: AssetSpec) -> None:
+    """Check that sites, actuators and sensors name existing elements."""
+    for name, site in spec.sites.items():
+        c.name(site.link, c.names("links"), ("sites", name, "link"), "link")
+    for name, actuator in spec.actuators.items():
+        path = ("actuators", name, "joint")
+        kind = spec.joints[actuator.joint].type if actuator.joint in spec.joints else ""
+        if c.name(actuator.joint, c.names("joints"), path, "joint") and kind in ("fixed", "ball", "free"):
+            c.add("SF107", path, f"`{actuator.joint}` is a {kind} joint, which has no single axis to drive")
+    for name, sensor in spec.sensors.items():
+        for key in ("site", "joint", "link"):
+            if (target := getattr(sensor, key)) is not None:
+                c.name(target, c.names(f"{key}s"), ("sensors", name, key), key)
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:

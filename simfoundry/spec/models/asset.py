@@ -12,6 +12,7 @@ from simfoundry.spec.models.base import (
     Color,
     DocumentSpec,
     FileName,
+    Interval,
     Material,
     Model,
     Name,
@@ -28,6 +29,7 @@ from simfoundry.spec.models.base import (
     exclusive,
     fault,
 )
+from simfoundry.spec.models.native import ActuatorNative, JointNative, LinkNative, PartNative, SensorNative, SiteNative
 from simfoundry.spec.models.shapes import PartShape
 
 
@@ -45,6 +47,7 @@ class PartSpec(Model):
         description="A `visual` part is rendered but neither collides nor has mass; a `collision` part collides and "
         "has mass but is not rendered.",
     )
+    native: PartNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent
     def _one_geometry(self) -> None:
@@ -96,6 +99,7 @@ class LinkSpec(BodySpec):
 
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
+    native: LinkNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent
     def _mass(self) -> None:
@@ -174,6 +178,7 @@ class JointSpec(Model):
     )
     mimic: MimicSpec | None = Field(None, description="Coupling to another joint that this joint follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
+    native: JointNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent
     def _consistent(self) -> None:
@@ -207,6 +212,78 @@ class JointSpec(Model):
                 raise fault("sf107", message, name)
 
 
+class SiteSpec(Model):
+    """A named frame on a link, to which sensors and tools can be attached."""
+
+    link: Name = Field(description="The link that the site belongs to.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
+    native: SiteNative | None = Field(None, description="Data that only one format knows.")
+
+
+class ActuatorSpec(Model):
+    """An actuator of a joint, whose force is `gear` times a function of its control.
+
+    The force is the control (`motor`), `kp` times the deviation of the scaled joint position from the control minus
+    `kv` times the scaled velocity (`position`), or `kv` times the deviation of the scaled velocity from the control
+    (`velocity`). Position and velocity are scaled by `gear`.
+    """
+
+    type: Literal["motor", "position", "velocity"] = Field(description="Quantity that the control commands.")
+    joint: Name = Field(description="The joint that the actuator drives; it must have one axis.")
+    gear: Number = Field(1.0, description="Ratio of the force at the joint to the force of the actuator.")
+    kp: Positive | None = Field(None, description="Position gain of a `position` actuator [N/m, or N m/rad].")
+    kv: NonNegative = Field(0.0, description="Velocity gain [N s/m, or N m s/rad].")
+    control: Number = Field(0.0, description="Initial control [N, m or m/s, or N m, rad or rad/s].")
+    control_range: Interval | None = Field(
+        None, description="Minimum and maximum control [N, m or m/s, or N m, rad or rad/s]; default: unlimited."
+    )
+    force_range: Interval | None = Field(None, description="Minimum and maximum force [N, or N m]; default: unlimited.")
+    native: ActuatorNative | None = Field(None, description="Data that only one format knows.")
+
+    @consistent
+    def _gains(self) -> None:
+        if (self.kp is not None) != (self.type == "position"):
+            what = "needs `kp`" if self.type == "position" else "has no `kp`"
+            raise fault("sf107", f"a {self.type} actuator {what}", "" if self.kp is None else "kp")
+        if self.kv and self.type == "motor":
+            raise fault("sf107", "a motor actuator has no `kv`", "kv")
+        if not self.kv and self.type == "velocity":
+            raise fault("sf107", "a velocity actuator needs a positive `kv`")
+        ends = self.control_range
+        if ends is not None and not ends[0] <= self.control <= ends[1]:
+            raise fault("sf104", "the initial `control` is outside `control_range`", "control")
+
+
+SENSED_SITE = ("touch", "accelerometer", "velocimeter", "gyro", "force", "torque", "magnetometer", "rangefinder")
+SENSED_JOINT = ("joint_position", "joint_velocity")
+SENSED_FRAME = ("position", "orientation", "linear_velocity", "angular_velocity")
+
+
+class SensorSpec(Model):
+    """A sensor at a site, a joint or a link."""
+
+    type: Literal[
+        "touch", "accelerometer", "velocimeter", "gyro", "force", "torque", "magnetometer", "rangefinder",
+        "joint_position", "joint_velocity", "position", "orientation", "linear_velocity", "angular_velocity",
+    ] = Field(description="Quantity that the sensor measures.")  # fmt: skip
+    site: Name | None = Field(None, description="The site that the sensor is attached to.")
+    joint: Name | None = Field(None, description="The joint that the sensor measures.")
+    link: Name | None = Field(None, description="The link whose frame the sensor measures.")
+    noise: NonNegative = Field(0.0, description="Standard deviation of the noise, in the unit of the quantity.")
+    cutoff: NonNegative = Field(0.0, description="Largest magnitude of a measurement; 0 is unlimited.")
+    native: SensorNative | None = Field(None, description="Data that only one format knows.")
+
+    @consistent
+    def _attached(self) -> None:
+        exclusive(self, "site", "joint", "link", needed=True)
+        places = (
+            ("joint",) if self.type in SENSED_JOINT else ("site", "link") if self.type in SENSED_FRAME else ("site",)
+        )
+        if all(getattr(self, place) is None for place in places):
+            listed = " or ".join(f"`{place}`" for place in places)
+            raise fault("sf107", f"a sensor of type `{self.type}` needs {listed}")
+
+
 class AssetSpec(DocumentSpec):
     """A reusable object with one or more links."""
 
@@ -222,4 +299,7 @@ class AssetSpec(DocumentSpec):
         max_length=1000,
         description="Pairs of links that do not collide, in addition to links connected by a joint.",
     )
+    sites: dict[Name, SiteSpec] = Field({}, description="Named frames on the links, by name.")
+    actuators: dict[Name, ActuatorSpec] = Field({}, description="Actuators of the joints, by name.")
+    sensors: dict[Name, SensorSpec] = Field({}, description="Sensors at sites, joints and links, by name.")
     origin: Origin | None = Field(None, description="Origin of the asset.")

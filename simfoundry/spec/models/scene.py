@@ -36,6 +36,7 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.capture import FocalLength, ImagePoint
+from simfoundry.spec.models.native import ObjectNative, SceneNative
 from simfoundry.spec.models.reuse import FramedPose, IncludeSpec, ReferenceFrame, Repeat
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.shapes import Shape
@@ -186,6 +187,7 @@ class ObjectFields(GeometrySpec):
         "variant set.",
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
+    native: ObjectNative | None = Field(None, description="Data that only one format knows, for inline shapes.")
 
     @consistent
     def _consistent(self) -> None:
@@ -296,6 +298,17 @@ class BackgroundSpec(Model):
         exclusive(self, "mesh", "splat", needed=True)
 
 
+class OptionsSpec(Model):
+    """Options of the simulation, which replace those of the targets."""
+
+    timestep: Annotated[Positive, Field(le=1)] | None = Field(
+        None, description="Time step of the simulation [s]; default: the target's."
+    )
+    solver_iterations: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        None, description="Maximum number of iterations of the constraint solver; default: the target's."
+    )
+
+
 class SceneSpec(DocumentSpec):
     """A scene. The world frame is right-handed with z up, and all units are SI."""
 
@@ -306,6 +319,7 @@ class SceneSpec(DocumentSpec):
         "from the viewer and y points left.",
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
+    options: OptionsSpec | None = Field(None, description="Options of the simulation.")
     parameters: dict[Name, Number] = Field(
         {}, description="Numbers by name; `$gap`, `2 * $gap + 0.1` can be written wherever a number is expected."
     )
@@ -323,6 +337,9 @@ class SceneSpec(DocumentSpec):
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")
+    native: SceneNative | None = Field(
+        None, description="Data that only one format knows. With `mjcf`, MuJoCo's own rules for contacts apply."
+    )
 
 
 # Joint position as written: a number [m or rad], an angle in degrees, or the pose of a ball or free joint.

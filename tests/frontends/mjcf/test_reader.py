@@ -93,7 +93,8 @@ def test_planes_cameras_and_what_is_left_out(importing: Importing) -> None:
     assert camera.fy == pytest.approx(120 / np.tan(np.radians(25)))
     assert camera.X_WC.rotation @ [0, 0, 1] == pytest.approx([-0.7071, 0, -0.7071], abs=1e-4)
     assert camera.X_WC.rotation @ [1, 0, 0] == pytest.approx([0, 1, 0], abs=1e-4)
-    assert ("dropped", "tendon `rope`") in {(str(n.kind), n.what) for n in report.notes}
+    assert ("changed", "plane `floor`") in {(str(n.kind), n.what) for n in report.notes}
+    assert scene.native is not None and scene.native["tendon"][0]["fixed"]["name"] == "rope"
 
 
 def test_the_principal_point_is_where_mujoco_draws_it(importing: Importing) -> None:
@@ -164,7 +165,8 @@ def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
     collider = thing.links[1].colliders[0]
     assert (collider.friction, collider.torsional_friction, collider.rolling_friction) == (0.7, 0.02, 0.003)
     assert scene.object("e").joints[0].type is JointType.BALL
-    assert "actuator number 2" in {n.what for n in report.notes}
+    assert [(a.name, a.type) for a in thing.actuators] == [("servo", "position"), ("actuator_1", "motor")]
+    assert not report.notes
 
 
 def test_inertias_are_those_that_mujoco_takes(importing: Importing) -> None:
@@ -195,15 +197,12 @@ HAND = """<mujoco><worldbody><body name="hand"><freejoint/><geom size=".1" mass=
   <contact><exclude body1="hand" body2="pad"/><exclude body1="cup" body2="pad"/>{more}</contact></mujoco>"""
 
 
-def test_a_massless_body_takes_its_exclusions_along(importing: Importing) -> None:
-    _, scene = importing("m.xml", HAND.format(pad="<site/>", more=""))
-    assert scene.object("hand").no_contact == () and scene.no_contact == ()  # nothing of the pad touches
-    pad = '<geom size=".02" mass="0"/>'
-    report, scene = importing("m.xml", HAND.format(pad=pad, more='<exclude body1="cup" body2="finger"/>'))
-    (pair,) = scene.no_contact
-    assert set(pair) == {"cup", "hand.finger"}
-    (note,) = [n for n in report.notes if n.what.startswith("excluded contact")]
-    assert "`pad` and `hand`" in note.what and note.detail == "not excluded"
+def test_a_massless_body_stays_a_link_with_its_exclusions(importing: Importing) -> None:
+    report, scene = importing("m.xml", HAND.format(pad='<geom size=".02" mass="0"/>', more=""))
+    hand = scene.object("hand")
+    assert [link.name for link in hand.links] == ["hand", "finger", "pad"] and hand.links[2].mass < 1e-6
+    assert hand.no_contact == (("hand", "pad"),) and scene.no_contact == (("cup", "hand.pad"),)
+    assert not report.notes
 
 
 def test_a_camera_in_a_massless_body_rides_on_what_carries_it(importing: Importing) -> None:
@@ -213,12 +212,12 @@ def test_a_camera_in_a_massless_body_rides_on_what_carries_it(importing: Importi
     </worldbody></mujoco>"""
     _, scene = importing("m.xml", text)
     (mounted,) = scene.mounted
-    assert (mounted.carrier, mounted.link) == ("arm", "mount")
+    assert (mounted.carrier, mounted.link) == ("arm", "cam_frame")
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     arm = scene.object("arm")
-    X_WC = arm.X_WO @ link_poses(arm)["mount"] @ mounted.camera.X_WC
+    X_WC = arm.X_WO @ link_poses(arm)["cam_frame"] @ mounted.camera.X_WC
     assert X_WC.p == pytest.approx(data.cam_xpos[0])
     assert X_WC.rotation @ np.diag([1, -1, -1]) == pytest.approx(data.cam_xmat[0].reshape(3, 3))
 
@@ -247,11 +246,11 @@ def test_an_unforeseen_error_is_a_refusal_with_its_line(tmp_path: Path, monkeypa
     def broken(_: object) -> None:
         raise KeyError("pad")
 
-    monkeypatch.setattr("simfoundry.frontends.documents.pose_data", broken)
+    monkeypatch.setattr("simfoundry.frontends.asset_documents.pose_data", broken)
     source = tmp_path / "m.xml"
     source.write_text(HAND.format(pad="", more=""))
     with pytest.raises(
-        ImportRefusedError, match=r"m\.xml:3: the importer failed .*KeyError: 'pad' \(frontends/documents"
+        ImportRefusedError, match=r"m\.xml:3: the importer failed .*KeyError: 'pad' \(frontends/asset_doc"
     ):
         import_file(source, tmp_path / "m.scene.yaml", ImportOptions())
 

@@ -225,9 +225,10 @@ KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
-    *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters"),
+    *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
+    *("noise", "cutoff", "solver_iterations"),
 }
-"""Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
+"""Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor)."""
 
 
 def _numbers(kind: str, body: Any) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import srgb_of_linear
-from simfoundry.frontends.documents import rounded
+from simfoundry.frontends.document_data import rounded
 from simfoundry.frontends.names import free_name
 from simfoundry.frontends.usd.compiled.stage import (
     Edited,

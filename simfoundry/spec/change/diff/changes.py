@@ -139,8 +139,8 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 
 # Document sections with named members, in the order in which changes are shown.
 NAMED = (
-    *("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames"),
-    *("templates", "include"),
+    *("objects", "robots", "links", "joints", "sites", "actuators", "sensors", "subtasks", "cameras", "lights"),
+    *("materials", "frames", "templates", "include"),
 )
 
 # Keys whose value is a mapping with named members.
