@@ -76,6 +76,17 @@ class Lowering:
         """The frames of the scene."""
         return FrameTree(self.spec)
 
+    def viewer(self, placed: Mapping[str, SceneObject]) -> Pose | None:
+        """Return the frame that defines left and right, which may depend on objects that are already placed.
+
+        Raises:
+            SpecError: If the viewpoint is a camera at the center of its target.
+        """
+        try:
+            return self.frames.viewer(self.spec.viewpoint, placed)
+        except PlaceError as error:
+            raise SpecError([self.loaded.finding("SF210", ("viewpoint",), error.message, error.hint)]) from None
+
     def run(self, passes: tuple[Pass, ...]) -> Scene:
         """Run the passes and return the scene.
 
@@ -84,8 +95,7 @@ class Lowering:
         """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
-        seen = self.spec.viewpoint
-        viewer = None if self.frames.viewer_needs(seen) else self.frames.viewer(seen)
+        viewer = None if self.frames.viewer_needs(self.spec.viewpoint) else self.viewer({})
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer)
         if (given := self.spec.options) is not None:
             scene = replace(scene, options=Options(given.timestep, given.solver_iterations))
@@ -196,7 +206,7 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     work = ObjectLowering(loaded, lowering.cache, cuts=False)
     found = {name: item for name in names if (item := work.lower(name)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
-    viewer = lowering.frames.viewer(spec.viewpoint)
+    viewer = lowering.viewer({})
     placements = lowering.placements
     return _findings(lowering, certain_misfits(shapes, placements, viewer, draft.approximate, lowering.frames))
 
@@ -251,7 +261,7 @@ def _moving_viewer(lowering: Lowering, scene: Scene) -> Pose | None:
             hint = "let the camera look at a point"
             raise SpecError([lowering.loaded.finding("SF210", ("viewpoint",), message, hint)])
     placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None, frames)
-    return frames.viewer(viewpoint, placed)
+    return lowering.viewer(placed)
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
