@@ -40,7 +40,7 @@ scene: bench.scene.yaml
 instruction: Lift the block.
 goal: Higher(block, 0.2)
 reset: {objects: {block: {x: [0.31, 0.33], y: [0.08, 0.12]}}}
-horizon: 12
+horizon: 15
 """
 
 

@@ -37,7 +37,7 @@ name: lift
 scene: bench.scene.yaml
 instruction: Lift the block.
 goal: Grasped(block)
-horizon: 12
+horizon: 15
 """
 HAND = '<mujoco><worldbody><body name="a"><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
 READER = """

@@ -98,6 +98,11 @@ def _of_joints(label: str, test: Callable[[Joint], object], quantity: str = "") 
     return Feature("joint", label, users, quantity)
 
 
+def _several_axes(scene: Scene) -> list[str]:
+    found = [(item, above) for item in scene.objects for above in item.joints_above.values() if len(above) > 1]
+    return [f"{item.name}.{joint.name}" for item, above in found for joint in above]
+
+
 def _of_lights(label: str, kind: LightType) -> Feature:
     return Feature("scene", label, lambda scene: [light.name for light in scene.lights if light.type is kind])
 
@@ -117,16 +122,32 @@ def _of_attached(label: str, field: str) -> Feature:
     )
 
 
+# What the elements of the sections of native data are called in the singular and the plural.
+_NATIVE_WORDS = {
+    "asset": ("height field", "height fields"),
+    "worldbody": ("site", "sites"),
+    "contact": ("contact pair", "contact pairs"),
+    "tendon": ("tendon", "tendons"),
+    "equality": ("equality", "equalities"),
+    "actuator": ("actuator", "actuators"),
+    "sensor": ("sensor", "sensors"),
+    "custom": ("custom value", "custom values"),
+    "keyframe": ("keyframe", "keyframes"),
+    "settings": ("setting", "settings"),
+    "links": ("link", "links"),
+    "joints": ("joint", "joints"),
+    "parts": ("part", "parts"),
+}
+
+
 def native_count(scene: Scene) -> dict[str, int]:
-    """Return the number of elements and of sets of attributes that only MJCF knows, by kind."""
+    """Return the number of elements, settings and sets of attributes that only MJCF knows, by their words."""
     data = scene.native or {}
-    counts = Counter(tag for elements in data.values() if isinstance(elements, list | tuple)
-                     for element in elements for tag in element)  # fmt: skip
-    counts.update({"setting": sum(len(v) for k, v in data.items() if isinstance(v, Mapping) and k != "order")})
+    counts = Counter({key: len(value) for key, value in data.items() if key in _NATIVE_WORDS})
+    counts["settings"] = sum(len(v) for k, v in data.items() if k not in _NATIVE_WORDS and k != "order")
     for item in scene.objects:
-        own = item.native
-        counts.update({"link": len(own.links), "joint": len(own.joints), "part": len(own.parts)})
-    return {kind: count for kind, count in counts.items() if count}
+        counts.update({key: len(getattr(item.native, key)) for key in ("links", "joints", "parts")})
+    return {_NATIVE_WORDS[key][count > 1]: count for key, count in counts.items() if count}
 
 
 def attachment_losses(scene: Scene, cells: Cells, drives: bool) -> Iterator[Loss]:
@@ -144,7 +165,7 @@ def attachment_losses(scene: Scene, cells: Cells, drives: bool) -> Iterator[Loss
     if cells["options"].fidelity is not None and scene.options != Options():
         yield Loss("options", "options", cells["options"].fidelity, cells["options"].reason)
     if found := native_count(scene):
-        known = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in found.items())
+        known = ", ".join(f"{count} {word}" for word, count in found.items())
         yield drop("native", "native.mjcf", f"{known} {'are' if sum(found.values()) > 1 else 'is'} known to MJCF only.")
 
 
@@ -218,6 +239,7 @@ FEATURES: dict[str, Feature] = {
     "prismatic": _of_joints("prismatic joints", lambda j: j.type is JointType.PRISMATIC),
     "ball": _of_joints("ball joints", lambda j: j.type is JointType.BALL),
     "free": _of_joints("free joints", lambda j: j.type is JointType.FREE),
+    "several_axes": Feature("joint", "joints with several axes", _several_axes, "axes"),
     "mimic": _of_joints("mimic joints", lambda j: j.mimic is not None, "mimic"),
     "drive": _of_joints("joint drives", lambda j: j.drive is not None, "drive"),
     "joint_position": _of_joints("joint positions", lambda j: j.type is not JointType.FIXED, "position"),

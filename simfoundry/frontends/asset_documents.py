@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from simfoundry.frontends.document_data import Data, color_data, native_data, pose_data, without_empty
-from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.joint_data import joint_entry
 from simfoundry.frontends.meshes import FileShelf
 from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.spec.models.asset import AssetSpec
@@ -66,7 +66,7 @@ def asset_spec(
         "name": name,
         "materials": materials,
         "links": {link_names[n]: _link_data(body.links[n], shelf, materials) for n in body.link_order},
-        "joints": {joint_names[j.name]: _joint_data(j, link_names, joint_names) for j in body.joints},
+        "joints": dict(joint_entry(group, link_names, joint_names, joints) for group in body.joint_groups),
         "no_contact": tuple((link_names[a], link_names[b]) for a, b in body.no_contact),
         **{f"{kind}s": dict(found.values()) for kind, found in attached.items()},
         **_category(body),
@@ -199,33 +199,6 @@ def _part_data(part: PartDraft, shelf: FileShelf) -> Data:
     if part.use != "both":
         out["use"] = part.use
     return out | native_data(part.native)
-
-
-def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str, str]) -> Data:
-    out: Data = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
-    out |= without_empty({"pose": pose_data(joint.X_PC)}) | native_data(joint.native)
-    if joint.type in ("fixed", "free"):
-        return out
-    if joint.type != "ball":
-        out["axis"] = tuple(joint.axis.tolist())
-    if joint.limits is not None and joint.type == "prismatic":
-        out["limits"] = tuple(map(float, joint.limits))
-    elif joint.limits is not None and joint.type == "revolute":
-        out["limits_deg"] = tuple(map(math.degrees, joint.limits))
-    if joint.closed is not None and joint.type in ("revolute", "prismatic"):
-        out["closed"] = joint.closed
-    out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
-    if joint.effort is not None and joint.type != "ball":
-        out["effort"] = float(joint.effort)
-    if joint.velocity is not None and joint.type == "prismatic":
-        out["velocity"] = float(joint.velocity)
-    elif joint.velocity is not None and joint.type != "ball":
-        out["velocity_deg"] = math.degrees(joint.velocity)
-    if joint.mimic is not None:
-        out["mimic"] = asdict(joint.mimic) | {"joint": joints[joint.mimic.joint]}
-    if joint.drive is not None:
-        out["drive"] = to_data(joint.drive)
-    return out
 
 
 def placement_data(body: BodyDraft) -> Data:

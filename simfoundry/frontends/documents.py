@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ class _SceneBuilder:
         data: Data = {"asset": f"{self.folder}/{called}.asset.yaml", **placement_data(body)}
         states = {
             name: pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
-            for name, joint in zip(asset.joints, body.joints, strict=True)
+            for name, joint in zip(asset.single_joints, chain(*body.joint_groups), strict=True)
             if joint.mimic is None
         }
         return data | without_empty({"joints": {name: state for name, state in states.items() if state}})

@@ -247,6 +247,11 @@ class BodyDraft:
         return next((j for j in self.joints if j.child == link), None)
 
     @property
+    def joint_groups(self) -> list[list[JointDraft]]:
+        """Return the joints by child. Several joints with the same child are the axes of one joint, in order."""
+        return [[j for j in self.joints if j.child == child] for child in dict.fromkeys(j.child for j in self.joints)]
+
+    @property
     def link_order(self) -> list[str]:
         """Return the link names, with the root first."""
         return [self.root, *(name for name in self.links if name != self.root)]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
+from simfoundry.geometry.frames import Array
 from simfoundry.geometry.vertical_contact import heights
 from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.lints import Lint, Subject, warning, where
@@ -159,3 +162,41 @@ def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
 
 
 UNSUPPORTED = Lint("SF411", ("scene/1",), unsupported)
+
+
+def region_off_support(subject: Subject) -> Iterator[Diagnostic]:
+    """Find reset regions with a cell in which nothing is below the object, so that no initial state is found for it.
+
+    Only bounding boxes are compared, so a cell that is partly on a support is not reported.
+    """
+    draft, grid = subject.scene, subject.task.reset.grid
+    if _may_rest_on_unplaced(draft) or not any(item.fixed for item in draft.scene.objects):
+        return
+    for name, region in subject.task.reset.objects.items():
+        if name not in draft.bounds:
+            continue
+        low, high = draft.bounds[name]
+        x, y = draft.scene.by_name[name].X_WO.p[:2].tolist()
+        around = max(math.dist(corner, (x, y)) for corner in product((low[0], high[0]), (low[1], high[1])))
+        below = [b for other, b in draft.bounds.items() if other != name and b[0][2] < low[2] + CLOSE]
+        for cell in product(*(_ends(ends, count) for ends, count in zip((region.x, region.y), grid, strict=True))):
+            if not any(_overlaps(cell, bottom, top, around) for bottom, top in below):
+                spans = " and ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, (a, b) in zip("xy", cell, strict=True))
+                message = f"nothing is below `{name}` in the cell of its region at {spans}"
+                hint = "an initial state must exist for each cell; make the region smaller, or move it over the support"
+                yield warning(subject.loaded, "SF411", ("reset", "objects", name), message, hint, (name,))
+                break
+
+
+def _ends(ends: tuple[float, float], count: int) -> list[tuple[float, float]]:
+    """Return the first and the last of ``count`` equal intervals between two ends."""
+    step = (ends[1] - ends[0]) / count
+    return [(ends[0], ends[0] + step), (ends[1] - step, ends[1])]
+
+
+def _overlaps(cell: tuple[tuple[float, float], ...], low: Array, high: Array, around: float) -> bool:
+    """Return True if a box is within ``around`` [m] of a cell, given by its intervals along x and y."""
+    return all(a - around < high[k] and low[k] < b + around for k, (a, b) in enumerate(cell))
+
+
+REGION_OFF_SUPPORT = Lint("SF411", ("task/1",), region_off_support)

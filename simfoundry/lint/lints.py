@@ -118,6 +118,7 @@ LINTS = Registry(
         "lost_texture": "simfoundry.lint.views:LOST_TEXTURE",
         "overlap": "simfoundry.lint.contacts:OVERLAP",
         "unsupported": "simfoundry.lint.contacts:UNSUPPORTED",
+        "region_off_support": "simfoundry.lint.contacts:REGION_OFF_SUPPORT",
         "out_of_view": "simfoundry.lint.views:OUT_OF_VIEW",
         "broken_relation": "simfoundry.lint.conditions:BROKEN_RELATION",
         "true_at_start": "simfoundry.lint.conditions:TRUE_AT_START",

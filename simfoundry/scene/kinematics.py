@@ -35,12 +35,26 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
     """
     poses = {item.root.name: IDENTITY}
     for link in item.links[1:]:
-        joint = item.joint_above[link.name]
-        position: float | Pose = joint.position if joint.has_axis else joint.motion
-        if joints is not None:
-            position = joints.get(joint.name, position)
-        poses[link.name] = poses[joint.parent] @ joint.X_PC @ joint_transform(joint, position)
+        above = item.joints_above[link.name]
+        X_OL = poses[above[0].parent]
+        for joint in above:
+            position: float | Pose = joint.position if joint.has_axis else joint.motion
+            if joints is not None:
+                position = joints.get(joint.name, position)
+            X_OL = X_OL @ joint.X_PC @ joint_transform(joint, position)
+        poses[link.name] = X_OL
     return poses
+
+
+def axis_frame(item: SceneObject, joint: Joint, X_OL: Mapping[str, Pose]) -> Pose:
+    """Return the pose of a joint in the object frame, in which its axis is expressed, given the poses of the links.
+
+    This is the pose of the child, without the motion along and about the axes after this one.
+    """
+    X_OJ, above = X_OL[joint.child], item.joints_above[joint.child]
+    for after in reversed(above[above.index(joint) + 1 :]):
+        X_OJ = X_OJ @ joint_transform(after, after.position if after.has_axis else after.motion).inverse()
+    return X_OJ
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +115,7 @@ def trees(item: SceneObject) -> tuple[Tree, ...]:
     roots: dict[str, str] = {}
     for link in item.links:
         is_root = link is item.root or link.name in free
-        roots[link.name] = link.name if is_root else roots[item.joint_above[link.name].parent]
+        roots[link.name] = link.name if is_root else roots[item.joints_above[link.name][0].parent]
     return tuple(
         Tree(
             owner=item,
@@ -124,8 +138,8 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
     X_OL = link_poses(tree.owner)
     above: dict[str, frozenset[str]] = {}  # the joints between the root and each link, by link name
     for link in tree.links:
-        parent = None if link is tree.root else tree.owner.joint_above[link.name]
-        above[link.name] = frozenset() if parent is None else above[parent.parent] | {parent.name}
+        own = () if link is tree.root else tree.owner.joints_above[link.name]
+        above[link.name] = above[own[0].parent].union(joint.name for joint in own) if own else frozenset()
         rotation = X_OL[link.name].rotation
         com, turned = X_OL[link.name].apply(link.com), rotation @ link.inertia @ rotation.T
         linear, angular = np.zeros((3, len(columns))), np.zeros((3, len(columns)))
@@ -152,7 +166,8 @@ def _columns(tree: Tree) -> list[_Column]:
         origin = X_OL[tree.root.name].p
         columns += [(None, origin, axis, slides) for slides in (True, False) for axis in np.eye(3)]
     for joint in tree.joints:
-        origin, rotation = X_OL[joint.child].p, X_OL[joint.child].rotation
+        X_OJ = axis_frame(tree.owner, joint, X_OL)
+        origin, rotation = X_OJ.p, X_OJ.rotation
         if joint.type is JointType.BALL:
             columns += [(joint, origin, axis, False) for axis in rotation.T]
         elif joint.has_axis:
@@ -190,7 +205,7 @@ def weld_groups(item: SceneObject) -> dict[str, str]:
     """Map each link to the first link in the group of links welded to it."""
     groups: dict[str, str] = {}
     for link in item.links:
-        joint = item.joint_above.get(link.name)
-        welded = joint is not None and joint.type is JointType.FIXED
-        groups[link.name] = groups[joint.parent] if joint is not None and welded else link.name
+        above = item.joints_above.get(link.name, ())
+        welded = bool(above) and above[0].type is JointType.FIXED
+        groups[link.name] = groups[above[0].parent] if welded else link.name
     return groups

@@ -152,7 +152,8 @@ ClosedEnd = Literal["lower", "upper"]
 class Joint:
     """A joint between two links of one object.
 
-    A free joint does not constrain its child, which is a separate body whose pose is relative to the parent.
+    A free joint does not constrain its child, a separate body whose pose is relative to the parent. Joints with the
+    same child have one axis each and act in order; only the first of them has an ``X_PC``.
 
     Attributes:
         X_PC: The pose of the child link frame in the parent link frame at position zero.
@@ -191,9 +192,7 @@ class Joint:
     def closed_position(self) -> float:
         """The closed position [rad or m]. By default, it is zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
-        if self.closed is not None:
-            return low if self.closed == "lower" else high
-        return min(max(0.0, low), high)
+        return {"lower": low, "upper": high, None: min(max(0.0, low), high)}[self.closed]
 
     @property
     def has_axis(self) -> bool:
@@ -210,9 +209,9 @@ class SceneObject:
         X_WO: The pose of the root link's frame in the world.
         links: The links in topological order (parents come first).
         no_contact: The pairs of links whose contacts are disabled, in addition to links connected by joints.
-        labels: The semantic labels. If they are empty, the category is used.
-        variant: The name of the selected variant, or empty if the object has no variants.
-        variants: All other variants, each of which is a complete object with the same name.
+        labels: The semantic labels, by default the category.
+        variant: The name of the selected variant, or empty.
+        variants: All other variants, which are complete objects with the same name.
         native: What only MJCF knows of the object's elements.
     """
 
@@ -242,9 +241,12 @@ class SceneObject:
         return self.links[0]
 
     @cached_property
-    def joint_above(self) -> dict[str, Joint]:
-        """The joint between each link and its parent, keyed by link name. The root link has no entry."""
-        return {joint.child: joint for joint in self.joints}
+    def joints_above(self) -> dict[str, tuple[Joint, ...]]:
+        """The joints between each link and its parent, in order from the parent on. The root link has no entry."""
+        found: dict[str, tuple[Joint, ...]] = {}
+        for joint in self.joints:
+            found[joint.child] = (*found.get(joint.child, ()), joint)
+        return found
 
     def qualified(self, link_or_joint: str) -> str:
         """Return the qualified name of a link or joint: ``object.name``, or only ``object`` for the root link."""
@@ -269,8 +271,8 @@ class Camera:
 class MountedCamera:
     """A camera mounted on a link, with its pose in the frame of that link as ``camera.X_WC``.
 
-    ``carrier`` is the name of a robot or an object, and ``link`` is the name of one of its frames or links. If ``link``
-    is empty, the camera is mounted on the base or root.
+    ``carrier`` is the name of a robot or an object, and ``link`` names one of its frames or links, or is empty for the
+    base or root.
     """
 
     carrier: str
@@ -317,7 +319,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation between objects or joints (``object.joint``) that the spec states, such as ``OnTop(cup, desk)``."""
+    """A relation that the spec states between objects or joints (``object.joint``), such as ``OnTop(cup, desk)``."""
 
     predicate: str
     args: tuple[str, ...]
@@ -392,8 +394,5 @@ def pair_friction(a: float, b: float) -> float:
 
 
 def pair_resistance(a: float, b: float) -> float:
-    """Return the torsional or rolling friction [m] of a contact between two surfaces.
-
-    The larger value is used, because a single soft surface is enough to cause resistance.
-    """
+    """Return the torsional or rolling friction [m] of a contact: the larger value, as one soft surface is enough."""
     return max(a, b)

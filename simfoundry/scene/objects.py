@@ -199,9 +199,16 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, scene.Written]) -> tuple[Joint, ...]:
-    """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders."""
-    joints = (_joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.joints.items())
-    return tuple(_with_actuator(joint, spec) for joint in joints)
+    """Return the joints of an asset at the ``given`` positions, keyed by name. Mimic joints follow their leaders.
+
+    Each axis of a joint with several axes is a joint of its own, of which only the first has a pose.
+    """
+    joints = [
+        _joint(name, joint, scene.position(spec, name, given), given) for name, joint in spec.single_joints.items()
+    ]
+    first = {joint.child: joint for joint in reversed(joints)}
+    posed = (joint if first[joint.child] is joint else replace(joint, X_PC=IDENTITY) for joint in joints)
+    return tuple(_with_actuator(joint, spec) for joint in posed)
 
 
 def _with_actuator(joint: Joint, spec: AssetSpec) -> Joint:
@@ -233,7 +240,7 @@ def attachments(spec: AssetSpec) -> dict[str, Any]:
         sensors.append(Sensor(name, s.type, place, getattr(s, place), s.noise, s.cutoff, _mjcf(s)))
     native = NativeAttributes(
         {n: _mjcf(k) for n, k in spec.links.items() if _mjcf(k)},
-        {n: _mjcf(j) for n, j in spec.joints.items() if _mjcf(j)},
+        {n: _mjcf(j) for n, j in spec.single_joints.items() if _mjcf(j)},
         {(n, m): _mjcf(p) for n, k in spec.links.items() for m, p in k.parts.items() if _mjcf(p)},
     )
     return {"sites": tuple(sites), "actuators": tuple(actuators), "sensors": tuple(sensors), "native": native}
@@ -262,7 +269,7 @@ def _joint(name: str, spec: JointSpec, position: float, given: Mapping[str, scen
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,
-        type=JointType(spec.type),
+        type=JointType(spec.type or "fixed"),  # a single joint always has a type
         parent=spec.parent,
         child=spec.child,
         X_PC=pose(spec.pose),

@@ -60,14 +60,21 @@ def model_files(file: Path) -> list[Path]:
     Raises:
         NoModelError: If a file is missing or the model cannot be read.
     """
-    files = list(dict.fromkeys(_needed(file)))
+    try:
+        files = list(dict.fromkeys(_needed(file, set())))
+    except UnicodeDecodeError:
+        raise NoModelError(f"{file.name} could not be read: it is not UTF-8 text") from None
     for needed in files:
         if not needed.is_file():
             raise NoModelError(f"{file.name} references {needed.name}, but {needed} does not exist")
     return files
 
 
-def _needed(file: Path) -> Iterator[Path]:
+def _needed(file: Path, seen: set[Path]) -> Iterator[Path]:
+    """Yield a model file and the files that it references, except files that were already ``seen`` in a cycle."""
+    if file in seen:
+        return
+    seen.add(file)
     yield file
     match file.suffix.lower():
         case ".urdf":
@@ -75,12 +82,12 @@ def _needed(file: Path) -> Iterator[Path]:
                 yield (mesh := urdf_mesh(file, name))
                 yield from companions(mesh)
         case ".xml" | ".mjcf":
-            yield from _mjcf_files(file)
+            yield from _mjcf_files(file, seen)
         case _:  # a USD layer references its folder, which is copied as a whole
             yield from sorted(p for p in file.parent.rglob("*") if p.is_file() and p != file)
 
 
-def _mjcf_files(file: Path) -> Iterator[Path]:
+def _mjcf_files(file: Path, seen: set[Path]) -> Iterator[Path]:
     """Yield the files that an MJCF model references: included files, meshes, height fields and textures."""
     try:
         root = ET.parse(file).getroot()
@@ -96,7 +103,7 @@ def _mjcf_files(file: Path) -> Iterator[Path]:
         if name is None:
             continue
         if element.tag == "include":
-            yield from _needed((file.parent / name).resolve())
+            yield from _needed((file.parent / name).resolve(), seen)
         elif element.tag in folders:
             yield (file.parent / folders[element.tag] / name).resolve()
 

@@ -15,6 +15,7 @@ from itertools import combinations, product
 import numpy as np
 
 from simfoundry.backends.convex_hulls import REPLACED, with_hulls
+from simfoundry.backends.light_links import with_light_links
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.backends.urdf.elements import capsule_parts
@@ -32,6 +33,9 @@ SPLIT_CAPSULES = ("urdf",)
 # Targets in which the force limit of a drive is the effort limit of its joint.
 _EFFORT_OF_DRIVES = ("urdf", "pybullet")
 
+# Targets in which a joint has one axis, so that light links connect the axes of a joint with several.
+_LIGHT_LINKS = ("urdf", "pybullet", "usd")
+
 # Joint types that are not reported; a free joint is represented by the parent and pose of its link.
 _NO_JOINT = (JointType.FIXED, JointType.FREE)
 
@@ -45,6 +49,8 @@ def expected_readback(scene: Scene, target: str) -> WorldReadback:
     scene = with_hulls(scene, REPLACED[target])
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
+    if target in _LIGHT_LINKS:
+        scene = with_light_links(scene)
     for item in scene.objects:
         X_OL = link_poses(item)
         for link in item.links:
@@ -65,10 +71,10 @@ def _held(item: SceneObject) -> set[str]:
 
 
 def _held_by(item: SceneObject, link: Link) -> str:
-    joint = item.joint_above.get(link.name)
-    if joint is None:
+    above = item.joints_above.get(link.name)
+    if above is None:
         return rb.WORLD if item.fixed else rb.FREE
-    return rb.FREE if joint.type is JointType.FREE else item.qualified(joint.parent)
+    return rb.FREE if above[0].type is JointType.FREE else item.qualified(above[0].parent)
 
 
 def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:

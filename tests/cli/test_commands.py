@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 
 import pytest
 
+from simfoundry.cli import output
 from simfoundry.cli.main import COMMANDS
 from simfoundry.runtime.extras import EXTRAS
 from simfoundry.spec.models.robot_file import robot_names
@@ -140,12 +142,15 @@ def test_settle_says_how_to_keep_where_things_came_to_rest(scene: Path) -> None:
     assert "keep" not in run("settle", kept).out
 
 
-def test_what_is_not_finite_is_null_in_json(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_finite_is_null_in_json(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output.print_json({"drift": math.inf, "all": [math.nan, 1.5]})
+    assert json.loads(capsys.readouterr().out) == {"drift": None, "all": [None, 1.5]}
     monkeypatch.chdir(scene.parent)  # MuJoCo logs its warnings in the working folder
-    scene.write_text(SCENE + "gravity: [0, 0, -1e308]\n")
+    scene.write_text(SCENE + "gravity: [0, 0, -1000000]\n")
     done = run("settle", scene, "--json")
-    assert "Infinity" not in done.out and "NaN" not in done.out
-    assert done.json["objects"][0]["drift"] is None
+    assert "Infinity" not in done.out and "NaN" not in done.out and done.json["objects"][0]["drift"] > 1000
     for number in ("1e400", "-1e300"):
         done = run("judge", scene, f"At(cup, {number}, 0)", "--json")
         assert done.code == 2 and f"`{number}` is out of range" in done.json["error"]

@@ -108,7 +108,7 @@ def test_a_task_with_one_thing_lifts_it(project: Path) -> None:
     (project / "one.scene.yaml").write_text(
         "simfoundry: scene/1\nname: one\nobjects:\n"
         "  red_box: {mass: 1, shape: {box: [0.1, 0.1, 0.1]}, place: {on: t}}\n"
-        "  t: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+        "  t: {fixed: true, shape: {box: [1, 1, 0.1]}}\nrobots: {arm: {model: demo_arm}}\n"
     )
     path = made("one.task.yaml")  # its scene is the only one beside it
     assert_clean(path)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
+from simfoundry.backends.light_links import with_light_links
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
 from simfoundry.frontends.usd.reader import read_usd
@@ -48,7 +49,7 @@ def test_a_motor_that_only_damps_comes_back_from_mjcf(tmp_path: Path) -> None:
 
 
 def test_urdf_gives_everything_back_that_it_can_hold(everything: Scene, tmp_path: Path) -> None:
-    said, unsaid = trip_by_scene(everything, "urdf", tmp_path)
+    said, unsaid = trip_by_scene(with_light_links(everything), "urdf", tmp_path)  # as URDF has to write it
     assert not unsaid
     dropped = {"armature", "background_mesh", "ball", "cameras", "drive", "friction", "no_contact", "relations"}
     dropped |= {"restitution", "rolling_friction", "torsional_friction", "variants", "distant_lights"}

@@ -37,7 +37,8 @@ objects:
     mass: 0.3
     place: {on: desk, xy: [0.7, -0.1]}
   tile: {asset: tile.obj, solid: hull, mass: 0.1, place: {on: desk, xy: [0.2, -0.2]}}
-  cabinet: {asset: cabinet.asset.yaml, fixed: true, joints: {slide: 0.1, hinge: 0.3}, pose: {xyz: [1, 0.8, 0]}}
+  cabinet: {asset: cabinet.asset.yaml, fixed: true, pose: {xyz: [1, 0.8, 0]},
+            joints: {slide: 0.1, hinge: 0.3, pitch: 0.2, roll: 0.4}}
 robots:
   arm: {model: franka_robotiq, pose: {xyz: [-0.6, 0, 0]}}
 cameras:
@@ -59,6 +60,7 @@ links:
   head: {mass: 0.2, parts: {ball: {shape: {sphere: 0.02}}}}
   lid: {mass: 0.2, parts: {plate: {shape: {box: [0.1, 0.1, 0.01]}}}}
   shelf: {mass: 0.5, parts: {board: {shape: {box: [0.2, 0.1, 0.01]}}}}
+  pan: {mass: 0.3, parts: {dish: {shape: {box: [0.1, 0.08, 0.02]}}}}
   grip: {mass: 0.1, parts: {bar: {shape: {box: [0.01, 0.05, 0.01]}}}}
 joints:
   slide: {type: prismatic, parent: frame, child: drawer, axis: [1, 0, 0], limits: [0, 0.2], damping: 3, friction: 0.5,
@@ -71,6 +73,9 @@ joints:
   loose: {type: free, parent: frame, child: lid, pose: {xyz: [0, 0, 0.6]}}
   along: {type: prismatic, parent: frame, child: shelf, pose: {xyz: [0, 0, 0.3]}, axis: [1, 0, 0], limits: [0, 0.4],
           mimic: {joint: slide, multiplier: 2}}
+  gimbal: {parent: frame, child: pan, pose: {xyz: [0, -0.4, 0.5]}, axes: {
+           pitch: {type: revolute, axis: [0, 1, 0], limits_deg: [-40, 40], damping: 0.1},
+           roll: {type: continuous, axis: [1, 0, 0], friction: 0.02}}}
   weld: {type: fixed, parent: drawer, child: grip, pose: {xyz: [0.12, 0, 0.1]}}
 """
 

@@ -162,12 +162,13 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
         "restitution",
         "torsional_friction",
         "rolling_friction",
+        "several_axes",
         "joint_velocity",
     ]
     assert lines[1].split() == ["robots", "-1", "-1"]
     assert lines[5].split() == ["variants", "-1"]
     in_use = sum(1 for f in FEATURES.values() if any(f.users(scene)))
-    assert lines[-1] == f"preserved by all targets: {in_use - 11} of the {in_use} features in use"
+    assert lines[-1] == f"preserved by all targets: {in_use - 12} of the {in_use} features in use"
 
 
 def test_a_robot_that_is_there_is_told_from_one_that_is_not(

@@ -246,7 +246,17 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
     path.write_text(text)
     cup = lower_file(path).object("cup")
     chest = next(v for v in cup.variants if v.variant == "chest")
-    assert [j.name for j in chest.joints] == ["slide", "hinge", "turn", "nod", "loose", "along", "weld"]
+    assert [j.name for j in chest.joints] == [
+        "slide",
+        "hinge",
+        "turn",
+        "nod",
+        "loose",
+        "along",
+        "pitch",
+        "roll",
+        "weld",
+    ]
     stage = stage_of(lower_file(path), tmp_path / "usd")
     stage.GetPrimAtPath("/World/Objects/cup").GetVariantSets().SetSelection("variant", "chest")
     assert errors(stage) == []
@@ -329,8 +339,8 @@ def test_omnigibson_gets_a_scene_file_and_a_usd_for_each_object(room: Scene, tmp
     w, x, y, z = cup.X_WO.q
     np.testing.assert_allclose(state["cup"]["root_link"]["pos"], cup.X_WO.p, atol=1e-9)
     np.testing.assert_allclose(state["cup"]["root_link"]["ori"], [x, y, z, w], atol=1e-9)
-    positions = {j.child: j.position for j in room.object("cabinet").joints if j.type.value != "fixed"}
-    order = [positions[link.name] for link in room.object("cabinet").links if link.name in positions]
+    above = room.object("cabinet").joints_above
+    order = [j.position for link in room.object("cabinet").links for j in above.get(link.name, ()) if j.name != "weld"]
     assert state["cabinet"]["joint_pos"] == pytest.approx(order)
     for name, info in data["objects_info"]["init_info"].items():
         stage = Usd.Stage.Open(str(tmp_path / info["args"]["usd_path"]))

@@ -38,7 +38,7 @@ from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
-from simfoundry.backends.mjcf.native import NativeWriter
+from simfoundry.backends.mjcf.native import NativeWriter, check_references
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.skybox import add_skybox, skybox_light
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
@@ -187,6 +187,7 @@ def _compile_native(scene: Scene, timestep: float, losses: list[Loss]) -> Artifa
         losses.extend(robot_losses(robot, read, timestep))
     robots = {robot.name for robot in scene.robots}
     add_mounted_cameras(world, replace(scene, mounted=tuple(m for m in scene.mounted if m.carrier in robots)))
+    check_references(root)
     writer.keyframes(qpos, ctrl)
     files = {"load.py": _LOADER.read_bytes(), "scene.xml": xml_text(root), _RULES.name: _RULES.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}

@@ -38,13 +38,16 @@ def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: 
         _fill_body(body, item.qualified(link.name), link, assets, materials)
         for site in (site for site in item.sites if site.link == link.name):
             add_site(body, f"{item.name}.{site.name}", site, IDENTITY)
-        for joint in (joint for joint in tree.joints if joint.parent == link.name):
-            child = _add_child(body, item, joint)
-            if joint.type is JointType.BALL:
-                yield from joint.motion.q
-            elif joint.has_axis:
-                yield joint.position
-            yield from fill(child, tree, links[joint.child])
+        for child in dict.fromkeys(joint.child for joint in tree.joints if joint.parent == link.name):
+            below = ET.SubElement(body, "body", {"name": item.qualified(child)})
+            for joint in item.joints_above[child]:
+                below.attrib |= pose_attributes(joint.X_PC)  # the identity, except for the first joint
+                _add_joint(below, item, joint)
+                if joint.type is JointType.BALL:
+                    yield from joint.motion.q
+                elif joint.has_axis:
+                    yield joint.position
+            yield from fill(below, tree, links[child])
 
     for tree in trees(item):
         body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
@@ -66,8 +69,7 @@ def free_joint_name(tree: Tree) -> str:
     return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
 
 
-def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Element:
-    body = ET.SubElement(parent, "body", {"name": item.qualified(joint.child)} | pose_attributes(joint.X_PC))
+def _add_joint(body: ET.Element, item: SceneObject, joint: Joint) -> None:
     if joint.type is not JointType.FIXED:
         attributes = {"name": f"{item.name}.{joint.name}", "type": JOINT_TYPES[joint.type]}
         if joint.has_axis:
@@ -83,7 +85,6 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
             # MuJoCo averages the friction impedance over the three axes, but most objects rotate easily about one axis.
             attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
-    return body
 
 
 def joint_losses(scene: Scene) -> Iterator[Loss]:

@@ -8,7 +8,7 @@ native attributes add to them. There are no default classes, and numbers are exa
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from simfoundry.backends.mjcf.attachments import (
 )
 from simfoundry.backends.mjcf.bodies import JOINT_TYPES, Assets, free_joint_name
 from simfoundry.backends.mjcf.surroundings import camera_attributes
+from simfoundry.backends.names import InvalidSceneError
 from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.kinematics import Tree, joint_transform, trees
@@ -151,14 +152,14 @@ class NativeWriter:
         for mounted in self.scene.mounted:
             if mounted.carrier == item.name and (mounted.link or item.root.name) == link.name:
                 ET.SubElement(body, "camera", camera_attributes(mounted.camera, X_BL))
-        for joint in (joint for joint in tree.joints if joint.parent == link.name):
-            yield from self._child(body, tree, joint, X_BL)
+        for child in dict.fromkeys(joint.child for joint in tree.joints if joint.parent == link.name):
+            yield from self._child(body, tree, item.joints_above[child], X_BL)
 
-    def _child(self, parent: ET.Element, tree: Tree, joint: Joint, X_PL: Pose) -> Iterator[float]:
-        """Add the body below a joint, including the joints of the links that are merged into it."""
-        item, chain = tree.owner, [joint]
+    def _child(self, parent: ET.Element, tree: Tree, above: Sequence[Joint], X_PL: Pose) -> Iterator[float]:
+        """Add the body below a link, including its joints and those of the links that are merged into it."""
+        item, chain = tree.owner, [*above]
         while (below := _passed_on(item, chain[-1])) is not None:
-            chain.append(below)
+            chain += item.joints_above[below.child]
         link = next(k for k in item.links if k.name == chain[-1].child)
         native = item.native.links.get(link.name, {})
         refs = [item.native.joints.get(j.name, {}).get("ref", 0.0) for j in chain]
@@ -290,6 +291,35 @@ class NativeWriter:
         return ctrl
 
 
+# Attributes that refer to elements, by the tag of these elements.
+_REFERENCES = {
+    **dict.fromkeys(("joint", "joint1", "joint2", "jointinparent"), "joint"),
+    **dict.fromkeys(("body", "body1", "body2", "subtree1", "subtree2"), "body"),
+    **dict.fromkeys(("site", "site1", "site2", "sidesite", "refsite", "cranksite", "slidersite"), "site"),
+    **dict.fromkeys(("geom", "geom1", "geom2"), "geom"),
+    **dict.fromkeys(("tendon", "tendon1", "tendon2"), "tendon"),
+    "camera": "camera",
+}
+
+
+def check_references(root: ET.Element) -> None:
+    """Raise :class:`InvalidSceneError` if an element refers to another one that does not exist."""
+    names: dict[str, set[str]] = {"body": {"world"}}
+    for tag in ("body", "joint", "geom", "site", "camera"):
+        names.setdefault(tag, set()).update(e.get("name", "") for e in root.findall(f"./worldbody//{tag}"))
+    names["tendon"] = {e.get("name", "") for e in root.findall("./tendon/*")}
+    for section in ("contact", "tendon", "equality", "actuator", "sensor"):
+        for element in root.findall(f"./{section}/*"):
+            what = f"`{element.get('name') or element.tag}` of `native.mjcf.{section}`"
+            for each in element.iter():
+                for key, tag in _REFERENCES.items():
+                    if (name := each.get(key)) is not None and name not in names[tag]:
+                        known = ", ".join(f"`{n}`" for n in sorted(names[tag])[:8]) or "none"
+                        raise InvalidSceneError(
+                            f"{what} refers to the {tag} `{name}`, which does not exist; there are {known}"
+                        )
+
+
 def _body_frame(native: Mapping[str, Any]) -> Pose:
     """Return the pose of MuJoCo's body frame in the frame of its link."""
     if "pos" not in native and "quat" not in native:
@@ -304,7 +334,11 @@ def _passed_on(item: SceneObject, joint: Joint) -> Joint | None:
     link = next(k for k in item.links if k.name == joint.child)
     below = [j for j in item.joints if j.parent == joint.child]
     is_empty = not (link.visuals or link.colliders or any(site.link == link.name for site in item.sites))
-    return below[0] if is_empty and len(below) == 1 and below[0].type not in (JointType.FIXED, JointType.FREE) else None
+    return (
+        below[0]
+        if is_empty and len({j.child for j in below}) == 1 and below[0].type not in (JointType.FIXED, JointType.FREE)
+        else None
+    )
 
 
 def _inertial(link: Link, X_BL: Pose, native: Mapping[str, Any] | None) -> dict[str, str]:

@@ -19,6 +19,7 @@ import numpy as np
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
 from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light
@@ -70,7 +71,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     check_timestep(timestep)
     check_names(scene)
     hulls = tuple(hull_losses(scene, REPLACED["pybullet"]))
-    scene = with_hulls(scene, REPLACED["pybullet"])
+    given = with_hulls(scene, REPLACED["pybullet"])
+    scene = with_light_links(given)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
     robots, robot_losses = bullet_robots(
@@ -98,7 +100,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*bullet_losses(scene, timestep, resistances), *hulls, *robot_losses))
+    losses = (*bullet_losses(given, timestep, resistances), *light_link_losses(given, "URDF"), *hulls, *robot_losses)
+    return Artifact("pybullet", "load.py", files, losses)
 
 
 def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:

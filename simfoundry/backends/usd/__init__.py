@@ -11,6 +11,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, rounded
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
+from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.features import FEATURES, usd_losses
@@ -46,14 +47,16 @@ def compile_usd(scene: Scene) -> Artifact:
     """
     check_names(scene)
     hulls = hull_losses(scene, REPLACED["usd"])
-    scene = with_hulls(scene, REPLACED["usd"])
+    given = with_hulls(scene, REPLACED["usd"])
+    scene = with_light_links(given)
     world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= {panorama_path(p): p.content for light in scene.lights if (p := light.panorama) is not None}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
-    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *hulls, *robots.losses))
+    losses = (*usd_losses(given), *light_link_losses(given, "USD"), *hulls, *robots.losses)
+    return Artifact("usd", "scene.usda", contents, losses)
 
 
 def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:

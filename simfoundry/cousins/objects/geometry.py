@@ -16,7 +16,7 @@ from simfoundry.cousins.objects.parts import aimed, at, bounds, is_radial, moved
 from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, outside, swelled, thickened, walled
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
-from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
+from simfoundry.spec.models.asset import AssetSpec, AxisSpec, JointSpec, PartSpec
 from simfoundry.spec.models.shapes import ConeShape, LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
@@ -80,12 +80,17 @@ def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Arra
 
 def _joint(joint: JointSpec, f: Array) -> JointSpec:
     way = joint.pose.model_copy(update={"xyz": tuple(float(v) for v in np.array(joint.pose.xyz) * f)})
-    changes: dict[str, object] = {"pose": way}
-    if joint.limits is not None:
-        axis = np.abs(np.array(joint.axis)) / np.linalg.norm(joint.axis)
-        low, high = (float(v * (axis @ f)) for v in joint.limits)
-        changes["limits"] = (low, high)
-    return joint.model_copy(update=changes)
+    axes = {name: axis.model_copy(update=_stretched_limits(axis, f)) for name, axis in joint.axes.items()}
+    return joint.model_copy(update={"pose": way, "axes": axes} | _stretched_limits(joint, f))
+
+
+def _stretched_limits(motion: JointSpec | AxisSpec, f: Array) -> dict[str, object]:
+    """Return the scaled limits of a sliding joint or axis as an update of its fields."""
+    if motion.limits is None:
+        return {}
+    axis = np.abs(np.array(motion.axis)) / np.linalg.norm(motion.axis)
+    low, high = (float(v * (axis @ f)) for v in motion.limits)
+    return {"limits": (low, high)}
 
 
 def is_ball(spec: AssetSpec) -> bool:

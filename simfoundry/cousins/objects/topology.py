@@ -96,7 +96,7 @@ def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Replace a drawer's bar handle with one or two round knobs."""
     out = component.outward(spec)
-    drawers = {joint.child for joint in spec.joints.values() if joint.type == "prismatic"}
+    drawers = {joint.child for joint in spec.single_joints.values() if joint.type == "prismatic"}
     if out is None or component.link not in drawers or abs(out[2]) > 0.5:
         return None
     old = component.parts_in(spec)

@@ -15,6 +15,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import Element, FileSearch, NotFoundError, missing_file, read_xml
 from simfoundry.frontends.mass_repair import feather_link, inertia_of_moments, repair_masses
 from simfoundry.frontends.meshes import mesh_of_parts
+from simfoundry.frontends.mjcf.axes import common_anchor
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
@@ -284,12 +285,22 @@ class _MjcfReader:
     def chain(self, draft: BodyDraft, body: int, parent: str, X_PB: Pose, joints: list[int]) -> None:
         """Convert a body and its joints.
 
-        If the body has several joints, links with negligible mass are inserted between them.
+        Several joints become the axes of one joint. If they do not intersect, or if one of them is a ball joint, links
+        with negligible mass are inserted between them.
         """
         model, name = self.model, self.names["body"][body]
         if not joints:
             self.add_link(draft, body)
             draft.joints.append(JointDraft(self.new_name("joint", f"{name}_mount"), "fixed", parent, name, X_PB))
+            return
+        if len(joints) > 1 and (anchor := common_anchor(self.mujoco, model, joints)) is not None:
+            X_PL = X_PB @ Pose.of(anchor)
+            for joint in joints:
+                drafted = self.joint(joint, parent, name, X_PL)
+                draft.joints.append(drafted)
+                self.source.joints[joint] = (draft, drafted)
+                X_PL = Pose.of()
+            self.add_link(draft, body, Pose.of(anchor))
             return
         anchor = np.zeros(3)
         for k, joint in enumerate(joints):

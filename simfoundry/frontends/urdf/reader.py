@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -91,9 +92,13 @@ class _UrdfReader:
     def read(self) -> ModelDraft:
         links = self.named("link", self.link)
         joints = self.named("joint", lambda element: self.joint(element, links))
-        body = BodyDraft(self.draft.name, self.root_link(links, joints.values()), links, list(joints.values()))
-        self.draft.bodies.append(body)
         self.mimics(joints)
+        each = [
+            axis
+            for joint in joints.values()
+            for axis in (planar_axes(joint, self.draft.unlimited_slide) if joint.type == "planar" else [joint])
+        ]
+        self.draft.bodies.append(BodyDraft(self.draft.name, self.root_link(links, joints.values()), links, each))
         self.count_left_out()
         repair_masses(self.draft, str(self.path))
         for what, count in sorted(self.left_out.items()):
@@ -281,9 +286,7 @@ class _UrdfReader:
             case "floating":
                 joint.type = "free"
             case "planar":
-                joint.type = "fixed"
-                why = "planar joints are not supported, so this joint was converted to a fixed joint"
-                self.draft.dropped(f"motion of {what}", why)
+                pass  # a joint with several axes
             case _:
                 raise element.refused(f"{what} has the type `{joint.type}`, which is not a URDF joint type")
 
@@ -326,6 +329,20 @@ def _upright(normal: Array) -> Pose:
     if sine < SAME_POSE:
         return Pose.of() if z[2] > 0 else Pose.of(q=(0.0, 1.0, 0.0, 0.0))
     return Pose.about(across / sine, math.atan2(sine, float(z[2])))
+
+
+def planar_axes(joint: JointDraft, unlimited: Callable[[str], tuple[float, float]]) -> list[JointDraft]:
+    """Return the axes of a planar joint, which slides perpendicular to its axis and turns about it."""
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    nearest = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = nearest - (nearest @ axis) * axis
+    first /= np.linalg.norm(first)
+    slides = []
+    for letter, along in (("x", first), ("y", np.cross(axis, first))):
+        name = f"{joint.name}_{letter}"
+        slides.append(replace(joint, name=name, type="prismatic", axis=along, limits=unlimited(f"joint `{name}`")))
+    turn = replace(joint, name=f"{joint.name}_turn", type="continuous", limits=None)
+    return [slides[0], *(replace(each, X_PC=IDENTITY) for each in (slides[1], turn))]
 
 
 def _lock(joint: JointDraft, position: float) -> None:

@@ -46,6 +46,7 @@ class UsdJoint:
     """A joint with the parent ``body0`` and the child ``body1``, which may be swapped when the tree is constructed.
 
     ``X_0`` and ``X_1`` are the poses of the joint frame in the two bodies. The axis is expressed in the joint frame.
+    ``others`` are the axes after the first one, in order from the parent on.
     """
 
     path: str
@@ -54,6 +55,7 @@ class UsdJoint:
     X_0: Pose
     X_1: Pose
     draft: JointDraft
+    others: list[JointDraft]
 
     def frame(self, body: str) -> Pose:
         """Return the pose of the joint frame in one of its two bodies."""
@@ -75,8 +77,9 @@ def read_joint(prim: Any, end: Callable[[list[Any]], JointEnd], geoms: UsdGprims
     X_1 = X_C @ attribute_pose(prim, joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
     path = str(prim.GetPath())
     draft = JointDraft(path, "fixed", parent, child, axis=AXES["X"])
-    _JointReader(prim, draft, geoms).read()
-    return UsdJoint(path, parent, child, X_0, X_1, draft)
+    reader = _JointReader(prim, draft, geoms)
+    reader.read()
+    return UsdJoint(path, parent, child, X_0, X_1, draft, reader.others)
 
 
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
@@ -100,6 +103,7 @@ class _JointReader:
 
     def __init__(self, prim: Any, joint: JointDraft, geoms: UsdGprims) -> None:
         self.prim, self.joint, self.label = prim, joint, f"joint `{joint.name}`"
+        self.others: list[JointDraft] = []
         self.pxr, self.draft, self.to_m, self.to_kg = geoms.pxr, geoms.draft, geoms.to_m, geoms.to_kg
 
     def read(self) -> None:
@@ -176,9 +180,9 @@ class _JointReader:
         )
 
     def six_axes(self) -> None:
-        """Convert a joint with individually locked axes to a fixed, single-axis, ball or free joint.
+        """Convert a joint with individually locked axes to a fixed, ball or free joint, or to a joint with these axes.
 
-        If none of these types matches, the joint becomes fixed and its motion is recorded as dropped.
+        The child slides before it turns about X, Y and Z, in this order, as in Newton.
         """
         free: dict[str, tuple[float | None, float | None]] = {}
         for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
@@ -197,8 +201,15 @@ class _JointReader:
             self.limit(token.startswith("rot"), *bounds)
             self.dynamics(token, token.startswith("rot"))
         elif free:
-            why = "only joints with one axis, ball joints and free joints are supported, so the joint is fixed"
-            self.draft.dropped(f"motion of {self.label}", why, ", ".join(free))
+            first, path = self.joint, self.joint.name
+            for token, bounds in free.items():
+                if first.name != path:
+                    self.joint = JointDraft(path, "fixed", first.parent, first.child)
+                    self.others.append(self.joint)
+                self.joint.name, self.joint.axis = f"{path}_{token}", AXES[token[-1]]
+                self.limit(token.startswith("rot"), *bounds)
+                self.dynamics(token, token.startswith("rot"))
+            self.joint = first
 
 
 def _first(prim: Any, names: tuple[str, ...]) -> float:

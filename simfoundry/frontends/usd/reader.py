@@ -280,9 +280,38 @@ class _UsdReader:
         drafted.X_PC = X_PJ @ (X_CL.inverse() @ X_CJ).inverse()
         for part in self.bodies[child].link.parts:
             part.X_LG = X_CL.inverse() @ part.X_LG
+        if joint.others:
+            self.fasten_axes(draft, joint, X_CJ.rotation)
+            return
         if drafted.type in ("revolute", "continuous", "prismatic"):
             drafted.position = self.position(draft, drafted)
         draft.joints.append(drafted)
+
+    def fasten_axes(self, draft: BodyDraft, joint: UsdJoint, R_CJ: Array) -> None:
+        """Attach a child to its parent with several axes. If body0 is the child, the axes act in reverse order."""
+        first, is_reversed = joint.draft, joint.child == joint.draft.parent
+        X_WJ = [
+            (draft.X_WO if body is None else body.X_WB) @ frame
+            for body, frame in ((self.bodies.get(joint.parent), joint.X_0), (self.bodies.get(joint.child), joint.X_1))
+        ]
+        moved = X_WJ[0].inverse() @ X_WJ[1]
+        turn = moved.rotation  # about X, then Y, then Z
+        beta = math.asin(float(np.clip(turn[0, 2], -1.0, 1.0)))
+        angles = math.atan2(-turn[1, 2], turn[2, 2]), beta, math.atan2(-turn[0, 1], turn[0, 0])
+        axes = [first, *joint.others]
+        for axis in axes:
+            k = "XYZ".index(axis.name[-1])
+            value = float(moved.p[k]) if axis.type == "prismatic" else angles[k]
+            axis.position = 0.0 if abs(value) < AT_ZERO else value
+            if axis is not first:
+                axis.axis = R_CJ @ axis.axis * (-1.0 if is_reversed else 1.0)
+                axis.parent, axis.child = first.parent, first.child
+        ordered = axes[::-1] if is_reversed else axes
+        X_PC = first.X_PC
+        for axis in ordered:
+            axis.X_PC = Pose.of()
+        ordered[0].X_PC = X_PC
+        draft.joints += ordered
 
     def position(self, draft: BodyDraft, joint: JointDraft) -> float:
         """Return the current position of a joint.

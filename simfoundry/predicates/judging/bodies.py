@@ -39,15 +39,15 @@ class CollisionBody:
         return self.item.name
 
     @cached_property
-    def parents(self) -> dict[int, tuple[int, Joint]]:
-        """The parent of each link except the first, and the joint that connects the two, keyed by link index."""
+    def parents(self) -> dict[int, tuple[int, tuple[Joint, ...]]]:
+        """The parent of each link except the first, and the joints that connect the two, keyed by link index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
-        return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
+        return {numbers[name]: (numbers[above[0].parent], above) for name, above in self.item.joints_above.items()}
 
     @cached_property
-    def turns(self) -> dict[int, Turn]:
-        """The rotation of each link except the first about its joint axis, keyed by link index."""
-        return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
+    def turns(self) -> dict[str, Turn]:
+        """The rotation about the axis of each joint, keyed by joint name."""
+        return {joint.name: Turn(joint.axis) for joint in self.item.joints}
 
     def index(self, link: str) -> int:
         """Return the index of a link."""

@@ -150,15 +150,18 @@ class View:
                 given = self.batch.poses.get(owner)
                 self._links[key] = Poses.constant(item.X_WO, self.n) if given is None else given
             else:
-                parent, joint = self.bodies[owner].parents[k]
-                self._links[key] = self._moved(owner, k, joint, self.link(owner, parent).times(joint.X_PC))
+                parent, joints = self.bodies[owner].parents[k]
+                X_WL = self.link(owner, parent)
+                for joint in joints:
+                    X_WL = self._moved(owner, joint, X_WL.times(joint.X_PC))
+                self._links[key] = X_WL
         return self._links[key]
 
     def place(self, owner: str, k: int, X_WL: Poses) -> None:
         """Move the k-th link of a body without moving its child links."""
         self._links[owner, k] = X_WL
 
-    def _moved(self, owner: str, k: int, joint: Joint, X_WZ: Poses) -> Poses:
+    def _moved(self, owner: str, joint: Joint, X_WZ: Poses) -> Poses:
         name = f"{owner}.{joint.name}"
         if joint.type in (JointType.BALL, JointType.FREE):
             motion = self.batch.motions.get(name)
@@ -168,7 +171,7 @@ class View:
         at = self.position(owner, joint)
         if joint.type is JointType.PRISMATIC:
             return Poses(X_WZ.p + rotate(X_WZ.R, at[:, None] * joint.axis), X_WZ.R)
-        return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
+        return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[joint.name].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
         """Return the position of a joint [rad or m], as an array of shape (n,)."""

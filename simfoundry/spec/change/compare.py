@@ -197,7 +197,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
     for name, item in side.spec.objects.items():
         used = side.loaded.used(item.asset) if item.asset is not None else None
         if used is not None and isinstance(used.spec, AssetSpec):
-            found |= {(name, j): "m" if s.type == "prismatic" else "rad" for j, s in used.spec.joints.items()}
+            found |= {(name, j): "m" if s.type == "prismatic" else "rad" for j, s in used.spec.single_joints.items()}
     return found
 
 

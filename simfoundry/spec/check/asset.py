@@ -40,12 +40,12 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
     c.materials(spec.materials)
     _tree(c, spec)
-    _mimics(c, spec)
-    for name, joint in spec.joints.items():
-        check_travel(c, joint.limits, ("joints", name))
+    places = _places(c, spec)
+    _mimics(c, spec, places)
+    for name, joint in spec.single_joints.items():
+        check_travel(c, joint.limits, places[name])
         if joint.drive is not None and joint.drive.target is not None:
-            place = ("joints", name, "drive", "target")
-            _within(c, f"the target of `{name}`", joint, joint.drive.target, place)
+            _within(c, f"the target of `{name}`", joint, joint.drive.target, (*places[name], "drive", "target"))
     _attachments(c, spec)
     check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 
@@ -85,14 +85,35 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
             return
 
 
-def _mimics(c: Checker, spec: AssetSpec) -> None:
+def _places(c: Checker, spec: AssetSpec) -> dict[str, Path_]:
+    """Return the path of each joint and of each axis, and check that no two of them have the same name."""
+    places: dict[str, Path_] = {name: ("joints", name) for name in spec.joints}
+    for name, joint in spec.joints.items():
+        for axis in joint.axes:
+            path = ("joints", name, "axes", axis)
+            if axis in places:
+                other = "another axis" if len(places[axis]) > 2 else "a joint"
+                message = f"`{axis}` is also the name of {other}, so that its position would be ambiguous"
+                c.add("SF206", path, message, "give each axis a name of its own")
+            places[axis] = path
+    return places
+
+
+def _joint_names(c: Checker, spec: AssetSpec) -> set[str]:
+    """Return the names of joints with one axis and of axes, including those of invalid joints in the text."""
+    return {*spec.single_joints, *(name for name in c.names("joints") if name not in spec.joints)}
+
+
+def _mimics(c: Checker, spec: AssetSpec, places: Mapping[str, Path_]) -> None:
     """Check that each mimic joint follows a joint with one axis, and that there are no cycles."""
-    leaders = {name: joint.mimic.joint for name, joint in spec.joints.items() if joint.mimic is not None}
+    joints = spec.single_joints
+    leaders = {name: joint.mimic.joint for name, joint in joints.items() if joint.mimic is not None}
+    known = _joint_names(c, spec)
     for name, leader in leaders.items():
-        path = ("joints", name, "mimic", "joint")
-        if not c.name(leader, c.names("joints"), path, "joint"):
+        path = (*places[name], "mimic", "joint")
+        if not c.name(leader, known, path, "joint"):
             continue
-        kind = spec.joints[leader].type if leader in spec.joints else ""
+        kind = joints[leader].type if leader in joints else ""
         if kind in ("fixed", "ball", "free"):
             c.add("SF211", path, f"`{leader}` is a {kind} joint, which has no single position to follow")
         elif name == leader:
@@ -110,13 +131,14 @@ def _attachments(c: Checker, spec: AssetSpec) -> None:
         c.name(site.link, c.names("links"), ("sites", name, "link"), "link")
     for name, actuator in spec.actuators.items():
         path = ("actuators", name, "joint")
-        kind = spec.joints[actuator.joint].type if actuator.joint in spec.joints else ""
-        if c.name(actuator.joint, c.names("joints"), path, "joint") and kind in ("fixed", "ball", "free"):
+        kind = spec.single_joints[actuator.joint].type if actuator.joint in spec.single_joints else ""
+        if c.name(actuator.joint, _joint_names(c, spec), path, "joint") and kind in ("fixed", "ball", "free"):
             c.add("SF107", path, f"`{actuator.joint}` is a {kind} joint, which has no single axis to drive")
     for name, sensor in spec.sensors.items():
         for key in ("site", "joint", "link"):
             if (target := getattr(sensor, key)) is not None:
-                c.name(target, c.names(f"{key}s"), ("sensors", name, key), key)
+                names = _joint_names(c, spec) if key == "joint" else c.names(f"{key}s")
+                c.name(target, names, ("sensors", name, key), key)
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
@@ -133,8 +155,8 @@ def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], pat
     If ``resting`` is set, missing positions are checked as 0.
     """
     for name in given:
-        c.name(name, asset.joints, (*path, name), "joint")
-    for name, joint in asset.joints.items():
+        c.name(name, asset.single_joints, (*path, name), "joint")
+    for name, joint in asset.single_joints.items():
         if name not in given and not resting:
             continue
         place = (*path, name)

@@ -7,13 +7,16 @@ Each predicate is an unknown truth value. Only combinations that are impossible 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import combinations, product
+from itertools import combinations, islice, product
 from typing import Any
 
 from simfoundry.spec.models.predicate import Call, ExpressionError, parse_call, parts, texts
 
 # Number of different predicates up to which all combinations of their values are tried (2^10 = 1024, a few ms).
 MAX_CALLS = 10
+
+# Number of predicates up to which a goal is examined at all, which limits the work for malicious input.
+MAX_WRITTEN = 100
 
 # Pairs of predicates that cannot hold at once for the same arguments.
 _EXCLUDE = [
@@ -40,10 +43,11 @@ def verdict(condition: Any) -> tuple[bool | None, tuple[str, ...]]:
         and the predicates that exclude each other, if a few of them decide this.
     """
     try:
-        calls = list(dict.fromkeys(parse_call(text) for text, _ in texts(condition)))
+        written = [parse_call(text) for text, _ in islice(texts(condition), MAX_WRITTEN + 1)]
     except ExpressionError:
         return None, ()
-    if not calls:
+    calls = list(dict.fromkeys(written))
+    if not calls or len(written) > MAX_WRITTEN:
         return None, ()
     required = list(_required(condition, True))
     for (a, wanted), (b, other) in combinations(dict.fromkeys(required), 2):

@@ -133,7 +133,7 @@ UNLIMITED_TRAVEL = 2000.0
 def check_travel(c: Checker, limits: tuple[float, float] | None, path: Path_) -> None:
     """Check that the limits of a prismatic joint are plausible in meters."""
     if limits is not None and LONGEST_TRAVEL < (travel := limits[1] - limits[0]) < UNLIMITED_TRAVEL:
-        message = f"`{path[1]}` travels {travel:.4g} m, from {limits[0]:g} to {limits[1]:g}"
+        message = f"`{path[-1]}` travels {travel:.4g} m, from {limits[0]:g} to {limits[1]:g}"
         hint = f"limits are in m: [{limits[0] / 1000:g}, {limits[1] / 1000:g}], if these are in mm"
         c.warn("SF435", (*path, "limits"), message, hint)
 
@@ -159,7 +159,7 @@ def check_values(c: Checker) -> None:
         for key, child in children.items() if isinstance(children, dict) else enumerate(children):
             if child.children is not None and key != "conflicts":
                 todo.append(((trail, key), child))
-            elif child.plain and _ORDINARY(child.plain) is None:
+            elif child.plain and _ORDINARY(child.plain) is None and len(child.plain) <= LONGEST:
                 _check_scalar(c, (*_path(trail), key), child)
             if type(key) is str and key.endswith("deg"):
                 _check_angle(c, (*_path(trail), key), child)
@@ -176,6 +176,9 @@ def _path(trail: _Trail) -> Path_:
         keys.append(key)
     return tuple(reversed(keys))
 
+
+# Length of a scalar up to which YAML 1.1 readers are asked; what they read differently is a number, word or date.
+LONGEST = 40
 
 # Scalars that all YAML readers agree on: decimal numbers, and words or calls that are not a YAML 1.1 boolean.
 _ORDINARY = re.compile(
@@ -220,7 +223,7 @@ def _check_angle(c: Checker, path: Path_, node: Node) -> None:
         _check_limits(c, path, node)
         return
     for k, each in enumerate(node.members or (node,)):
-        if in_radians(each.plain):
+        if isinstance(each.value, float) and in_radians(each.plain):
             at = (*path, k) if node.children is not None else path
             hint = f"if it is in radians, write {round(math.degrees(float(each.plain))):g}; it is in degrees here"
             c.warn("SF434", at, f"`{path[-1]}` is {each.plain} deg, which looks like an angle in radians", hint)
@@ -248,13 +251,18 @@ _TURN = 2 * math.pi + 0.01
 _FRACTIONS = {2: 2, 3: 4, 4: 12}
 
 
+# A number below 10 that is written with at least two decimals.
+_DECIMALS = re.compile(r"[-+]?[0-9]?\.[0-9]{2,20}\Z")
+
+
 def in_radians(text: str) -> bool:
     """Return True if a number, as it is written, is a fraction of pi between 0 and a full turn, such as 1.5708."""
-    digits = text.lstrip("-+").partition(".")[2]
-    if len(digits) < min(_FRACTIONS) or not digits.isdecimal() or not text.lstrip("-+").replace(".", "", 1).isdecimal():
+    if _DECIMALS.match(text) is None:
         return False
+    digits = text.partition(".")[2]
     value = abs(float(text))
     part = math.pi / _FRACTIONS[min(len(digits), max(_FRACTIONS))]
     multiple = part * round(value / part)
-    unit = 10.0 ** -len(digits)
-    return 0 < multiple <= _TURN and abs(value - multiple) < max(unit, 1e-12) and value < _TURN
+    unit = max(10.0 ** -len(digits), 1e-12)
+    rounded_or_cut = -unit < value - multiple <= unit / 2
+    return 0 < multiple <= _TURN and rounded_or_cut

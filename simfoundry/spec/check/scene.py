@@ -283,7 +283,7 @@ class SceneNames:
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
-            one, two = (asset.joints[part].child if part in asset.joints else part for part in (one, two))
+            one, two = (asset.single_joints[part].child if part in asset.single_joints else part for part in (one, two))
         return owner == other and (not one or not two or one == two)
 
     def check_condition(self, c: Checker, condition: Any, path: Path_) -> None:
@@ -297,7 +297,7 @@ class SceneNames:
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)
             if asset is not None:
-                c.name(part, [*asset.links, *asset.joints], path, f"link or joint of `{name}`")
+                c.name(part, [*asset.links, *asset.single_joints], path, f"link or joint of `{name}`")
             elif self.is_known(name):
                 c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
@@ -322,13 +322,12 @@ class SceneNames:
         if not c.name(name, self.objects, path, "object"):
             return
         asset = self.asset(name)
-        moving = [n for n, j in asset.joints.items() if j.type != "fixed"] if asset is not None else []
-        limited = [n for n in moving if asset is not None and asset.joints[n].type in ("prismatic", "revolute")]
-        if joint and asset is not None and asset.joints:
-            if c.name(joint, asset.joints, path, f"joint of `{name}`") and joint not in limited:
-                message = (
-                    f"`{joint}` is a {asset.joints[joint].type} joint without limits, so it has no closed position"
-                )
+        joints = asset.single_joints if asset is not None else {}
+        moving = [n for n, each in joints.items() if each.type != "fixed"]
+        limited = [n for n in moving if joints[n].type in ("prismatic", "revolute")]
+        if joint and joints:
+            if c.name(joint, joints, path, f"joint of `{name}`") and joint not in limited:
+                message = f"`{joint}` is a {joints[joint].type} joint without limits, so it has no closed position"
                 c.add("SF201", path, message, nearest("", limited) if limited else "use a joint with limits")
         elif moving and not limited:
             c.add("SF201", path, f"no joint of `{name}` has limits, so its closed position is undefined")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -35,7 +36,7 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
         c.warn("SF433", ("horizon",), message, hint)
     if names is None:
         return
-    if not names.robots:
+    if not names.robots and spec.origin is None:  # generated tasks inherit this from a scene that a person wrote
         message = f"`{spec.scene}` has no robot, so no policy can be evaluated on this task"
         c.warn("SF442", ("scene",), message, "add one under `robots` in the scene")
     for k, robot in enumerate(spec.robots or ()):
@@ -121,6 +122,10 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
     for name in spec.parameters:
         c.name(name, names.scene.parameters, ("parameters", name), "parameter of the twin's scene")
     if spec.scene is not None:
+        goal = spec_of_twin.goal if isinstance(spec_of_twin, TaskSpec) else {"all": ()}
+        if spec.scene.anchor is None and not _stays(goal, names, spec.scene.objects):
+            message = "there is no anchor, and the goal of the twin names no object that stays in place"
+            c.add("SF107", ("scene",), message, "name the object around which the others are placed in `anchor`")
         if spec.scene.anchor is not None:
             c.name(spec.scene.anchor, names.objects, ("scene", "anchor"), "object")
         for name, sides in spec.scene.objects.items():
@@ -138,6 +143,12 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             c.add("SF107", place, f"variants of `{name}` come from a library, but no library is given", "set `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")
+
+
+def _stays(goal: str | Model | dict[str, Any], names: SceneNames, moved: Mapping[str, object]) -> bool:
+    """Return True if a goal names an object of the scene that is not moved."""
+    named = {a.partition(".")[0] for text, _ in texts(goal) for a in re.findall(r"[a-z][a-z0-9_.]*", text)}
+    return any(name in names.objects and name not in moved for name in named)
 
 
 def _engines(c: Checker, axis: TaskAxis | None) -> None:

@@ -361,7 +361,7 @@ def position(asset: "AssetSpec", name: str, given: Mapping[str, Written]) -> flo
     """
     seen: set[str] = set()
     scale, offset = 1.0, 0.0
-    while (joint := asset.joints.get(name)) is not None and joint.mimic is not None:
+    while (joint := asset.single_joints.get(name)) is not None and joint.mimic is not None:
         if name in seen:
             return 0.0
         seen.add(name)

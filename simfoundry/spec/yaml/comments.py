@@ -60,6 +60,7 @@ class _Frame:
     part: str | int | None = None  # the key or index of the entry that was read last
     value_next: bool = False  # a key was read and its value comes next
     open: int = 0  # unclosed parentheses in the last item of a bracketed list
+    anchor: str = ""  # anchor of the scalar that was read last
 
     @property
     def mapping(self) -> bool:
@@ -144,7 +145,7 @@ class _Reader:
             self._key(frame, event.value, end)
         else:
             self._part_item(start, plain)
-            self._owned("scalar", self._next_path(plain), end)
+            self._owned("scalar", self._next_path(plain, event.anchor or ""), end)
         if 0 <= self.next < end:
             header = _HEADER.match(self.text, start) if event.style in ("|", ">") else None
             if header is not None:
@@ -153,8 +154,10 @@ class _Reader:
 
     def _key(self, frame: _Frame, key: str, end: int) -> None:
         assert isinstance(frame.node.children, dict)
-        if key in frame.node.children:  # otherwise it is the rest of a preceding text with a comma
-            frame.part = key
+        if key in frame.node.children:
+            frame.part, frame.anchor = key, ""
+        else:  # the rest of a preceding text with a comma
+            self._join(frame, key)
         frame.value_next = True
         self._owned("key", (*frame.path, frame.part or ""), end)
 
@@ -209,20 +212,27 @@ class _Reader:
         if frame.indent < 0:
             self.owner = ("close", frame.path, event.end_mark.index)
 
-    def _next_path(self, plain: str) -> Path_:
+    def _join(self, frame: _Frame, rest: str) -> None:
+        """Add the rest of a text with a comma to the text that its anchor refers to."""
+        if frame.anchor:
+            self.plain[frame.anchor] += f", {rest}"
+
+    def _next_path(self, plain: str, anchor: str = "") -> Path_:
         """Return the path of the value that starts at the current position."""
         if not self.stack:
             return ()
         frame = self.stack[-1]
         if frame.mapping:
             frame.value_next = False
+            frame.anchor = anchor or frame.anchor
         else:
             open_ = plain.count("(") - plain.count(")")
             if frame.indent < 0 and frame.open > 0 and plain:  # the rest of a text with a comma in parentheses
                 frame.open += open_
+                self._join(frame, plain)
             else:
                 frame.part = 0 if frame.part is None else int(frame.part) + 1
-                frame.open = open_
+                frame.open, frame.anchor = open_, anchor
         return (*frame.path, frame.part if frame.part is not None else "")
 
     # -- comments -------------------------------------------------------------------------------------------------

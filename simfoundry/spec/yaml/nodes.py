@@ -169,7 +169,6 @@ class Composer:
             node.value = {key: child.value for key, child in children.items()}
             node.weight += sum([child.weight for child in children.values()])
         else:
-            node.children = children = _rejoined(children) if top.start.flow_style else children
             node.value = tuple([child.value for child in children])
             node.weight += sum([child.weight for child in children])
         if top.start.flow_style:
@@ -196,7 +195,11 @@ class Composer:
         self._count(node.line, node.column)
         top = self.stack[-1]
         if isinstance(top.children, list):
-            top.children.append(node)
+            last = top.children[-1] if top.children else None
+            if last is not None and "(" in last.plain and node.plain and top.start.flow_style and _is_open(last):
+                top.children[-1] = _joined(last, node, top.node)
+            else:
+                top.children.append(node)
         else:
             self._add_to_mapping(top, top.children, node)
         if anchor is not None:
@@ -232,22 +235,16 @@ def _one_line_of_several(node: Node) -> bool | None:
     return False if rows else None
 
 
-def _rejoined(items: list[Node]) -> list[Node]:
-    """Rejoin strings that YAML splits inside parentheses in bracketed lists, as in ``[OnTop(cup, desk), Closed(box)]``.
+def _joined(first: Node, rest: Node, parent: Node) -> Node:
+    """Return a string that YAML splits inside parentheses in a bracketed list, as in ``[OnTop(cup, desk), Open(box)]``.
 
     YAML splits such strings at the comma. Only unquoted scalars have ``plain`` set. Quoted scalars are not changed.
+    Aliases of the first part refer to the whole string.
     """
-    if not any("(" in item.plain for item in items):
-        return items
-    out: list[Node] = []
-    for item in items:
-        last = out[-1] if out else None
-        if last is not None and item.plain and _is_open(last):
-            joined = f"{last.plain}, {item.plain}"
-            out[-1] = Node(joined, last.line, last.column, plain=joined)
-        else:
-            out.append(item)
-    return out
+    if first.place < parent.place:  # an alias
+        first = Node(first.value, first.line, first.column)
+    first.value = first.plain = f"{first.plain or first.value}, {rest.plain}"
+    return first
 
 
 def _is_open(node: Node) -> bool:

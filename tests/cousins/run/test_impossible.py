@@ -72,7 +72,7 @@ def test_an_anchor_that_does_not_exist(project: Path) -> None:
 
 def test_an_anchor_that_no_goal_names(project: Path) -> None:
     done = asked(project, "  anchor: post\n", "")
-    assert done.code == 1 and "there is no anchor" in done.err and nothing_was_tried(project)
+    assert done.code == 2 and "there is no anchor" in done.err and nothing_was_tried(project)
 
 
 def test_a_table_too_full_of_what_moves(project: Path) -> None:

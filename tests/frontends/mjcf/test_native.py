@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
+from simfoundry.backends.names import InvalidSceneError
 from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.importer import import_file
 from simfoundry.scene.lower import lower_file
@@ -119,8 +120,15 @@ def test_other_formats_say_what_they_lose(imported: tuple[Path, Scene]) -> None:
     for target in ("urdf", "usd", "pybullet"):
         losses = {loss.feature: loss for loss in compile_scene(imported[1], target).losses}
         assert {"sites", "sensors", "actuators", "native"} <= losses.keys()
-        assert "1 spatial" in losses["native"].reason and losses["native"].path == "native.mjcf"
+        assert "2 tendons" in losses["native"].reason and losses["native"].path == "native.mjcf"
     assert not any(loss.feature == "native" for loss in compile_scene(imported[1], "mjcf").losses)
+
+
+def test_a_reference_to_nothing_is_named(imported: tuple[Path, Scene]) -> None:
+    document, _ = imported
+    document.write_text(document.read_text().replace("joint: torso.knee", "joint: torso.neck"))
+    with pytest.raises(InvalidSceneError, match=r"`pull` of `native.mjcf.tendon` refers to the joint `torso.neck`"):
+        compile_scene(lower_file(document), "mjcf")
 
 
 def test_worlds_keep_every_body_of_the_scene(imported: tuple[Path, Scene]) -> None:

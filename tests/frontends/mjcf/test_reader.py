@@ -113,11 +113,30 @@ def test_the_principal_point_is_where_mujoco_draws_it(importing: Importing) -> N
     assert (camera.cx, camera.cy) == pytest.approx(center, abs=1e-3)
 
 
-def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
-    text = """<mujoco><worldbody><body name="b"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
-      <joint name="h" axis="0 1 0" pos="0 0 0.2" range="-90 90"/>
+def test_hinges_of_one_body_are_the_axes_of_one_joint(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="b" pos="0 0 1"><joint name="a" axis="1 0 0" pos="0 0 0.2" range="-90 90"/>
+      <joint name="b" axis="0 1 0" pos="0 0 0.2" damping="2" ref="20"/><joint name="c" axis="0 0 1" pos="0 0 0.2"/>
       <geom type="box" size="0.1 0.2 0.3" pos="0 0 0.5"/></body></worldbody>
-      <keyframe><key qpos="0.3 0.7"/></keyframe></mujoco>"""
+      <keyframe><key qpos="0.3 0.7 -0.4"/></keyframe></mujoco>"""
+    for found, count in ((text.replace(' ref="20"', ""), 2), (text, 4)):  # with `ref`, the frames differ at zero
+        report, scene = importing("b.xml", found)
+        model = mujoco.MjModel.from_xml_string(found)
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        (thing,) = scene.objects
+        link = thing.links[-1]
+        assert len(thing.links) == count and len(thing.joints) == 3
+        assert (thing.X_WO @ link_poses(thing)[link.name]).apply(link.com) == pytest.approx(data.xipos[1], abs=1e-8)
+        assert {j.name: j.position for j in thing.joints} == pytest.approx({"a": 0.3, "b": 0.7, "c": -0.4})
+    assert any("negligible" in note.why for note in report.notes)
+
+
+def test_two_joints_of_a_body_with_a_ball_joint_are_two_links(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="b"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+      <joint name="h" type="ball" pos="0 0 0.2"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0 0 0.5"/></body></worldbody>
+      <keyframe><key qpos="0.3 0.8 0.6 0 0"/></keyframe></mujoco>"""
     _, scene = importing("b.xml", text)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
@@ -132,7 +151,7 @@ def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
 
 def test_links_between_joints_of_a_light_body_are_lighter(importing: Importing) -> None:
     text = """<mujoco><worldbody><body name="b"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
-      <joint/><geom size="0.01" mass="0.005"/></body></worldbody></mujoco>"""
+      <joint type="ball"/><geom size="0.01" mass="0.005"/></body></worldbody></mujoco>"""
     _, scene = importing("b.xml", text)
     *_, first, second, body = scene.objects[0].links
     assert body.mass == 0.005 and first.mass + second.mass < 1e-6 * body.mass
@@ -223,10 +242,10 @@ def test_a_camera_in_a_massless_body_rides_on_what_carries_it(importing: Importi
 
 
 def test_names_made_for_links_and_joints_are_no_names_of_the_file(importing: Importing) -> None:
-    """A base of two slides and a hinge is three links, carried by one; an attached gripper may call its bodies so."""
+    """A base of two slides and a ball is three links, carried by one; an attached gripper may call its bodies so."""
     text = """<mujoco><worldbody>
       <body name="mobile"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
-        <joint name="y" type="slide" axis="0 1 0" range="-1 1"/><joint name="yaw" type="hinge" axis="0 0 1"/>
+        <joint name="y" type="slide" axis="0 1 0" range="-1 1"/><joint name="yaw" type="ball"/>
         <geom size=".1"/>
         <body name="arm" pos=".2 0 0"><joint name="elbow"/><geom size=".05"/>
           <body name="base" pos="0 0 .1"><geom size=".05"/>

@@ -291,3 +291,12 @@ def test_the_same_file_gives_the_same_bytes(importing: Importing, tmp_path: Path
     first = {p.name: p.read_bytes() for p in sorted((tmp_path / "out").rglob("*.yaml"))}
     importing("a.urdf", text)
     assert {p.name: p.read_bytes() for p in sorted((tmp_path / "out").rglob("*.yaml"))} == first
+
+
+def test_a_planar_joint_has_three_axes(importing: Importing) -> None:
+    inside = '<origin xyz="0 0 1"/><axis xyz="0 0 2"/><limit effort="3" velocity="1"/>'
+    _, scene = importing("a.urdf", _robot(_link("a"), _link("b"), _joint("planar", inside)))
+    slide_x, slide_y, turn = scene.objects[0].joints
+    assert [str(joint.type) for joint in (slide_x, slide_y, turn)] == ["prismatic", "prismatic", "continuous"]
+    assert [joint.axis.tolist() for joint in (slide_x, slide_y, turn)] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    assert slide_x.X_PC.p.tolist() == [0, 0, 1] and slide_y.X_PC.is_identity

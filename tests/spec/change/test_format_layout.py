@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
-from hypothesis import given
+import yaml
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from simfoundry.spec.change.edit_text import edit_text
@@ -105,6 +107,8 @@ def form(written: str) -> str:
         ("a: &x 1\nobjects: *x\nb: &x 2\nname: *x\n", "name: 2\nobjects: 1\na: &x 1\nb: &x 2\n"),
         ("goal: &g OnTop( a,b )\nname: *g\n", "name: OnTop( a,b )\ngoal: &g OnTop(a, b)\n"),
         ("? &k a\n: *k\n", "a: a\n"),
+        ("goal: [&x OnTop(a, b), *x, {not: *x}]\n", 'goal: [&x "OnTop(a, b)", *x, {not: *x}]\n'),
+        ("a: {b: &x f(c, d, e), g: *x}\nh: [*x, 1]\n", 'a: {b: &x "f(c, d, e)", g: *x}\nh: [*x, 1]\n'),
     ],
 )  # fmt: skip
 def test_the_form_of_a_layout(written: str, canonical: str) -> None:
@@ -157,6 +161,31 @@ def test_lines_and_groups_stay_in_any_document(data: dict[str, Any], seed: int) 
     before, after = read_tree(parse(text)), read_tree(parse(check(text)))
     if "&" not in text:  # an anchor that moves takes its lines with it
         assert differences(before, after) == [], text
+
+
+CONDITIONS = st.recursive(
+    st.sampled_from(["OnTop(a, b)", "At(a,0.5 ,1)", "Open(c)", "f(x", "a, b", "(", "a,b)"]),
+    lambda inner: (
+        st.lists(inner, max_size=3).map(tuple)
+        | st.dictionaries(st.sampled_from(["all", "not", "x"]), inner, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+def shape(data: Any) -> Any:
+    """The data with lists as lists and all scalars but strings alike."""
+    if isinstance(data, dict):
+        return {key: shape(value) for key, value in data.items()}
+    return [*map(shape, data)] if isinstance(data, tuple | list) else data if isinstance(data, str) else None
+
+
+@given(st.dictionaries(st.sampled_from(["relations", "goal", "a"]), CONDITIONS, max_size=3), SEEDS)
+def test_other_readers_find_the_same_predicates(data: dict[str, Any], seed: int) -> None:
+    out = check(untidy(data, seed)[0])
+    anchors = re.findall(r"&\w+", out)
+    assume(len(anchors) == len(set(anchors)))  # PyYAML reads no anchor twice, although YAML allows it
+    assert shape(yaml.load(out, Loader=yaml.BaseLoader)) == shape(parse(out).data)
 
 
 @given(DOCUMENTS, DOCUMENTS, SEEDS)

@@ -111,7 +111,7 @@ FORMER = """\
 simfoundry: cousins/1
 name:   desks
 twin: desk.scene.yaml
-scene: {objects: {cup: [LeftOf]}, together: 2}   # two at once
+scene: {objects: {cup: [LeftOf]}, together: 2, anchor: desk}   # two at once
 distractors:
   shipped: true
   "without": [knife]
