@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, reuse, robot, scene, shapes
+from simfoundry.spec.models import base, native, reuse, robot, scene, shapes
 
 if TYPE_CHECKING:
     import mujoco
@@ -100,6 +100,7 @@ class ObjectEntry(DocumentEntry):
     joints = ValueField[Mapping[str, object], Values | None]()
     variant = Text()
     variants = ValueField[Mapping[str, scene.VariantSpec], Values | None]()
+    native = ValueField[native.ObjectNative | None, native.ObjectNative | Values | None]()
     origin = Origin()
 
 
@@ -161,6 +162,8 @@ class SceneDocument(EditableDocument):
     cameras = section(CameraEntry)
     lights = section(LightEntry)
     no_contact = ValueField[tuple[tuple[str, str], ...], Sequence[Sequence[str]] | None]()
+    options = ValueField[scene.OptionsSpec | None, scene.OptionsSpec | Values | None]()
+    native = ValueField[native.SceneNative | None, native.SceneNative | Values | None]()
     allow = ValueField[Mapping[str, object], Values | None]()
     origin = Origin()
 

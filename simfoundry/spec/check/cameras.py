@@ -14,13 +14,14 @@ def check_mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     """Check the name of the object, link or robot link that a camera is attached to."""
     carrier, _, link = mount.partition(".")
     if carrier not in names.robots:
-        if c.name(carrier, [*names.robots, *names.objects], path, "robot or object"):
+        known = c.name(carrier, [*names.robots, *names.objects], path, "robot or object")
+        if known and link not in names.links(carrier):
             names.check_link(c, mount, path)
         return
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
-    known = robot.known() if robot is not None and link else None
-    if known is not None:
-        c.name(link, known.links, path, f"link of `{carrier}`")
+    described = robot.known() if robot is not None and link else None
+    if described is not None:
+        c.name(link, described.links, path, f"link of `{carrier}`")
 
 
 def check_target(c: Checker, names: SceneNames, target: str, mount: str | None, path: Path_) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Path_
-from simfoundry.spec.models.reuse import ReferenceFrame, frame_carrier, frame_chain
+from simfoundry.spec.models.reuse import MAX_DEPTH, ReferenceFrame, frame_carrier, frame_chain
 from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
@@ -47,7 +47,9 @@ def _check_frame(c: Checker, names: SceneNames, name: str, frame: ReferenceFrame
         return
     check_reference(c, names, frame.frame, (*path, "frame"))
     chain = frame_chain(spec.frames, name)
-    if spec.frames[chain[-1]].frame == name:
+    if len(chain) > MAX_DEPTH:
+        c.add("SF005", (*path, "frame"), f"frames are attached to each other more than {MAX_DEPTH} levels deep")
+    elif spec.frames[chain[-1]].frame == name:
         shown = " → ".join(f"`{each}`" for each in (*chain, name))
         c.add("SF208", (*path, "frame"), f"the frame `{name}` depends on itself: {shown}", "remove one `frame`")
 

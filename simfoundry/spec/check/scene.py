@@ -250,6 +250,14 @@ class SceneNames:
         reference = self._items[name].asset if name in self._items else None
         return self.scene.used(reference) if reference is not None else None
 
+    def links(self, name: str) -> set[str]:
+        """Return the links that an object has in any of its variants. Cameras are mounted on those that exist."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        given = [item, *item.variants.values()] if item is not None else []
+        references = [each.asset for each in given if each.asset is not None and is_document(each.asset)]
+        assets = [asset_in(self.scene.used(reference)) for reference in references]
+        return {link for asset in assets if asset is not None for link in asset.links}
+
     # -- findings -----------------------------------------------------------------------------------------------
 
     def check_call(self, c: Checker, text: str, path: Path_) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -152,9 +153,13 @@ def _included(
 REUSE = ("parameters", "include", "templates")
 
 
+# A parameter outside a comment, such as the one that names the schema of a document.
+_PARAMETER = re.compile(r"^[^#\n]*\$[a-z]", re.MULTILINE)
+
+
 def uses_reuse(document: Document) -> bool:
     """Return True if a document contains anything to write out."""
-    if "$" in document.text:
+    if _PARAMETER.search(document.text):
         return True
     keys = members(document.root)
     return not keys.keys().isdisjoint(REUSE) or any(

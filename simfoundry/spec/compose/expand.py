@@ -6,6 +6,7 @@ that a person wrote. An entry with the name of a copy or of an included member c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -19,7 +20,7 @@ from simfoundry.spec.compose.copies import Group, copied_object, group, is_cente
 from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
-from simfoundry.spec.models.reuse import IncludeSpec
+from simfoundry.spec.models.reuse import MAX_DEPTH, IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
 from simfoundry.spec.yaml.text import Document, Path_
 
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from simfoundry.spec.compose.compose import Composed
 
 SCENE = "scene/1"
+
+# Maximum number of relations or pairs that one item can stand for; a scene can have 1,000 pairs.
+MAX_ITEMS = 10_000
 
 # Function that reads and composes the scene of an include, given its node and path, the file, and the parameters.
 ReadScene = Callable[[Node, tuple[str | int, ...], str, Mapping[str, float]], "Composed"]
@@ -241,6 +245,9 @@ class _Expansion:
             cycle = " is like ".join(f"`{each}`" for each in (*users[users.index(name) :], name))
             self.fault("SF207", like, path, f"{cycle}, which is a cycle", "remove `like` from one of them")
             return None
+        if len(users) > MAX_DEPTH:
+            self.fault("SF005", like, path, f"templates are alike more than {MAX_DEPTH} levels deep")
+            return None
         if name not in templates:
             hint = nearest(name, templates) if templates else "define it under `templates`"
             self.fault("SF201", like, path, f"no template is called `{name}`", hint)
@@ -310,6 +317,9 @@ class _Expansion:
         if leader in (*users, name):
             self.fault("SF207", repeat, path, f"`{name}` repeats with itself", "give one of them a `count`")
             return
+        if len(users) > MAX_DEPTH:
+            self.fault("SF005", repeat, path, f"objects repeat with each other more than {MAX_DEPTH} levels deep")
+            return
         if leader not in items:
             self.fault("SF201", repeat, path, f"no object is called `{leader}`", nearest(leader, items))
             return
@@ -366,20 +376,22 @@ class _Expansion:
         roots = list(dict.fromkeys(self.groups[name].root for name in named if name in self.groups))
         if not roots:
             return [item]
-        paired = len(named) == 2 and named[0] == named[1]  # all pairs of copies of one object
+        same = len(texts) == 2 and len(named) == 2 and named[0] == named[1]  # each pair of copies of one object
+        choices = [self.groups[root].copies for root in roots] * (2 if same else 1)
+        if math.prod(map(len, choices)) > MAX_ITEMS:
+            message = f"with the copies of `{named[0]}`, this stands for more than {MAX_ITEMS} items"
+            self.fault("SF005", item, (key,), message, "name fewer copies")
+            return []
         out = []
-        for chosen in product(
-            *(self.groups[root].copies for root in roots), *([self.groups[named[0]].copies] * paired)
-        ):
+        for chosen in product(*choices):
             index = dict(zip(roots, (copy.index for copy in chosen), strict=False))
-            new = {
-                name: self.groups[name].named(index[self.groups[name].root]) for name in named if name in self.groups
-            }
-            if None in new.values() or (paired and chosen[0].index >= chosen[1].index):
+            of_root = {name: self.groups[name] for name in named if name in self.groups}
+            new = {name: group.named(index[group.root]) for name, group in of_root.items()}
+            if None in new.values() or (same and chosen[0].index >= chosen[1].index):
                 continue
             spaces = {"objects": {name: copy for name, copy in new.items() if copy is not None}}
             values = [renamed_reference(key, node.value, spaces) for node in texts]
-            if paired and len(texts) == 2:
+            if same:
                 values[1] = chosen[1].name
             nodes = [scalar_at(value, node) for value, node in zip(values, texts, strict=True)]
             out.append(nodes[0] if not isinstance(item.children, list) else item.with_members(nodes))

@@ -7,8 +7,10 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
+from graphlib import CycleError, TopologicalSorter
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.yaml.nodes import Node
@@ -179,11 +181,16 @@ def parameter_values(
         elif isinstance(node.value, str) and is_expression(node.value):
             waiting[name] = node
     solving = Substitution(values, file)
-    while ready := [n for n, node in waiting.items() if not {*PARAMETER.findall(node.value)} & waiting.keys()]:
+    needs = {name: waiting.keys() & PARAMETER.findall(node.value) for name, node in waiting.items()}
+    sorter = TopologicalSorter(needs)
+    with suppress(CycleError):  # the sorter still yields all parameters that do not depend on a cycle
+        sorter.prepare()
+    while ready := sorter.get_ready():
         for name in ready:
             found = solving.apply(waiting.pop(name), ("parameters", name)).value
             if isinstance(found, int | float):
                 values[name] = found
+        sorter.done(*ready)
     for name, node in waiting.items():
         message = f"the value of `{name}` depends on itself: `{node.value}`"
         place = (node.file or file, node.line, node.column, f"parameters.{name}", "write one of them as a number")

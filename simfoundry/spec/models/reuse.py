@@ -23,6 +23,10 @@ from simfoundry.spec.models.base import (
 # Maximum number of copies of one object; a scene with 1,000 objects already takes seconds to compile.
 MAX_COPIES = 10_000
 
+# Maximum length of a chain of frames, templates, or objects that repeat with each other; limits the work for malicious
+# input.
+MAX_DEPTH = 32
+
 Copies = Annotated[int, Field(ge=1, le=MAX_COPIES)]
 Offset = tuple[Coordinate, ...]
 
@@ -162,10 +166,11 @@ class ReferenceFrame(FramedPose):
 def frame_chain(frames: Mapping[str, ReferenceFrame], reference: str | None) -> list[str]:
     """Return the named frames from a frame to the one that is attached to the world or to an object.
 
-    If the frame depends on itself, the chain ends where it would repeat.
+    If the frame depends on itself, the chain ends where it would repeat. If the chain is too long, which is reported as
+    an error, it ends after :data:`MAX_DEPTH` + 1 frames.
     """
     chain = dict[str, None]()
-    while reference is not None and reference in frames and reference not in chain:
+    while reference is not None and reference in frames and reference not in chain and len(chain) <= MAX_DEPTH:
         chain[reference] = None
         reference = frames[reference].frame
     return list(chain)

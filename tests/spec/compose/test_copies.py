@@ -155,6 +155,15 @@ relations: [OnTop(cup, dek)]
             "objects:\n" + "".join(f"  a{k}: {{{CUP}, repeat: {{count: 9000}}}}\n" for k in range(4)),
             "SF005 with the copies of `a",
         ),
+        (
+            f"objects: {{a: {{{CUP}, repeat: {{count: 200, step: 0.1}}}}}}\nno_contact: [[a, a]]\n",
+            "SF005 with the copies of `a`, this stands for more than 10000 items",
+        ),
+        (
+            "templates: {" + "".join(f"t{k}: {{like: t{k + 1}}}, " for k in range(99)) + "t99: {}}\n"
+            f"objects: {{a: {{{CUP}, like: t0}}}}\n",
+            "SF005 templates are alike more than 32 levels deep",
+        ),
     ],
 )
 def test_cycles_and_too_many_copies_are_refused(tmp_path: Path, body: str, said: str) -> None:

@@ -36,12 +36,14 @@ def with_reuse(
     written = describe(before, after, SceneSpec, verbose=verbose)
     if not {"include"} & {*_written(old), *_written(new)}:  # otherwise, the lists also contain those of other files
         before, after = ({k: v for k, v in _written(side).items() if k in LISTS} for side in (old, new))
-        written += describe(before, after, SceneSpec, verbose=verbose)
+        lists = describe(before, after, SceneSpec, verbose=verbose)
         rest = [e for e in rest if e.name or not e.facts or not e.facts[0].startswith(LISTS)]
+    else:
+        lists = ()
     includes = {*_written(old).get("include", {}), *_written(new).get("include", {})}
     rest = [e for e in rest if e.section != "frames" or e.name not in includes]
     rest, templates = _without_inherited(rest, written, new)
-    return (*templates, *_with_groups(rest, groups_before, groups_after))
+    return (*templates, *_with_groups(rest, groups_before, groups_after), *lists)
 
 
 def _without_step(entry: MemberChange, old: Mapping[str, Group], new: Mapping[str, Group]) -> MemberChange | None:
