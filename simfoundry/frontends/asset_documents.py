@@ -119,6 +119,8 @@ def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
         if material or (uniform is None and part.collides):
             parts[name]["material"] = _material_name(material, materials)
     out |= uniform or {}
+    if link.gravity_compensation:
+        out["gravity_compensation"] = float(link.gravity_compensation)
     if any(isinstance(part.geometry, MeshDraft) for part in link.colliders):
         out |= {"collision": link.collision} | ({"solid": "hull"} if link.inertia is None else {})
     return without_empty({**out, "parts": parts, **native_data(link.native)})

@@ -139,8 +139,9 @@ class LinkDraft:
     """A rigid body.
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
-    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``assumed`` is the source
-    to record in the document for an assumed mass or density, or an empty string if the file specifies the value.
+    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``gravity_compensation``
+    is in [0, 1]. ``assumed`` is the source to record in the document for an assumed mass or density, or an empty string
+    if the file specifies the value.
     """
 
     name: str
@@ -152,6 +153,7 @@ class LinkDraft:
     contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
+    gravity_compensation: float = 0.0
     native: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -84,8 +84,8 @@ class Link:
         com: The center of mass in the link frame [m], shape (3,).
         inertia: The inertia about the center of mass [kg m^2], expressed in link axes as a symmetric positive definite
             matrix, shape (3, 3).
-        collision_error: The maximum distance between the surfaces of the colliders and the shapes that they
-            approximate [m], or 0 if the colliders are exact.
+        collision_error: The maximum distance [m] of the colliders from the shapes that they approximate.
+        gravity_compensation: The share of the weight that is compensated, in [0, 1].
     """
 
     name: str
@@ -95,6 +95,7 @@ class Link:
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...]
     collision_error: float = 0.0
+    gravity_compensation: float = 0.0
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:

@@ -172,7 +172,8 @@ class ObjectLowering:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
             if hidden is not None:
                 hidden |= {(name, part_name): mesh for part_name, mesh in builder.hidden.items()}
-            links += self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
+            built = self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
+            links += [replace(each, gravity_compensation=link.gravity_compensation) for each in built]
         return links, lower_joints(spec, item.joints)
 
     def _built(

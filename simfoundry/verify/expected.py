@@ -79,7 +79,8 @@ def _held_by(item: SceneObject, link: Link) -> str:
 
 def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:
     colliders = tuple(part for collider in link.colliders for part in _collider(collider, target))
-    return LinkReadback(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
+    mass = (link.mass, numbers(link.com), numbers(link.inertia))
+    return LinkReadback(pose_numbers(X_WL), *mass, held, colliders, link.gravity_compensation)
 
 
 def _collider(collider: Collider, target: str) -> Iterator[rb.ColliderReadback]:

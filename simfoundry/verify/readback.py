@@ -49,7 +49,8 @@ class LinkReadback:
     """A link, with its pose, mass properties, parent and colliders.
 
     ``mass`` is in kg, ``com`` [m] is in the link frame, and ``inertia`` [kg m^2] is the row-major matrix about the
-    center of mass in link axes. ``held`` is the parent link, :data:`FREE` or :data:`WORLD`.
+    center of mass in link axes. ``gravity_compensation`` is a share of the weight. ``held`` is the parent link,
+    :data:`FREE` or :data:`WORLD`.
     """
 
     pose: Numbers | None = None
@@ -58,6 +59,7 @@ class LinkReadback:
     inertia: Numbers | None = None
     held: str | None = None
     colliders: tuple[ColliderReadback, ...] | None = None
+    gravity_compensation: float | None = None
 
 
 @dataclass(frozen=True)

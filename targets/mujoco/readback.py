@@ -92,6 +92,7 @@ class MujocoSession(rb.Session):
             inertia=rb.numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
             held=self._held(body),
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
+            gravity_compensation=float(model.body_gravcomp[body]),
         )
 
     def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> rb.ColliderReadback:

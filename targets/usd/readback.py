@@ -116,6 +116,7 @@ class UsdSession(rb.Session):
             com=rb.numbers(mass.GetCenterOfMassAttr().Get()),
             inertia=rb.numbers(axes @ np.diag(moments) @ axes.T),
             held=held,
+            gravity_compensation=_number(prim, "mjc:gravcomp"),
             colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
         )
 

@@ -126,6 +126,8 @@ def _fill_body(body: ET.Element, name: str, link: Link, assets: Assets, material
 
     A primitive that is both visual and collider becomes one geom in the visual group.
     """
+    if link.gravity_compensation:
+        body.set("gravcomp", number(link.gravity_compensation))
     moments, q = link.principal
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(_below_sum(moments))}
     ET.SubElement(body, "inertial", inertial | _turn(q))

@@ -71,10 +71,12 @@ def robot_losses(name: str) -> tuple[Loss, Loss]:
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:
-    """Yield the joint losses that occur in every URDF dialect.
+    """Yield the losses of joints and links that occur in every URDF dialect.
 
-    These concern armatures, and prismatic joints without limits.
+    These concern armatures, prismatic joints without limits, and gravity compensation.
     """
+    if any(link.gravity_compensation for link in item.links):
+        yield _drop("gravity_compensation", item.name)
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:

@@ -118,7 +118,7 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         model = self.model
         if any(X_LB.p):
             link.native["pos"] = tuple(X_LB.p.tolist())
-        if model.body_gravcomp[body]:
+        if model.body_gravcomp[body] != link.gravity_compensation:  # beyond the range of documents
             link.native["gravcomp"] = float(model.body_gravcomp[body])
         if model.body_mocapid[body] >= 0:
             link.native["mocap"] = True

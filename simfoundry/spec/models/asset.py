@@ -14,6 +14,7 @@ from simfoundry.spec.models.base import (
     Color,
     DocumentSpec,
     FileName,
+    Fraction,
     Interval,
     Material,
     Model,
@@ -101,6 +102,9 @@ class LinkSpec(BodySpec):
 
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
+    gravity_compensation: Fraction = Field(
+        0.0, description="Share of the link's weight that is compensated, from 0 to 1: a link with 1 does not fall."
+    )
     native: LinkNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent
