@@ -118,8 +118,9 @@ class Checker:
 
     def mass(self, body: BodySpec, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
         """Check that a body has a mass or a density, or that the materials of all its parts have a density."""
-        if body.model_fields_set & {"mass", "density"}:  # a missing value is reported separately
-            return
+        given = body.model_fields_set
+        if given & {"mass", "density"} or ("material" in given and body.material is None):
+            return  # a missing value is reported separately
         if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
             hint = "give `mass`, `density`, or a `material` with a density"
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)

@@ -359,7 +359,8 @@ class SceneNames:
             if cycle:
                 shown = " → ".join(f"`{n}`" for n in (*cycle, name))
                 hint = "give one of them a `pose`, or place it on something else"
-                c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
+                key = _key_for((*cycle, name)[1], places[name])
+                c.add("SF208", (*paths[name], key), f"the place of `{name}` depends on itself: {shown}", hint)
 
     def _check_place(self, c: Checker, place: Place, path: Path_) -> list[str]:
         """Check the names in a place, and return the objects to which it refers."""
@@ -375,6 +376,12 @@ class SceneNames:
             views = [*self.cameras, *self.robots, *self.frames]
             c.name(place.seen_from, views, (*path, "seen_from"), "camera, robot or frame")
         return list(named.values())
+
+
+def _key_for(name: str, place: Place | FramedPose) -> str:
+    """Return the key of a place or pose that refers to an object, directly or by a named frame."""
+    given = {key: getattr(place, key) for key in (*PLACE_REFERENCES, "frame") if key in place.model_fields_set}
+    return next((key for key, other in given.items() if (other or "").partition(".")[0] == name), "frame")
 
 
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:

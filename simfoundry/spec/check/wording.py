@@ -97,7 +97,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     elif kind == "missing":
         path += loc[-1:]
     elif kind.startswith("sf") and "at" in error.get("ctx", {}):
-        path += (error["ctx"]["at"],)
+        path += tuple(error["ctx"]["at"].split("."))
     return document.finding(code, path, message, hint, of_key=of_key)
 
 
