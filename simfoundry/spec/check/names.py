@@ -15,7 +15,13 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.reuse import FramedPose, frame_carrier
-from simfoundry.spec.models.scene import PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
+from simfoundry.spec.models.scene import (
+    PLACE_REFERENCES,
+    ObjectSpec,
+    Place,
+    SceneSpec,
+    variant_of,
+)
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
