@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, native, reuse, robot, scene, shapes
+from simfoundry.spec.models import base, native, reuse, robot, scene, shapes, surroundings
 
 if TYPE_CHECKING:
     import mujoco
@@ -118,7 +118,7 @@ class RobotEntry(DocumentEntry):
 class CameraEntry(DocumentEntry):
     """A pinhole camera with an image size [px], a field of view or focal lengths, a principal point, and a pose."""
 
-    _model = scene.CameraSpec
+    _model = surroundings.CameraSpec
     size = ValueField[tuple[int, int], Sequence[int]]()
     fov_deg = OptionalNumber()
     fx = OptionalNumber()
@@ -132,7 +132,7 @@ class CameraEntry(DocumentEntry):
 class LightEntry(DocumentEntry):
     """A distant, point or dome light."""
 
-    _model = scene.LightSpec
+    _model = surroundings.LightSpec
     type = ValueField[str, str]()
     intensity = Number()
     color = Color()
@@ -155,7 +155,7 @@ class SceneDocument(EditableDocument):
     include = ValueField[Mapping[str, reuse.IncludeSpec], Values | None]()
     templates = ValueField[Mapping[str, scene.TemplateSpec], Values | None]()
     frames = ValueField[Mapping[str, reuse.ReferenceFrame], Values | None]()
-    background = ValueField[scene.BackgroundSpec | None, scene.BackgroundSpec | Values | None]()
+    background = ValueField[surroundings.BackgroundSpec | None, surroundings.BackgroundSpec | Values | None]()
     objects = section(ObjectEntry)
     materials = section(MaterialEntry)
     robots = section(RobotEntry)

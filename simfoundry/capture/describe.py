@@ -19,7 +19,8 @@ from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
 from simfoundry.spec.models import shapes
 from simfoundry.spec.models.reuse import FramedPose
-from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
+from simfoundry.spec.models.scene import ObjectSpec
+from simfoundry.spec.models.surroundings import CameraSpec
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.spec.models.base import Material, Origin
 from simfoundry.spec.models.predicate import parse_call
-from simfoundry.spec.models.scene import LightSpec, SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.surroundings import LightSpec
 
 Progress = Callable[[str, float], None]
 

@@ -10,7 +10,7 @@ from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, LeftOut, MountedCamera, Scene
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models.scene import CameraSpec
+from simfoundry.spec.models.surroundings import CameraSpec
 
 if TYPE_CHECKING:
     from simfoundry.scene.lower import Lowering

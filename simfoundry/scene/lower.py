@@ -33,7 +33,8 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.predicate import parse_call
-from simfoundry.spec.models.scene import LightSpec, Place, SceneSpec
+from simfoundry.spec.models.scene import Place, SceneSpec
+from simfoundry.spec.models.surroundings import LightSpec
 
 
 @dataclass

@@ -27,7 +27,7 @@ from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.models.scene import BackgroundSpec
+from simfoundry.spec.models.surroundings import BackgroundSpec
 
 
 class MeshBody(NamedTuple):

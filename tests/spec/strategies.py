@@ -11,7 +11,7 @@ from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSp
 from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, Origin, PoseSpec
 from simfoundry.spec.models.capture import MAX_FOCAL
 from simfoundry.spec.models.reuse import FramedPose
-from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.scene import Degrees, ObjectSpec, SceneSpec
 from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
@@ -29,6 +29,7 @@ from simfoundry.spec.models.shapes import (
     Round,
     SphereShape,
 )
+from simfoundry.spec.models.surroundings import CameraSpec, LightSpec
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
     ["true", "null", "on", "no", "y", "e1"]

@@ -16,7 +16,7 @@ from simfoundry.spec.models.shapes import BoxShape
 from simfoundry.spec.yaml.nodes import Node
 
 if TYPE_CHECKING:
-    from simfoundry.spec.models.scene import CameraSpec
+    from simfoundry.spec.models.surroundings import CameraSpec
 
 # Gravity [m/s^2] above which a value is in another unit. It is 24.8 on Jupiter and 274 on the Sun; 981 would be in cm.
 STRONGEST_GRAVITY = 100.0
