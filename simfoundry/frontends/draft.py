@@ -20,7 +20,7 @@ from simfoundry.frontends.names import free_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Mimic
-from simfoundry.spec.models.asset import DriveSpec
+from simfoundry.spec.models.joint import DriveSpec
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.shapes import BoxShape
 

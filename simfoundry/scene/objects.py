@@ -26,7 +26,8 @@ from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models import base, scene
-from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
+from simfoundry.spec.models.asset import AssetSpec, Inertial
+from simfoundry.spec.models.joint import JointSpec
 
 # Callback that receives a name, the number of finished objects, and the total number of objects.
 Progress = Callable[[str, int, int], None]

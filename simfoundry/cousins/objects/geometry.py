@@ -16,7 +16,8 @@ from simfoundry.cousins.objects.parts import aimed, at, bounds, is_radial, moved
 from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, outside, swelled, thickened, walled
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
-from simfoundry.spec.models.asset import AssetSpec, AxisSpec, JointSpec, PartSpec
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
+from simfoundry.spec.models.joint import AxisSpec, JointSpec
 from simfoundry.spec.models.shapes import ConeShape, LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.

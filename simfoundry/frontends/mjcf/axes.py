@@ -8,7 +8,7 @@ import numpy as np
 from pydantic_core import PydanticCustomError
 
 from simfoundry.geometry.frames import Array
-from simfoundry.spec.models.asset import AxisSpec, check_axes
+from simfoundry.spec.models.joint import AxisSpec, check_axes
 
 # Largest distance [m] between the anchors of hinges that intersect; files state the same numbers for them.
 SAME_POINT = 1e-9

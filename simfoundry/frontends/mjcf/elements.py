@@ -14,7 +14,7 @@ from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.frontends.mjcf.native import NativeReader
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Mimic
-from simfoundry.spec.models.asset import DriveSpec
+from simfoundry.spec.models.joint import DriveSpec
 
 # Default image size of a camera [px], which is the size of MuJoCo's offscreen buffer.
 PICTURE = (640, 480)

@@ -15,7 +15,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mass_repair import assume_density, inertia_of_moments
 from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
-from simfoundry.spec.models.asset import DriveSpec
+from simfoundry.spec.models.joint import DriveSpec
 
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 

@@ -14,7 +14,8 @@ from simfoundry.spec.models.base import WORLD, PoseSpec
 from simfoundry.spec.models.scene import Degrees, Written, position
 
 if TYPE_CHECKING:
-    from simfoundry.spec.models.asset import AssetSpec, JointSpec
+    from simfoundry.spec.models.asset import AssetSpec
+    from simfoundry.spec.models.joint import JointSpec
 
 
 def check_asset(c: Checker, spec: AssetSpec) -> None:
