@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 import simfoundry as sf
+from simfoundry.spec.change.diff.words import describe, text
 from simfoundry.spec.load import load
 from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_data
 from tests.cli.command import run
 from tests.spec.compose.documents import DESK, written
 
@@ -110,3 +112,27 @@ def test_a_pose_of_a_cousin_leaves_the_frame_of_its_twin(scene: Path, tmp_path: 
     assert "frame: null" in (tmp_path / "out" / "000001.scene.yaml").read_text()
     cousin = load(tmp_path / "out" / "000001.scene.yaml").spec
     assert isinstance(cousin, SceneSpec) and cousin.objects["bowl"].pose.frame is None
+
+
+def test_what_moves_in_a_stage_leaves_its_frame(scene: Path, tmp_path: Path) -> None:
+    from pxr import Gf, Usd, UsdGeom
+
+    framed = "frames: {mid: {xyz: [0.1, 0.1, 0], yaw_deg: 45}}\nobjects:\n"
+    body = SCENE.replace("place: {on: desk, xy: [-0.3, 0]}", "pose: {frame: mid, xyz: [0, 0, 0.02]}")
+    scene.write_text(body.replace("objects:\n", framed) + "lights: {lamp: {type: point, frame: mid, xyz: [0, 0, 1]}}\n")
+    sf.load(scene).compile("usd", out=tmp_path / "b")
+    assert "no changes" in run("import", "b/usd/scene.usda", "-o", "cups.scene.yaml").out
+    stage = Usd.Stage.Open(str(tmp_path / "b" / "usd" / "scene.usda"))
+    for path in ("/World/Objects/bowl", "/World/Lights/lamp"):
+        move = UsdGeom.Xformable(stage.GetPrimAtPath(path)).GetOrderedXformOps()[0]
+        move.Set(move.Get() + Gf.Vec3d(0.05, 0, 0))
+    stage.Save()
+    before = load(scene).spec
+    assert run("import", "b/usd/scene.usda", "-o", "cups.scene.yaml").code == 0
+    after = load(scene).spec
+    assert isinstance(before, SceneSpec) and isinstance(after, SceneSpec)
+    assert after.objects["bowl"].pose.frame is None and after.objects["bowl"].pose.xyz == (0.15, 0.1, 0.02)
+    assert after.objects["bowl"].pose.yaw_deg == 45
+    assert after.lights["lamp"].frame is None and after.lights["lamp"].xyz == (0.15, 0.1, 1)
+    sides = text(describe(to_data(before), to_data(after), SceneSpec))
+    assert sides[0] == "bowl is now at (0.15, 0.1, 0.02) m (was at (0, 0, 0.02) m in the frame mid)"

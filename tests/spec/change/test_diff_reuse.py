@@ -42,6 +42,12 @@ def lines(folder: Path, old: str, new: str) -> list[str]:
         ("on: cup}, ", "on: cup}, color: [1, 0, 0], ", ["mug (12 copies): color now #ff0000"]),
         ("mug: {", "jug: {", ["mug (12 copies) renamed to jug"]),
         ("  bowl", "  cup_1_2: {friction: 0.9}\n  bowl", ["cup_1_2: friction now 0.9"]),
+        (
+            "xy: [-0.5, 0]}",
+            "xy: [-0.5, 0], frame: side}",
+            ["bowl is now on desk at (-0.5, 0) m, in the frame side (was on desk at (-0.5, 0) m)"],
+        ),
+        ("xy: [0, 0]}", "xy: [0, 0], offset: [0.1, 0]}", ["cup (12 copies) moved 10.0 cm (+x 10.0)"]),
         ("  bowl", "  cup_1_2: null\n  bowl", ["cup_1_2 removed", "mug_1_2 removed"]),
     ],
 )

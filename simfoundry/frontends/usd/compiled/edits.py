@@ -169,7 +169,7 @@ def _turned(old: Pose, new: Pose) -> bool:
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
-    """Return a pose as readable document data.
+    """Return a pose as readable document data. A pose in a frame becomes a pose in the world.
 
     Args:
         pose: New pose.
@@ -177,7 +177,7 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
         built: Pose that the stage had when it was compiled.
     """
     new = to_data(pose_spec(pose))
-    if not isinstance(before, dict):
+    if not isinstance(before, dict) or "frame" in before:
         return new
     rotation = new if _turned(built, pose) else before
     place = new if _shifted(built, pose) else before

@@ -88,6 +88,7 @@ def edited_light(part: StageMember) -> Edited:
         data["color"] = srgb(now.get(names[2], (1.0, 1.0, 1.0)))
     if has_moved(part):
         data |= light_place(kind, part.X_WP)
+        data.pop("frame", None)  # stages state poses in the world
     return Edited(data, notes)
 
 

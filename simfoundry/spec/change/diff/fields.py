@@ -15,7 +15,7 @@ from simfoundry.spec.models.base import Model
 INHERITED = ("density", "friction", "restitution", "color")
 
 # Keys of a place that must be equal for a change of position to be described as motion.
-_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap")
+_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "frame", "seen_from")
 
 # Keys of a place that contain a position.
 _XY = {"xy", "local_xy"}
@@ -111,6 +111,9 @@ class Describing:
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
             return ()
+        elif _frame(old) != _frame(new):
+            verbs.append(f"is now {_where(new)} (was {_where(old)})")
+            verbs.moved = True
         elif not same(old.get("pose"), new.get("pose")):
             before, after = (side.get("pose") or {} for side in (old, new))
             verbs.add_motion(before, after)
@@ -253,7 +256,14 @@ def _place(item: Any) -> str:
 def _where(item: dict[str, Any]) -> str:
     if isinstance(item.get("place"), dict):
         return values.place(item["place"])
-    return f"at {values.value('', (item.get('pose') or {}).get('xyz', (0.0, 0.0, 0.0)))} m"
+    frame = _frame(item)
+    where = f"at {values.value('', (item.get('pose') or {}).get('xyz', (0.0, 0.0, 0.0)))} m"
+    return where if frame is None else f"{where} in the frame {frame}"
+
+
+def _frame(item: Mapping[str, Any]) -> Any:
+    """Return the frame of an object's or camera's pose, or None for the world."""
+    return (item.get("pose") or {}).get("frame")
 
 
 def _angles(item: dict[str, Any]) -> dict[str, Any]:
@@ -262,8 +272,8 @@ def _angles(item: dict[str, Any]) -> dict[str, Any]:
 
 def _flat(place: dict[str, Any]) -> dict[str, Any]:
     """Return a place as a pose in the ground plane, so that it can be compared with another place of the same kind."""
-    x, y = place.get("xy") or place.get("local_xy") or (0.0, 0.0)
-    return {**place, "xyz": (x, y, 0.0)}
+    (x, y), (dx, dy) = place.get("xy") or place.get("local_xy") or (0.0, 0.0), place.get("offset") or (0.0, 0.0)
+    return {**place, "xyz": (x + dx, y + dy, 0.0)}
 
 
 def _quantity(old: Any, new: Any) -> bool:

@@ -129,6 +129,11 @@ def place(item: dict[str, Any]) -> str:
         if key in item:
             gap = f" with a gap of {number(item['gap'])} m" if "gap" in item else ""
             words.append(f"{key.replace('_', ' ')} {item[key]}{gap}")
+    if "offset" in item:
+        words.append(f"shifted by {_list('offset', item['offset'])} m")
+    words += [
+        f"{text} {item[key]}" for key, text in (("seen_from", "seen from"), ("frame", "in the frame")) if key in item
+    ]
     return ", ".join(words)
 
 
