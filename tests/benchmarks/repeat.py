@@ -37,6 +37,9 @@ objects:
     place: {on: floor}
     repeat: {count: [25, 40], step: [0.6, 0.4]}
 """
+RELATION = "relations: ['OnTop(parcel, floor)']\n"
+"""A relation that stands for 1,000, one for each copy; without a bar."""
+
 BASELINE = (sys.executable, "-c", "import yaml, pydantic, click")
 STRUCTURE, GEOMETRY = 5.0, 12.0
 """The largest ratios to the baseline."""
@@ -51,24 +54,27 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=7)
     rounds = parser.parse_args().rounds
     with tempfile.TemporaryDirectory() as folder:
-        path, flat = Path(folder) / "repeat.scene.yaml", Path(folder) / "flat.scene.yaml"
+        path, related, flat = (Path(folder) / f"{name}.scene.yaml" for name in ("repeat", "related", "flat"))
         path.write_text(SCENE)
+        related.write_text(SCENE + RELATION)
         command = (sys.executable, "-m", "simfoundry")
         flat.write_text(_run(*command, "flatten", str(path)))
-        check = (*command, "check", str(path))
+        check = (*command, "check")
         times = in_turns(
             {
                 "import yaml, pydantic, click": lambda: _run(*BASELINE),
-                "check --no-lints": lambda: _run(*check, "--no-lints"),
-                "check": lambda: _run(*check),
+                "check --no-lints": lambda: _run(*check, str(path), "--no-lints"),
+                "check": lambda: _run(*check, str(path)),
                 "compile, repeated": lambda: _compile(path),
                 "compile, written out": lambda: _compile(flat),
+                "check --no-lints, with a relation": lambda: _run(*check, str(related), "--no-lints"),
+                "check, with a relation": lambda: _run(*check, str(related)),
             },
             rounds,
         )
-    baseline, structure, geometry, repeated, written = times.values()
+    baseline, structure, geometry, repeated, written, *_ = times.values()
     for name, seconds in times.items():
-        print(f"{name:30} {seconds * 1e3:8.0f} ms {seconds / baseline:6.2f} x")
+        print(f"{name:34} {seconds * 1e3:8.0f} ms {seconds / baseline:6.2f} x")
     print(f"compile: {repeated / written:.2f} x of the objects written out")
     return int(structure > STRUCTURE * baseline or geometry > GEOMETRY * baseline or repeated > SCATTER * written)
 
