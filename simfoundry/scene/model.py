@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from simfoundry.assets.panorama import Panorama as Panorama
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
@@ -293,7 +294,8 @@ class Light:
     """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or from all sides (dome).
 
     ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
-    [0, 1], shape (3,).
+    [0, 1], shape (3,). The radiance of a dome with a ``panorama`` is that of its pixels, times the intensity and the
+    color.
     """
 
     name: str
@@ -301,6 +303,7 @@ class Light:
     intensity: float
     rgb: Array
     X_WL: Pose
+    panorama: Panorama | None = None
 
 
 Splat = Gaussians  # exported here because backends may import the scene package but not the assets package

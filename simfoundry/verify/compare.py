@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from simfoundry.backends.convex_hulls import REPLACED, with_hulls
 from simfoundry.backends.features import Fidelity, Loss
 from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
@@ -125,6 +126,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
         for loss in losses
         if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.feature != "robots")
     ]
+    scene = with_hulls(scene, REPLACED[engine.target.backend])
     ours, robots = without_robots(facts, {robot.name for robot in scene.robots})
     checker = _Checker(expected_readback(scene, engine.target.backend), ours, static_links(scene), engine)
     checker.run()

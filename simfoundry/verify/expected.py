@@ -14,6 +14,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from simfoundry.backends.convex_hulls import REPLACED, with_hulls
 from simfoundry.backends.light_links import with_light_links
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
@@ -42,8 +43,10 @@ _NO_JOINT = (JointType.FIXED, JointType.FREE)
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
     """Return the expected read-back for ``scene`` in ``target``.
 
-    It contains all pairs of colliders that have different friction coefficients.
+    It contains all pairs of colliders that have different friction coefficients. Colliders that the target writes as
+    convex hulls are expected as such.
     """
+    scene = with_hulls(scene, REPLACED[target])
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     if target in _LIGHT_LINKS:

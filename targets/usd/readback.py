@@ -14,7 +14,7 @@ from simfoundry.verify import readback as rb
 
 _SCOPES = ("/World/Objects", "/World/Robots")
 _TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
-_KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
+_KINDS = {"Cube": "box"} | {kind: kind.lower() for kind in ("Sphere", "Cylinder", "Capsule", "Cone", "Mesh")}
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:

@@ -55,6 +55,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
     yield from (_drop("cameras", camera.name) for camera in scene.cameras)
     yield from (_drop("mounted_cameras", mounted.camera.name) for mounted in scene.mounted)
     yield from (_drop(f"{light.type.value}_lights", light.name) for light in scene.lights)
+    yield from (_drop("dome_textures", light.name) for light in scene.lights if light.panorama is not None)
     if scene.background is not None and scene.background.visuals:
         yield _drop("background_mesh", "background")
     yield from attachment_losses(scene, FEATURES, drives=False)
