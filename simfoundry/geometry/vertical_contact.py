@@ -76,7 +76,7 @@ class _LevelTop:
         return bool((low[:2] > self.low).all() and (high[:2] < self.high).all())
 
     def heights(self, shape: Hulls) -> Array:
-        """Return the heights [m] by which each part of a shape must be lifted to rest on the rectangle, shape (n, 1)."""
+        """Return the heights [m] by which each part of a shape must be lifted to rest on the top, shape (n, 1)."""
         lowest = np.full(len(shape.radius), np.inf)
         np.minimum.at(lowest, shape.part, shape.corners[:, 2])
         return np.asarray(self.height - (lowest - shape.radius * (1 - SHRINK)))[:, None]
