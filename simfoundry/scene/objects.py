@@ -119,7 +119,8 @@ class ObjectLowering:
 
     def _one(self, name: str, item: scene.ObjectSpec, place: tuple[str, ...]) -> SceneObject | None:
         before = len(self.findings)
-        category = item.category or name
+        reuse = self.loaded.reuse  # a copy has the category of the object that is repeated
+        category = item.category or (reuse.base_name(name) if reuse is not None else name)
         joints: tuple[Joint, ...] = ()
         no_contact: tuple[tuple[str, str], ...] = ()
         attached: dict[str, Any] = {"native": inline_native(item)}

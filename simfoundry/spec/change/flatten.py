@@ -13,9 +13,10 @@ from typing import Any
 from simfoundry.spec.change.diff.changes import copied, same
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.scene import VariantSpec
 from simfoundry.spec.models.types import RIVALS, Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
-from simfoundry.spec.yaml.write import write_tree
+from simfoundry.spec.yaml.write import to_data, write_tree
 
 
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
@@ -59,8 +60,15 @@ def full(spec: Model) -> dict[str, Any]:
         rivals = RIVALS.get(name, set())
         if value is None or (name not in given and (rivals & given or (isinstance(value, dict | tuple) and not value))):
             continue
-        out[name] = copied(value, lambda item: full(item) if isinstance(item, Model) else item)
+        out[name] = copied(value, _full_member)
     return out
+
+
+def _full_member(item: Any) -> Any:
+    """Return a part of a document including its defaults. A variant has none: it inherits what it does not state."""
+    if isinstance(item, VariantSpec):
+        return to_data(item)
+    return full(item) if isinstance(item, Model) else item
 
 
 def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:

@@ -73,6 +73,12 @@ class Checker:
             return True
         if self._counts[Severity.ERROR] < MAX_FINDINGS:
             hint = nearest(name, choices) or "none are defined"
+            group = self.loaded.reuse.groups.get(name) if self.loaded.reuse is not None else None
+            if group is not None and group.copies:
+                self.add(
+                    "SF201", path, f"`{name}` is repeated", f"name one of its copies, such as `{group.copies[0].name}`"
+                )
+                return False
             if what == "material" and not hint.startswith("did"):
                 hint += "; define new materials under `materials`"
             self.add("SF201", path, f"no {what} is called `{name}`", hint)

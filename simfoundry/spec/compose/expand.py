@@ -6,6 +6,7 @@ that a person wrote. An entry with the name of a copy or of an included member c
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from simfoundry.spec.compose.copies import Group, copied_object, group, is_cente
 from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
 from simfoundry.spec.compose.lists import with_copied_lists
+from simfoundry.spec.compose.templates import Generated, with_templates, without
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.models.reuse import MAX_DEPTH, IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
@@ -27,21 +29,11 @@ if TYPE_CHECKING:
 
 SCENE = "scene/1"
 
+# End of the name of a copy.
+INDICES = re.compile(r"(?:_[0-9]+){1,4}\Z")
+
 # Function that reads and composes the scene of an include, given its node and path, the file, and the parameters.
 ReadScene = Callable[[Node, tuple[str | int, ...], str, Mapping[str, float]], "Composed"]
-
-
-@dataclass(frozen=True)
-class Generated:
-    """A member that was written out, or completed by a template.
-
-    Attributes:
-        source: The member that it comes from: a repeated object, a template, or an include.
-        value: Its data without the entry that changes it.
-    """
-
-    source: Member
-    value: Any
 
 
 @dataclass(frozen=True)
@@ -62,6 +54,13 @@ class Reuse:
     groups: Mapping[str, Group]
     files: tuple[Path, ...]
     unresolved: tuple[tuple[str, int, int], ...] = ()
+
+    def base_name(self, name: str) -> str:
+        """Return the name of an object without the prefixes of includes and the indices of copies."""
+        group = next((each for each, found in self.groups.items() if found.has(name)), name)
+        source = self.generated.get(("objects", name))
+        include = source.source[1] if source is not None and source.source[0] == "include" else ""
+        return group.removeprefix(f"{include}_") if include else group
 
     def source(self, section: str, name: str) -> Member | None:
         """Return the repeated object or the include that a member comes from, or None if it was written itself."""
@@ -92,7 +91,7 @@ def expand(
     if isinstance(root.children, dict):
         root = work.with_parameters(root, parameters)
         root = work.with_includes(root)
-        root = work.with_templates(root)
+        root, work.generated = with_templates(root, work.joining, work.generated, work.fault)
         root = work.with_copies(root)
         root = work.without_removals(root)
     reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files), tuple(work.unresolved))
@@ -110,6 +109,7 @@ class _Expansion:
     generated: dict[Member, Generated] = field(default_factory=dict)
     groups: dict[str, Group] = field(default_factory=dict)
     files: list[Path] = field(default_factory=list)
+    removed: set[str] = field(default_factory=set)
     unresolved: list[tuple[str, int, int]] = field(default_factory=list)
 
     def fault(self, code: str, node: Node, path: tuple[str | int, ...], message: str, hint: str = "") -> None:
@@ -159,7 +159,12 @@ class _Expansion:
             except SpecError as error:
                 self.findings += error.diagnostics
                 continue
-            self.findings += composed.findings
+            at = members(node).get("parameters", node)
+            for d in composed.findings:
+                if d.code == "SF201" and d.path == "parameters":  # an unknown parameter, which was written here
+                    self.fault(d.code, at, (*path, "parameters"), d.message, d.hint)
+                else:
+                    self.findings.append(d)
             scenes.append(included_scene(name, node, include, composed.document.root))
             for message, hint in scenes[-1].faults:
                 self.fault("SF107", node, path, message, hint)
@@ -205,65 +210,9 @@ class _Expansion:
                 elif over.value is not None:
                     new[name] = self.joining.join(node, over, (section, name))
                 else:
+                    self.removed.add(name)
                     self.joining.removals.pop((section, name), None)
         return (own if own is not None else theirs[0][1]).with_members({**new, **overs}, places)
-
-    # -- templates --------------------------------------------------------------------------------------------------
-
-    def with_templates(self, root: Node) -> Node:
-        """Complete objects, and templates themselves, with the templates that they name."""
-        keys = members(root)
-        templates = members(keys.get("templates"))
-        objects = keys.get("objects")
-        if objects is None or not isinstance(objects.children, dict):
-            return root
-        resolved: dict[str, Node | None] = {}
-        new = {}
-        for name, item in objects.children.items():
-            new[name] = item
-            like = members(item).get("like")
-            if like is None:
-                continue
-            template = self._template(like, ("objects", name, "like"), templates, resolved, ())
-            if template is not None:
-                rest = _without(item, "like")
-                new[name] = self.joining.join(template, rest, ("objects", name))
-                if ("objects", name) not in self.generated:
-                    self.generated["objects", name] = Generated(("templates", str(like.value)), template.value)
-        return root.with_members({**keys, "objects": objects.with_members(new)})
-
-    def _template(
-        self,
-        like: Node,
-        path: tuple[str | int, ...],
-        templates: Mapping[str, Node],
-        resolved: dict[str, Node | None],
-        users: tuple[str, ...],
-    ) -> Node | None:
-        """Return a template that is completed by the templates that it names, or None if that is not possible."""
-        name = like.value
-        if not isinstance(name, str):
-            return None  # reported by the type check
-        if name in users:
-            cycle = " is like ".join(f"`{each}`" for each in (*users[users.index(name) :], name))
-            self.fault("SF207", like, path, f"{cycle}, which is a cycle", "remove `like` from one of them")
-            return None
-        if len(users) > MAX_DEPTH:
-            self.fault("SF005", like, path, f"templates are alike more than {MAX_DEPTH} levels deep")
-            return None
-        if name not in templates:
-            hint = nearest(name, templates) if templates else "define it under `templates`"
-            self.fault("SF201", like, path, f"no template is called `{name}`", hint)
-            return None
-        if name not in resolved:
-            template = templates[name]
-            inner = members(template).get("like")
-            resolved[name] = template if isinstance(template.children, dict) else None
-            if inner is not None:
-                base = self._template(inner, ("templates", name, "like"), templates, resolved, (*users, name))
-                over = _without(template, "like")
-                resolved[name] = None if base is None else self.joining.join(base, over, ("templates", name))
-        return resolved[name]
 
     # -- copies -----------------------------------------------------------------------------------------------------
 
@@ -276,33 +225,62 @@ class _Expansion:
         for name, item in items.items():
             self._add_group(name, item, items, own, ())
         if objects is None or not own:
-            return with_copied_lists(root, self.groups, self.fault)
+            return with_copied_lists(root, self.groups, self.removed, self.fault)
         self._within_limit(items, own, root.weight)
         own = self._without_removed(items, own)
         self.groups |= own
         copies = {copy.name for found in own.values() for copy in found.copies}
         new, places = dict[str, Node](), dict(objects.keys)
+        for name in own:
+            self.generated.pop(("objects", name), None)  # its template is part of the copies
+        self._check_unknown_copies(items, own, copies)
         for name, item in items.items():
             for copy, node in self._copies(name, item, own[name], items).items() if name in own else ():
                 self.generated["objects", copy] = Generated(("objects", name), node.value)
                 places.setdefault(copy, objects.keys[name])
+                if copy in new:
+                    self.fault(
+                        "SF213", item, ("objects", name), f"two copies are both called `{copy}`", f"rename `{name}`"
+                    )
                 over = items.get(copy)
                 new[copy] = node if over is None else self.joining.join(node, over, ("objects", copy))
             if name not in own and name not in copies:
                 new[name] = item
         root = root.with_members({**keys, "objects": objects.with_members(new, places)})
-        return with_copied_lists(root, self.groups, self.fault)
+        return with_copied_lists(root, self.groups, self.removed, self.fault)
 
     def _without_removed(self, items: dict[str, Node], own: Mapping[str, Group]) -> dict[str, Group]:
-        """Drop the copies that an entry removes, and the copies that repeat with them."""
+        """Drop the copies that an entry removes, and the copies that repeat with them unless they have an entry."""
         gone: dict[str, set[tuple[int, ...]]] = {}
         for name, found in own.items():
             removed = [copy for copy in found.copies if copy.name in items and items[copy.name].value is None]
             gone[name] = {copy.index for copy in removed}
             for copy in removed:
                 del items[copy.name]
+                self.removed.add(copy.name)
                 self.joining.removals.pop(("objects", copy.name), None)
-        return {name: found.without(gone[name] | gone.get(found.root, set())) for name, found in own.items()}
+        for name, found in own.items():
+            followed = [
+                copy for copy in found.copies if copy.index in gone.get(found.root, ()) and copy.name not in items
+            ]
+            gone[name] |= {copy.index for copy in followed}
+            self.removed.update(copy.name for copy in followed)
+        return {name: found.without(gone[name]) for name, found in own.items()}
+
+    def _check_unknown_copies(self, items: dict[str, Node], own: Mapping[str, Group], copies: set[str]) -> None:
+        """Report entries for copies that do not exist, and drop those of a base, since an overlay may repeat less."""
+        for name, item in [*items.items()]:
+            stem = INDICES.sub("", name)
+            group = stem if stem in own and stem != name else None
+            if group is None or name in copies or not own[group].copies or {"shape", "asset"} & members(item).keys():
+                continue
+            del items[name]
+            known = own[group].copies
+            if not item.file:
+                message = f"`{group}` has no copy called `{name}`"
+                hint = f"its copies are `{known[0].name}` to `{known[-1].name}`"
+                self.fault("SF201", item, ("objects", name), message, hint)
+            self.joining.removals.pop(("objects", name), None)
 
     def _add_group(
         self, name: str, item: Node, items: Mapping[str, Node], own: dict[str, Group], users: tuple[str, ...]
@@ -349,7 +327,7 @@ class _Expansion:
 
     def _copies(self, name: str, item: Node, found: Group, items: Mapping[str, Node]) -> dict[str, Node]:
         """Return the nodes of the copies of an object, without the entries that change them."""
-        item = _without(item, "repeat")
+        item = without(item, "repeat")
         beside = [(other, same) for other, same in self.groups.items() if same.root == found.root and other != name]
         out = dict[str, Node]()
         for copy in found.copies:
@@ -386,7 +364,3 @@ def _removed(node: Node, path: Path_) -> Node:
     else:
         del children[part]
     return node.with_members(children)
-
-
-def _without(node: Node, key: str) -> Node:
-    return node.with_members({name: child for name, child in members(node).items() if name != key})

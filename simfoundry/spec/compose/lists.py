@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from itertools import product
 
 from simfoundry.spec.change.diff.changes import names_in, renamed_reference
@@ -18,9 +18,12 @@ MAX_ITEMS = 10_000
 Fault = Callable[[str, Node, tuple[str | int, ...], str, str], None]
 
 
-def with_copied_lists(root: Node, groups: Mapping[str, Group], fault: Fault) -> Node:
-    """Return a document whose relations and pairs of repeated objects are replaced by those of their copies."""
-    if not groups:
+def with_copied_lists(root: Node, groups: Mapping[str, Group], removed: Set[str], fault: Fault) -> Node:
+    """Return a document whose relations and pairs of repeated objects are replaced by those of their copies.
+
+    Items that mention a copy or an included member that was ``removed`` are dropped.
+    """
+    if not groups and not removed:
         return root
     keys = members(root)
     new = dict(keys)
@@ -28,8 +31,15 @@ def with_copied_lists(root: Node, groups: Mapping[str, Group], fault: Fault) -> 
         node = keys.get(key)
         if node is not None and isinstance(node.children, list):
             items = [copy for item in node.children for copy in _of_copies(key, item, groups, fault)]
+            items = [item for item in items if not removed or not _names(key, item) & removed]
             new[key] = node.with_members(items)
     return root.with_members(new)
+
+
+def _names(key: str, item: Node) -> set[str]:
+    """Return the names in a relation or pair."""
+    texts = item.children if isinstance(item.children, list) else [item]
+    return {name for node in texts if isinstance(node.value, str) for name in names_in(key, node.value)}
 
 
 def _of_copies(key: str, item: Node, groups: Mapping[str, Group], fault: Fault) -> list[Node]:

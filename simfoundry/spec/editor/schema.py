@@ -78,6 +78,10 @@ def schema(kind: str) -> Schema:
     if "parameters" in parts["Document"]["properties"]:
         parts = with_expressions(parts) | {"Expression": EXPRESSION}
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
+    for section in ("objects", "templates"):  # null removes a copy, or a value of a template
+        if "templates" in parts["Document"]["properties"]:
+            keys = parts["Document"]["properties"]
+            keys[section] = loose(keys[section])
     never_null = {key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")}
     overlay[f"{OVERLAY}Document"]["properties"] |= never_null
     extends = {"title": "extends", "type": "string"}
@@ -236,6 +240,8 @@ class _Parts:
             types += [kind] if kind not in types else []
             if "const" in core:
                 core = {"pattern": f"^{core['const']}$", "patternErrorMessage": f"expected `{core['const']}`"}
+            if "items" in core and "items" in out:  # lists of numbers, or of lists of numbers
+                core |= {"items": {"anyOf": [out.pop("items"), core["items"]]}}
             bounds = {"minItems": min, "maxItems": max}
             out |= {k: bounds[k](out[k], v) if k in bounds and k in out else v for k, v in core.items()}
         if models:

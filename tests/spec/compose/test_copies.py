@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import simfoundry as sf
+from simfoundry.scene.lower import lower
 from simfoundry.spec.change.flatten import flatten
 from simfoundry.spec.load import load
 from simfoundry.spec.models.scene import SceneSpec
@@ -113,7 +115,7 @@ objects:
     objects = spec_of(tmp_path, head + "objects: {cup_2: null, bowl: {color: null}}\n").objects
     assert list(objects) == ["cup_1", "cup_3", "bowl"] and objects["bowl"].color is None
     assert messages(tmp_path, head + "objects: {cup_9: null, bowl: {scale: null}}\n") == [
-        "4:11 SF201 `cup_9` cannot be removed: neither a base nor anything reused here contains it",
+        "4:18 SF201 `cup` has no copy called `cup_9`",
         "4:31 SF201 `scale` cannot be removed: neither a base nor anything reused here contains it",
     ]
 
@@ -185,3 +187,55 @@ relations: [OnTop(cup, desk)]
     assert again is not None and flatten(again) == flat.read_text() and "$" not in flat.read_text()
     assert again.objects == found.spec.objects and again.relations == found.spec.relations  # type: ignore[attr-defined]
     assert not {"parameters", "templates", "repeat"} & {*flat.read_text().replace(":", " ").split()}
+
+
+def test_removed_members_take_their_relations_along(tmp_path: Path) -> None:
+    body = f"""\
+objects:
+{DESK}  cup: {{{CUP}, repeat: {{count: 3, step: 0.2}}}}
+  cup_2: null
+relations: [OnTop(cup_2, desk), OnTop(cup_3, desk)]
+no_contact: [[cup_2, desk]]
+"""
+    spec = spec_of(tmp_path, body)
+    assert spec.relations == ("OnTop(cup_3, desk)",) and spec.no_contact == ()
+
+
+def test_entries_beyond_the_copies_are_said_unless_a_base_has_them(tmp_path: Path) -> None:
+    base = f"objects:\n  cup: {{{CUP}, repeat: {{count: 3, step: 0.2}}}}\n  cup_3: {{mass: 0.5}}\n"
+    assert messages(tmp_path, base.replace("count: 3", "count: 2")) == ["5:10 SF201 `cup` has no copy called `cup_3`"]
+    written(tmp_path, base, "base.scene.yaml")
+    overlay = "simfoundry: scene/1\nextends: base.scene.yaml\nname: b\nobjects: {cup: {repeat: {count: 2}}}\n"
+    assert list(spec_of(tmp_path, overlay).objects) == ["cup_1", "cup_2"]
+
+
+def test_two_copies_never_share_a_name(tmp_path: Path) -> None:
+    grid, row = "{count: [1, 2], step: [0.1, 0.1]}", "{count: 2, step: 0.1}"
+    body = f"objects:\n  c: {{{CUP}, repeat: {grid}}}\n  c_1: {{{CUP}, repeat: {row}}}\n"
+    assert any("SF213 two copies are both called `c_1_1`" in message for message in messages(tmp_path, body))
+    wrong = f"objects:\n  c: {{{CUP}, repeat: {row}}}\n  d: {{{CUP}, place: {{on: c}}}}\n"
+    assert any("SF201 `c` is repeated" in message for message in messages(tmp_path, wrong))
+
+
+def test_python_keeps_the_repeats_of_a_base(tmp_path: Path) -> None:
+    base = f"templates: {{t: {{{CUP}}}}}\nobjects:\n{DESK}  cup: {{like: t, repeat: {{count: 2, step: 0.2}}}}\n"
+    written(tmp_path, base, "base.scene.yaml")
+    path = written(tmp_path, "simfoundry: scene/1\nextends: base.scene.yaml\nname: b\n", "b.scene.yaml")
+    document = sf.load(path)
+    assert isinstance(document, sf.SceneDocument)
+    document.objects["desk"].color = (1, 0, 0)
+    document.save()
+    assert list(load(path).spec.objects) == ["desk", "cup_1", "cup_2"]  # type: ignore[union-attr]
+
+
+def test_copies_have_the_category_of_what_is_repeated(tmp_path: Path) -> None:
+    path = written(tmp_path, f"objects:\n  cup: {{{CUP}, repeat: {{count: 2, step: 0.2}}}}\n", "cups.scene.yaml")
+    assert {item.category for item in lower(load(path)).objects} == {"cup"}
+    found = loaded(tmp_path, "include: {left: {scene: cups.scene.yaml}}\n")
+    assert {item.category for item in lower(found).objects} == {"cup"}
+
+
+def test_flattening_keeps_what_variants_inherit(tmp_path: Path) -> None:
+    mug = "  mug: {shape: {sphere: 0.03}, mass: 1, friction: 0.9, variants: {big: {mass: 3}}}\n"
+    found = loaded(tmp_path, f"objects:\n{mug}")
+    assert found.spec is not None and "big: {mass: 3}" in flatten(found.spec)
