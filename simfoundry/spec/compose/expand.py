@@ -160,8 +160,9 @@ class _Expansion:
                 self.findings += error.diagnostics
                 continue
             at = members(node).get("parameters", node)
+            is_sound = isinstance(composed.document.data.get("parameters", {}), dict)
             for d in composed.findings:
-                if d.code == "SF201" and d.path == "parameters":  # an unknown parameter, which was written here
+                if is_sound and d.code == "SF201" and d.path == "parameters":  # an unknown parameter, written here
                     self.fault(d.code, at, (*path, "parameters"), d.message, d.hint)
                 else:
                     self.findings.append(d)
