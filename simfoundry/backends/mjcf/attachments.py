@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
-from typing import Any
 
 from simfoundry.backends.artifact import exact, exacts
 from simfoundry.backends.mjcf.attribute_values import attribute_texts, exact_pose, with_exact_values

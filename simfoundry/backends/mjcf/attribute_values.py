@@ -54,7 +54,9 @@ def with_exact_values(attributes: dict[str, str], native: Mapping[str, Any]) -> 
 
 def _agree(key: str, own: str | None, value: Any) -> bool:
     """Return True if an attribute and an exact value are the same, except for rounding."""
-    a = np.array(_OMITTED.get(key, ()) if own is None else own.split(), dtype=np.float64)
+    if own is None and key not in _OMITTED:
+        return False
+    a = np.array(_OMITTED[key] if own is None else own.split(), dtype=np.float64)
     try:
         b = np.atleast_1d(np.array(value, dtype=np.float64))
     except ValueError:  # a text

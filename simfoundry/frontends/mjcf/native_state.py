@@ -39,7 +39,7 @@ def exact_values(**values: Any) -> Data:
 def _is_stated(key: str, values: list[float]) -> bool:
     if key in ("quat", "axis") and not {abs(v) for v in values} <= {0.0, 1.0}:  # documents have angles and unit vectors
         return False
-    return all(float(exact(v)) == v for v in values)
+    return all(float(exact(v)) == v == float(f"{v:.12g}") for v in values)  # longer ones change if poses are combined
 
 
 def is_angle_stated(angle: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -114,6 +115,50 @@ def test_edits_of_the_document_take_effect(imported: tuple[Path, Scene], tmp_pat
     assert model.actuator("torso.hop").gear[0] == 20
     assert model.joint("torso.knee").range[0] == pytest.approx(np.radians(-90))
     assert model.opt.timestep == 0.002
+
+
+TURNED = """<mujoco><worldbody><body pos="0.1 0 0.3" euler="20 -30 77"><freejoint/>
+  <geom type="box" size="0.03 0.05 0.0333333333333333" euler="11 22 33" pos="0.01 0.02 0.123456789012345"/>
+  <geom type="sphere" size="0.02"/>
+  <body pos="0 0 0.1" euler="5 6 7">
+    <joint name="hinge" axis="1 2 3" pos="0.01 0.02 0.123456789012345" range="-33.3333 77.7777"
+      damping="0.123456789012345678"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.02"/><site euler="1 2 3"/>
+  </body></body></worldbody>
+  <actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    (tmp_path / "turned.xml").write_text(TURNED)
+    document = tmp_path / "turned.scene.yaml"
+    import_file(tmp_path / "turned.xml", document, ImportOptions())
+    original, model = mujoco.MjModel.from_xml_string(TURNED), compiled(lower_file(document), tmp_path)
+    for name in (
+        *("body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat"),
+        *("geom_size", "site_quat", "jnt_pos", "jnt_axis", "jnt_range", "dof_damping", "dof_M0"),
+    ):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
+    (asset,) = (tmp_path / "turned_files").glob("*.asset.yaml")
+    asset.write_text(re.sub(r"(?<=mass: )[0-9.e-]+", "2", asset.read_text(), count=1))
+    mass = compiled(lower_file(document), tmp_path / "edited").body_mass
+    assert 2.0 in mass.tolist() and not np.array_equal(mass, original.body_mass)
+
+
+@pytest.mark.parametrize(
+    "value", ["{pos: [x, y, z]}", "{pos: [0.1]}", "{quat: 3}", "{inertial: {mass: 2}}", "{axis: []}"]
+)
+def test_exact_values_that_disagree_are_not_written(value: str, tmp_path: Path) -> None:
+    (tmp_path / "a.asset.yaml").write_text(
+        "simfoundry: asset/1\nname: a\nlinks:\n  base:\n    mass: 1\n    parts: {ball: {shape: {sphere: 0.1}}}\n"
+        f"    native: {{mjcf: {{exact: {value}}}}}\n"
+    )
+    document = tmp_path / "s.scene.yaml"
+    document.write_text(
+        "simfoundry: scene/1\nname: s\nobjects:\n  a: {asset: a.asset.yaml, pose: {xyz: [0, 0, 1]}}\n"
+        "native: {mjcf: {option: {cone: elliptic}}}\n"
+    )
+    model = compiled(lower_file(document), tmp_path)
+    assert (model.body_pos[1].tolist(), model.body_mass[1]) == ([0, 0, 1], 1)
 
 
 def test_other_formats_say_what_they_lose(imported: tuple[Path, Scene]) -> None:
