@@ -10,7 +10,7 @@ import zlib
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Primitive, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Primitive, Sphere
 from simfoundry.scene.model import (
     Camera,
     Collider,
@@ -89,6 +89,11 @@ def primitive_inertia(shape: Primitive, mass: float) -> Array:
         case Cylinder(radius=r, height=h):
             side = mass * (3 * r * r + h * h) / 12
             moments = np.array([side, side, mass * r * r / 2])
+        case Ellipsoid(radii=radii):
+            moments = mass / 5 * np.sum(radii**2) - mass / 5 * radii**2
+        case Cone(radius=r, height=h):
+            side = mass * (4 * r * r + h * h) * 3 / 80 + mass * h * h / 16
+            moments = np.array([side, side, 0.3 * mass * r * r])
         case Capsule(radius=r, height=h):
             volumes = np.array([math.pi * r * r * h, 4 / 3 * math.pi * r**3])
             tube, caps = mass * volumes / volumes.sum()

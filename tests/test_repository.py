@@ -18,13 +18,14 @@ from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.editor.reference import reference
-from simfoundry.spec.files import MESH_SUFFIXES, PICTURE_SUFFIXES
+from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse
 from tests.conftest import of_the_checkout
+from tests.scenes import checker_png
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -40,6 +41,10 @@ def documents(page: Path) -> list[dict[str, Any]]:
     return [{**parse(text).data, "text": text} for text in blocks]
 
 
+# The smallest images of some formats.
+PICTURES = {".png": checker_png(), ".hdr": b"#?RADIANCE\n\n-Y 1 +X 1\n\x80\x80\x80\x80"}
+
+
 def files_named(data: Any) -> set[str]:
     """Meshes and pictures that a document refers to."""
     match data:
@@ -47,7 +52,7 @@ def files_named(data: Any) -> set[str]:
             return set().union(*(files_named(v) for v in data.values()))
         case tuple() | list():
             return set().union(*(files_named(v) for v in data))
-        case str() if data.endswith((*MESH_SUFFIXES, *PICTURE_SUFFIXES)):
+        case str() if data.endswith((*MESH_SUFFIXES, *PICTURE_SUFFIXES, *PANORAMA_SUFFIXES)):
             return {data}
     return set()
 
@@ -61,7 +66,7 @@ def test_documents_in_the_pages_are_without_findings(page: Path, tmp_path: Path)
         paths.append(tmp_path / f"{document['name']}.{kind}.yaml")
         paths[-1].write_text(document["text"])
         for name in files_named(document):
-            (tmp_path / name).touch()
+            (tmp_path / name).write_bytes(PICTURES.get(Path(name).suffix, b""))
     for path in paths:
         loaded = load(path)
         assert [(d.code, d.line, d.message) for d in loaded.all_findings()] == []

@@ -61,7 +61,7 @@ class CameraPoseEntry(DocumentEntry):
 
 
 class MaterialEntry(DocumentEntry):
-    """A material with a density [kg/m^3], friction coefficients, restitution and color."""
+    """A material with a density [kg/m^3], friction coefficients, restitution, color and texture."""
 
     _model = base.Material
     density = OptionalNumber()
@@ -70,6 +70,8 @@ class MaterialEntry(DocumentEntry):
     rolling_friction = Number()
     restitution = Number()
     color = Color()
+    texture = Text()
+    texture_size = OptionalNumber()
 
 
 class ObjectEntry(DocumentEntry):
@@ -83,7 +85,7 @@ class ObjectEntry(DocumentEntry):
     fixed = Flag()
     shape = ValueField[shapes.Shape | None, shapes.Shape | Values | None]()
     asset = Text()
-    scale = Number()
+    scale = ValueField[float | Vector, float | Sequence[float] | None]()
     visual = Text()
     material = Text()
     color = Color()
@@ -136,6 +138,7 @@ class LightEntry(DocumentEntry):
     color = Color()
     direction = Position()
     xyz = Position()
+    texture = Text()
     frame = Text()
 
 

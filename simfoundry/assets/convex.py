@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.deviation import deviation, simplified
-from simfoundry.assets.errors import MeshError, flat
+from simfoundry.assets.errors import MeshError, Scale, flat
 from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.mass import mesh as solid_of
 from simfoundry.assets.mesh_summary import NEARLY_CONVEX, file_digest
@@ -243,7 +243,7 @@ def _is_solid(vertices: Array) -> bool:
     return len(vertices) >= 4 and float(np.linalg.svd(centered, compute_uv=False)[2]) > 1e-5
 
 
-def file_key(path: Path, scale: float, how: str) -> str:
+def file_key(path: Path, scale: Scale, how: str) -> str:
     """Return the cache key for the colliders of a mesh file that is read with ``scale``, without parsing the mesh."""
     return key_of("file colliders 1", how, repr(scale), settings(), file_digest(path))
 

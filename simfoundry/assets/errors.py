@@ -25,12 +25,19 @@ class MeshError(PicklableError):
         self.code, self.message, self.hint = code, message, hint
 
 
-def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
+# Factor that converts mesh units to meters, or one factor along each axis of the mesh, with z up.
+Scale = float | tuple[float, float, float]
+
+
+def implausible_size(name: str, size: float, scale: Scale) -> MeshError | None:
     """Return an error if the longest side of a mesh (``size`` [m] at ``scale``) is implausible, or None otherwise."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimeters = SMALLEST < size / 1000 < LARGEST
-        hint = f"it looks like millimeters: `scale: {0.001 * scale:g}`" if millimeters else "set `scale`"
+        factors = scale if isinstance(scale, tuple) else (scale,)
+        shown_scale = ", ".join(f"{0.001 * factor:g}" for factor in factors)
+        shown_scale = f"[{shown_scale}]" if isinstance(scale, tuple) else shown_scale
+        hint = f"it looks like millimeters: `scale: {shown_scale}`" if millimeters else "set `scale`"
         return MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
     if size < SMALLEST:
         hint = "set `scale` to the length of one mesh unit in meters"

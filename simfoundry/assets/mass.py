@@ -53,6 +53,23 @@ def sphere(radius: float) -> SolidMoments:
     return SolidMoments(volume, np.zeros(3), _diagonal(moment, moment, moment))
 
 
+def ellipsoid(radii: Array) -> SolidMoments:
+    """Return the moments of an ellipsoid with the given radii along x, y, z [m], centered at the origin."""
+    x, y, z = (float(v) for v in radii)
+    volume = 4 / 3 * math.pi * x * y * z
+    return SolidMoments(volume, np.zeros(3), volume / 5 * _diagonal(y * y + z * z, x * x + z * z, x * x + y * y))
+
+
+def cone(radius: float, height: float) -> SolidMoments:
+    """Return the moments of a cone along z, with its base at -height/2 and its tip at height/2.
+
+    The center of mass is a quarter of the height above the base.
+    """
+    volume = math.pi * radius**2 * height / 3
+    across = 3 / 80 * volume * (4 * radius**2 + height**2)
+    return SolidMoments(volume, np.array([0.0, 0.0, -height / 4]), _diagonal(across, across, 0.3 * volume * radius**2))
+
+
 def cylinder(radius: float, height: float) -> SolidMoments:
     """Return the moments of a cylinder along z, centered at the origin."""
     volume = math.pi * radius**2 * height

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
+from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, Scale, implausible_size, too_large
 from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.textures import gltf_tree
 
@@ -45,27 +45,44 @@ class MeshPart:
     rgba: tuple[float, float, float, float] | None = None
 
 
-def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
+def read_mesh(path: Path, scale: Scale = 1.0) -> tuple[MeshPart, ...]:
     """Return the geometries in a mesh file, in meters and with z up.
 
-    glTF files are rotated, because the glTF standard requires y up.
+    glTF files are rotated, because the glTF standard requires y up. A non-uniform ``scale`` applies after the rotation.
 
     Raises:
         MeshError: If the file has no usable triangles or its size is implausible.
     """
-    parts = read_parts(path, scale)
+    parts = read_parts(path, file_scale(path, scale))
     wrong = implausible_size(path.name, extent(parts), scale)
     if wrong is not None:
         raise wrong
     return parts
 
 
+def _is_y_up(path: Path) -> bool:
+    return path.suffix.lower() in (".glb", ".gltf")
+
+
+def file_scale(path: Path, scale: Scale) -> Scale:
+    """Return a scale along the axes of a mesh, with z up, as a scale along the axes of its file."""
+    if not isinstance(scale, tuple) or not _is_y_up(path):
+        return scale
+    x, y, z = scale
+    return x, z, y
+
+
+def sides(parts: tuple[MeshPart, ...]) -> Array:
+    """Return the extents of a mesh's bounding box [m], shape (3,)."""
+    return np.asarray(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0))
+
+
 def extent(parts: tuple[MeshPart, ...]) -> float:
     """Return the longest side of a mesh's bounding box [m]."""
-    return float(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0).max())
+    return float(sides(parts).max())
 
 
-def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
+def read_parts(path: Path, scale: Scale = 1.0) -> tuple[MeshPart, ...]:
     """Return the geometries in a mesh file, like :func:`read_mesh`, but do not check that their size is plausible.
 
     ``scale`` may be non-uniform or negative along the file's axes. In any case, faces point outward.
@@ -94,8 +111,8 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
     return parts
 
 
-def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> MeshPart:
-    y_up = path.suffix.lower() in (".glb", ".gltf")
+def _part(path: Path, mesh: Any, scale: Scale) -> MeshPart:
+    y_up = _is_y_up(path)
     used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without faces are not part of the surface
     if np.prod(np.broadcast_to(scale, 3)) < 0:
         faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
@@ -17,7 +18,7 @@ from pydantic import TypeAdapter
 
 from simfoundry.assets import errors
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.errors import MeshError
+from simfoundry.assets.errors import MeshError, Scale
 
 if TYPE_CHECKING:
     from simfoundry.assets.mass import SolidMoments
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 NEARLY_CONVEX = 0.90
 
 # Version of the measurements, which is part of the cache key.
-VERSION = "mesh facts 2"
+VERSION = "mesh facts 3"
 
 Vec = tuple[float, float, float]
 # Moments of a solid: its center of mass (x, y, z) followed by its inertia (xx, yy, zz, xy, xz, yz).
@@ -40,7 +41,7 @@ class MeshFacts:
     """Measurements of a mesh in file units with z up.
 
     Attributes:
-        size: Longest side of the bounding box.
+        sides: Extents of the bounding box along x, y and z.
         triangles: Number of triangles.
         gaps: Number of edges with a face on only one side.
         volume: Volume enclosed by the surface.
@@ -51,7 +52,7 @@ class MeshFacts:
         hull_moments: Center of mass and inertia of the convex hull, at density 1.
     """
 
-    size: float
+    sides: Vec
     triangles: int
     gaps: int
     volume: float
@@ -66,7 +67,11 @@ class MeshFacts:
         """Return True if the mesh is closed and so nearly convex that ``collision: auto`` never decomposes it."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
-    def solid(self, scale: float, of_hull: bool) -> SolidMoments:
+    def size(self, scale: Scale = 1.0) -> float:
+        """Return the longest side [m] of the bounding box of the scaled mesh."""
+        return max(side * factor for side, factor in zip(self.sides, axes_of(scale), strict=True))
+
+    def solid(self, scale: Scale, of_hull: bool) -> SolidMoments:
         """Return the moments of the scaled mesh, or of its scaled convex hull, at density 1."""
         import numpy as np
 
@@ -75,9 +80,15 @@ class MeshFacts:
         x, y, z, xx, yy, zz, xy, xz, yz = self.hull_moments if of_hull else self.moments
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         volume = self.hull_volume if of_hull else self.volume
-        return SolidMoments(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
+        if not isinstance(scale, tuple):
+            return SolidMoments(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
+        factors = np.array(scale)
+        second = np.trace(inertia) / 2 * np.eye(3) - inertia  # integral of the products of coordinates
+        second = second * np.outer(factors, factors) * factors.prod()
+        scaled = np.trace(second) * np.eye(3) - second
+        return SolidMoments(volume * float(factors.prod()), np.array([x, y, z]) * factors, scaled)
 
-    def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
+    def fault(self, name: str, scale: Scale, solid: str, collision: str) -> MeshError | None:
         """Return the error that lowering would report for a body that uses this mesh, or None.
 
         Args:
@@ -87,14 +98,19 @@ class MeshFacts:
                 not need to be closed.
             collision: The body's ``collision`` key.
         """
-        wrong = errors.implausible_size(name, self.size * scale, scale)
+        wrong = errors.implausible_size(name, self.size(scale), scale)
         if wrong is not None:
             return wrong
         if solid == "exact" and self.gaps:
             return errors.not_closed(name, self.gaps)
-        if solid == "exact" and self.volume * scale**3 < errors.LEAST_VOLUME:
+        if solid == "exact" and self.volume * math.prod(axes_of(scale)) < errors.LEAST_VOLUME:
             return errors.no_volume(name)
         return errors.flat() if not self.hull and (solid == "hull" or collision != "none") else None
+
+
+def axes_of(scale: Scale) -> Vec:
+    """Return the scale along each axis."""
+    return scale if isinstance(scale, tuple) else (scale, scale, scale)
 
 
 def mesh_facts(path: Path, store: Cache | None = None) -> MeshFacts:
@@ -150,7 +166,7 @@ def measure(path: Path) -> MeshFacts:
     """
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
-    from simfoundry.assets.mesh import extent, merged, open_edges, read_parts, weld
+    from simfoundry.assets.mesh import merged, open_edges, read_parts, sides, weld
 
     parts = read_parts(path)
     vertices, joined = merged(parts)
@@ -162,11 +178,12 @@ def measure(path: Path) -> MeshFacts:
     full = None
     with suppress(MeshError):  # coplanar points have no hull, which is reported as a missing volume
         full = mass.mesh(*hull(vertices, limit=len(vertices)))
-        points, sides = hull(vertices)
+        points, triples = hull(vertices)
         corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
-        hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
+        hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in triples)
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
-    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
+    x, y, z = (float(v) for v in sides(parts))
+    return MeshFacts((x, y, z), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 
 
 def _moments(solid: SolidMoments | None) -> Moments:

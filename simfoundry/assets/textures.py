@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
+from simfoundry.assets.errors import MeshError
 from simfoundry.spec.files import is_document
 
 if TYPE_CHECKING:
@@ -118,6 +119,25 @@ def _head(path: Path) -> bytes:
 
 def _text(name: bytes) -> str:
     return name.decode("utf-8", errors="replace").strip('"')
+
+
+def read_texture(path: Path) -> bytes:
+    """Return the image of a material as PNG.
+
+    Raises:
+        MeshError: If the file is not an image or has too many pixels.
+    """
+    from PIL import Image
+
+    from simfoundry.assets.mesh import texture_png
+
+    try:
+        with Image.open(path) as picture:
+            return texture_png(path.name, picture)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        reason = " ".join(str(error).split())[:120]
+        message = f"{path.name} could not be read as an image: {reason}"
+        raise MeshError("SF301", message, "export it again as PNG or JPEG") from None
 
 
 def _is_picture(path: Path) -> bool:

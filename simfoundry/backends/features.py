@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 
 import yaml
 
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
 from simfoundry.scene.attachments import Options
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
@@ -105,6 +105,10 @@ def _several_axes(scene: Scene) -> list[str]:
 
 def _of_lights(label: str, kind: LightType) -> Feature:
     return Feature("scene", label, lambda scene: [light.name for light in scene.lights if light.type is kind])
+
+
+def _panoramas(scene: Scene) -> list[str]:
+    return [light.name for light in scene.lights if light.panorama is not None]
 
 
 def _is_textured(item: SceneObject) -> bool:
@@ -198,6 +202,7 @@ FEATURES: dict[str, Feature] = {
     "distant_lights": _of_lights("distant lights", LightType.DISTANT),
     "point_lights": _of_lights("point lights", LightType.POINT),
     "dome_lights": _of_lights("dome lights", LightType.DOME),
+    "dome_textures": Feature("scene", "panoramas of dome lights", _panoramas, "texture"),
     "background_mesh": _of_background("background mesh", "visuals"),
     "background_splat": _of_background("Gaussian splat background", "splat"),
     "options": Feature("scene", "time step and solver", lambda s: ["options"] * (s.options != Options())),
@@ -214,10 +219,15 @@ FEATURES: dict[str, Feature] = {
     "actuators": _of_attached("actuators", "actuators"),
     "mass": _of_objects("mass", lambda o: True, "mass", "body"),
     "inertia": _of_objects("center of mass and inertia", lambda o: True, "inertia", "body"),
+    "gravity_compensation": _of_objects("gravity compensation of links",
+                                        lambda o: any(k.gravity_compensation for k in o.links),
+                                        "gravity_compensation", "body"),
     "box": _of_colliders("collision boxes", lambda c: isinstance(c.geometry, Box)),
     "sphere": _of_colliders("collision spheres", lambda c: isinstance(c.geometry, Sphere)),
     "cylinder": _of_colliders("collision cylinders", lambda c: isinstance(c.geometry, Cylinder)),
     "capsule": _of_colliders("collision capsules", lambda c: isinstance(c.geometry, Capsule)),
+    "ellipsoid": _of_colliders("collision ellipsoids", lambda c: isinstance(c.geometry, Ellipsoid)),
+    "cone": _of_colliders("collision cones", lambda c: isinstance(c.geometry, Cone)),
     "convex_mesh": _of_colliders("convex collision meshes", lambda c: isinstance(c.geometry, Mesh)),
     "collision_shape": _of_objects("round and hollow shapes with simplified colliders",
                                    lambda o: any(k.collision_error for k in o.links), "colliders", "body"),

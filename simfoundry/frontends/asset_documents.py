@@ -112,9 +112,15 @@ def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
     out, uniform, parts = _mass_data(link), _uniform_contact(link), {}
     for name, part in zip(part_names(link), link.parts, strict=True):
         parts[name] = _part_data(part, shelf)
-        if uniform is None and part.collides:
-            parts[name]["material"] = _material_name(_contact_data(part, link), materials)
+        material: Data = dict(_contact_data(part, link)) if uniform is None and part.collides else {}
+        if part.texture is not None and part.use != "collision":
+            material |= {"texture": shelf.place_texture(part.texture)}
+            material |= {"texture_size": part.texture.size} if part.texture.size is not None else {}
+        if material or (uniform is None and part.collides):
+            parts[name]["material"] = _material_name(material, materials)
     out |= uniform or {}
+    if link.gravity_compensation:
+        out["gravity_compensation"] = float(link.gravity_compensation)
     if any(isinstance(part.geometry, MeshDraft) for part in link.colliders):
         out |= {"collision": link.collision} | ({"solid": "hull"} if link.inertia is None else {})
     return without_empty({**out, "parts": parts, **native_data(link.native)})
@@ -152,7 +158,7 @@ def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
     return {key: v for key, v in (link.contact | part.contact).items() if v or key in LINK_KEYS}
 
 
-def _material_name(data: dict[str, float], materials: Data) -> str:
+def _material_name(data: Data, materials: Data) -> str:
     """Return the name of the material with these parameters, adding the material if it does not exist yet."""
     name = next((n for n, known in materials.items() if known == data), f"surface_{len(materials) + 1}")
     materials[name] = data
@@ -215,6 +221,8 @@ def inline_data(body: BodyDraft) -> Data | None:
     if body.exact and (link.name, part.name) != ("base", "shape"):
         return None
     contact = _uniform_contact(link)
+    if part.texture is not None:  # materials belong to asset documents
+        return None
     if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or contact is None or not _is_plain(link, part):
         return None
     unneeded = ("inertial", "density") if body.fixed and link.assumed else ("inertial",)

@@ -158,5 +158,7 @@ class _SceneBuilder:
             if light.type != "dome":
                 place = "direction" if light.type == "distant" else "xyz"
                 data[place] = getattr(light, place)
+            if light.panorama is not None:
+                data["texture"] = f"{self.folder}/{self.shelf.place_file(*light.panorama)}"
             out[names.name(light.name)] = data
         return out

@@ -104,10 +104,19 @@ class MeshDraft:
 
 
 @dataclass(eq=False)
+class TextureDraft:
+    """The image of a primitive as the content of a PNG file, with its name and the width of one repetition [m]."""
+
+    name: str
+    png: bytes
+    size: float | None = None
+
+
+@dataclass(eq=False)
 class PartDraft:
     """A part of a link, with its pose in the link frame.
 
-    ``use`` is `both`, `visual` or `collision`.
+    ``use`` is `both`, `visual` or `collision`. ``texture`` is the image of a primitive; a mesh contains its own.
     """
 
     name: str
@@ -116,6 +125,7 @@ class PartDraft:
     X_LG: Pose = IDENTITY
     color: Rgba | None = None
     contact: Contact = field(default_factory=dict)
+    texture: TextureDraft | None = None
     native: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -129,8 +139,9 @@ class LinkDraft:
     """A rigid body.
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
-    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``assumed`` is the source
-    to record in the document for an assumed mass or density, or an empty string if the file specifies the value.
+    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts. ``gravity_compensation``
+    is in [0, 1]. ``assumed`` is the source to record in the document for an assumed mass or density, or an empty string
+    if the file specifies the value.
     """
 
     name: str
@@ -142,6 +153,7 @@ class LinkDraft:
     contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
+    gravity_compensation: float = 0.0
     native: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -267,7 +279,7 @@ class CameraDraft:
 
 @dataclass(eq=False)
 class LightDraft:
-    """A light in a scene."""
+    """A light in a scene. ``panorama`` is the file name and the content of the image of a dome light."""
 
     name: str
     type: str
@@ -275,6 +287,7 @@ class LightDraft:
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     xyz: tuple[float, float, float] = (0.0, 0.0, 2.0)
+    panorama: tuple[str, bytes] | None = None
 
 
 @dataclass(eq=False)

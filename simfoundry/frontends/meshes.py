@@ -16,7 +16,7 @@ import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, extent, read_parts, texture_png
-from simfoundry.frontends.draft import MeshDraft
+from simfoundry.frontends.draft import MeshDraft, TextureDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import FileSearch, NotFoundError, read_xml
 from simfoundry.frontends.names import plain_name
@@ -80,6 +80,14 @@ class FileShelf:
         if id(mesh) not in self.taken:
             self.taken[id(mesh)] = self._store(mesh.files)
         return self.taken[id(mesh)].removeprefix("./")
+
+    def place_texture(self, texture: TextureDraft) -> str:
+        """Add the image of a primitive and return its path relative to ``base``."""
+        return self.place_file(f"{plain_name(texture.name, 'texture')}.png", texture.png)
+
+    def place_file(self, name: str, content: bytes) -> str:
+        """Add a file and return its path relative to ``base``."""
+        return self._store({name: content}).removeprefix("./")
 
     def _store(self, files: dict[str, bytes]) -> str:
         main = next(iter(files))

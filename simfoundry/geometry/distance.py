@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from simfoundry.geometry.bounds import BoxField, Interval, box_field, distance_bounds
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.hulls import convex_core
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere
 
 # Height by which an object is raised to find contact directions [m]. It is larger than the penetration that engines
 # allow and smaller than the radii of round parts.
@@ -180,18 +181,21 @@ def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str])
             kind, size = kinds.mjGEOM_BOX, (geometry.size / 2).tolist()
         case Sphere():
             kind, size = kinds.mjGEOM_SPHERE, [geometry.radius, 0.0, 0.0]
+        case Ellipsoid():
+            kind, size = kinds.mjGEOM_ELLIPSOID, geometry.radii.tolist()
         case Cylinder():
             kind, size = kinds.mjGEOM_CYLINDER, [geometry.radius, geometry.height / 2, 0.0]
         case Capsule():
             kind, size = kinds.mjGEOM_CAPSULE, [geometry.radius, geometry.height / 2, 0.0]
-        case Mesh():
+        case Mesh() | Cone():
             kind = kinds.mjGEOM_MESH
             if id(geometry) not in meshes:
                 meshes[id(geometry)] = f"m{len(meshes)}"
+                corners, triangles, _, _ = convex_core(geometry)
                 spec.add_mesh(
                     name=meshes[id(geometry)],
-                    uservert=geometry.vertices.ravel(),
-                    userface=geometry.faces.ravel(),
+                    uservert=corners.ravel(),
+                    userface=triangles.ravel(),
                     inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
                 )
             mesh = meshes[id(geometry)]

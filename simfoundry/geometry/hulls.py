@@ -1,8 +1,10 @@
 """Convex parts of an object, represented as corners, edges and triangles in the world frame, for use in placement.
 
 A part is a polyhedron that may be rounded: a sphere is a corner with a radius, and a capsule is an edge with a radius.
-A cylinder is approximated by a circumscribed prism whose corners protrude by at most :data:`PROUD`, or by 5 ppm of the
-radius if the radius is greater than 10 m. All other shapes are exact.
+A cylinder or cone is approximated by a circumscribed prism or pyramid whose corners protrude by at most
+:data:`PROUD`, or by 5 ppm of the radius if the radius is greater than 10 m. An ellipsoid is approximated by a
+polyhedron whose corners are on its surface, so that its faces are up to 0.2% of the largest radius inside. All other
+shapes are exact.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Index, Pose
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
 
 # Maximum distance [m] by which the corners of a prism protrude from the cylinder that it approximates.
 PROUD = 5e-5
@@ -148,8 +150,8 @@ def _box_part(x: float, y: float, z: float) -> Hulls:
 
 
 @lru_cache(maxsize=256)
-def _other_part(geometry: Mesh | Sphere | Capsule | Cylinder) -> Hulls:
-    return _assembled(*_core(geometry))
+def _other_part(geometry: Mesh | Sphere | Ellipsoid | Capsule | Cylinder | Cone) -> Hulls:
+    return _assembled(*convex_core(geometry))
 
 
 def _assembled(corners: Array, triangles: Index, rods: Index, radius: float) -> Hulls:
@@ -170,8 +172,13 @@ BOX = np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)
                 (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)])  # fmt: skip
 
 
-def _core(geometry: Mesh | Sphere | Capsule | Cylinder) -> Core:
+def convex_core(geometry: Mesh | Sphere | Ellipsoid | Capsule | Cylinder | Cone) -> Core:
+    """Return the corners, triangles, rods and radius that represent a geometry in its own frame."""
     match geometry:
+        case Ellipsoid():
+            return convex_core(tessellate(geometry))
+        case Cone():
+            return _pyramid(geometry.radius, geometry.height)
         case Mesh():
             return geometry.vertices, geometry.faces.astype(np.int64), NO_EDGES, 0.0
         case Sphere():
@@ -183,13 +190,31 @@ def _core(geometry: Mesh | Sphere | Capsule | Cylinder) -> Core:
             return _prism(geometry.radius, geometry.height)
 
 
-@lru_cache(maxsize=64)
-def _prism(radius: float, height: float) -> Core:
-    """Return a prism around a cylinder. The number of sides is a multiple of four to make its x and y extents exact."""
+def _polygon(radius: float) -> Array:
+    """Return the corners [m] of a regular polygon around a circle, shape (sides, 2)."""
     half = math.acos(min(radius / (radius + PROUD), 1 - 1e-12))
     sides = min(4 * max(3, math.ceil(math.pi / half / 4)), MOST_SIDES)
     angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
-    ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (radius / math.cos(math.pi / sides))
+    return np.asarray(np.column_stack([np.cos(angle), np.sin(angle)]) * (radius / math.cos(math.pi / sides)))
+
+
+@lru_cache(maxsize=64)
+def _pyramid(radius: float, height: float) -> Core:
+    """Return a pyramid around a cone. The number of sides is a multiple of four, as for :func:`_prism`."""
+    ring = _polygon(radius)
+    sides = len(ring)
+    here, tip = np.arange(sides), np.array([[0.0, 0.0, height / 2]])
+    base = np.column_stack([np.zeros(sides - 2, np.int64), here[2:], here[1:-1]])
+    walls = np.column_stack([here, (here + 1) % sides, np.full(sides, sides)])
+    corners = np.concatenate([np.column_stack([ring, np.full(sides, -height / 2)]), tip])
+    return corners, np.concatenate([base, walls]), NO_EDGES, 0.0
+
+
+@lru_cache(maxsize=64)
+def _prism(radius: float, height: float) -> Core:
+    """Return a prism around a cylinder. The number of sides is a multiple of four to make its x and y extents exact."""
+    ring = _polygon(radius)
+    sides = len(ring)
     low, high = (np.column_stack([ring, np.full(sides, z)]) for z in (-height / 2, height / 2))
     here = np.arange(sides)
     after = (here + 1) % sides

@@ -1,6 +1,6 @@
 """Shapes in their local frames, and their surface meshes.
 
-Sizes are full extents, never half extents. Cylinders and capsules are aligned with their local z axis.
+Sizes are full extents, never half extents. Cylinders, capsules and cones are aligned with their local z axis.
 """
 
 from __future__ import annotations
@@ -28,6 +28,21 @@ class Sphere:
     """A sphere centered on its frame, with a ``radius`` [m]."""
 
     radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """An ellipsoid centered on its frame, with ``radii`` [m] along its three axes, shape (3,)."""
+
+    radii: Array
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A cone along z with its base at -height/2 and its tip at height/2; ``radius`` [m] is that of its base."""
+
+    radius: float
+    height: float
 
 
 @dataclass(frozen=True)
@@ -72,7 +87,7 @@ class Mesh:
         return h.hexdigest()[:16]
 
 
-Primitive = Box | Sphere | Cylinder | Capsule
+Primitive = Box | Sphere | Ellipsoid | Cylinder | Capsule | Cone
 Geometry = Primitive | Mesh
 
 
@@ -95,6 +110,12 @@ def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
             return _box(geometry.size)
         case Sphere():
             return revolved(_arc(geometry.radius, 0.0, 0.0, math.pi, max(2, segments // 2)), segments)
+        case Ellipsoid():
+            ball = tessellate(Sphere(1.0), segments)
+            return closed_mesh(ball.vertices * geometry.radii, ball.faces)
+        case Cone():
+            r, z = geometry.radius, geometry.height / 2
+            return revolved([(0.0, z), (r, -z), (0.0, -z)], segments)
         case Cylinder():
             r, z = geometry.radius, geometry.height / 2
             return revolved([(0.0, z), (r, z), (r, -z), (0.0, -z)], segments)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -14,11 +14,24 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache, key_of
-from simfoundry.assets.errors import MeshError
+from simfoundry.assets.errors import MeshError, Scale
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Faces, Geometry, Mesh, Sphere, closed_mesh
+from simfoundry.geometry.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Faces,
+    Geometry,
+    Mesh,
+    Sphere,
+    closed_mesh,
+)
+from simfoundry.scene.box_mapping import Texture, textured
 from simfoundry.scene.model import Collider, Link, Visual
+from simfoundry.scene.state import pose
 from simfoundry.spec.models import base, shapes
 from simfoundry.spec.models.asset import Inertial, PartSpec
 
@@ -38,18 +51,22 @@ LEAST_MASS = LEAST_MOMENT = 1e-15
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
 
 
+# A part of an asset's link, or of a compound.
+Part = PartSpec | shapes.CompoundPart
+
+
 class MeshUse(NamedTuple):
     """Options for using a mesh file in a body.
 
     Attributes:
-        scale: Factor that converts the file's units to meters.
+        scale: Factor that converts the file's units to meters, or one factor along each axis of the mesh.
         touches: False if the mesh has no colliders.
         solid: The solid from which the mass is computed, or `given` if the body's mass is already specified. In that
             case, the mesh does not need to be closed.
         collision: The type of collider.
     """
 
-    scale: float
+    scale: Scale
     touches: bool = True
     solid: Literal["exact", "hull", "given"] = "exact"
     collision: str = "auto"
@@ -61,7 +78,8 @@ class BodyBuilder:
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
-    ``is_approximate`` is set. ``hidden`` contains the whole meshes of parts with native data that are not shown.
+    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one. ``hidden`` contains the
+    whole meshes of parts with native data that are not shown.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -80,15 +98,25 @@ class BodyBuilder:
     collision_error: float = 0.0
     hidden: dict[str, Mesh] = field(default_factory=dict)
     report: Callable[[str], object] = lambda said: None
+    texture_of: Callable[[str], Texture | None] = lambda material: None
 
-    def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
-        """Add a primitive at a pose in the link frame.
+    def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+        """Add a shape at a pose in the link frame.
 
-        ``show`` is False if a mesh is shown instead of the primitive.
+        The parts of a compound keep their names, and the walls of an open box are named ``name_floor``, ``name_left``
+        and so on. ``show`` is False if a mesh is shown instead of the shape.
         """
+        if isinstance(shape, shapes.CompoundShape):
+            for own_name, own in shape.compound.items():
+                self.add_shape(own_name, own.shape, X_LG @ pose(own.pose), own, show)
+            return
+        if isinstance(shape, shapes.OpenBoxShape):
+            for wall_name, wall, X_GW in open_box_walls(shape.open_box):
+                self.add_shape(f"{name}_{wall_name}", wall, X_LG @ X_GW, part, show)
+            return
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
-            self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
+            self._show_surface(name, body.visual, X_LG, part)
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
@@ -99,9 +127,7 @@ class BodyBuilder:
                 self._collide(label, piece, X_LG, part)
         self._weigh(body.solid, X_LG, part)
 
-    def add_mesh(
-        self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
-    ) -> None:
+    def add_mesh(self, name: str, path: Path, scale: Scale, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a mesh file at a pose in the link frame.
 
         The entire mesh is used as the visual, but the mass and the colliders are computed from a single solid.
@@ -110,7 +136,7 @@ class BodyBuilder:
         body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
         if show and _use(part) != "collision":
             self._show(name, body.pieces, X_LG, part)
-        elif part is not None and part.native is not None and len(body.pieces) == 1:
+        elif isinstance(part, PartSpec) and part.native is not None and len(body.pieces) == 1:
             self.hidden[name] = closed_mesh(body.pieces[0].vertices, body.pieces[0].faces)
         if body.solid is not None:
             self._weigh(body.solid, X_LG, part)
@@ -119,7 +145,7 @@ class BodyBuilder:
         for label, (geometry, X_GP) in zip(_piece_names(name, len(body.colliders), part), body.colliders, strict=True):
             self._collide(label, geometry, X_LG @ X_GP, part)
 
-    def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
+    def add_visual(self, name: str, path: Path, scale: Scale = 1.0) -> None:
         """Add a visual-only mesh file."""
         self._show(name, self._mesh_body(path, MeshUse(scale, touches=False)).pieces, IDENTITY, None)
 
@@ -130,13 +156,26 @@ class BodyBuilder:
             return mesh_bodies.draft_body(path, use, self.cache)
         return mesh_bodies.read_body(path, use, self.cache, self.report)
 
-    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: PartSpec | None) -> None:
+    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
         for k, piece in enumerate(pieces):
             label = name if len(pieces) == 1 else f"{name}_{k}"
+            if piece.texture is None and piece.rgba is None:
+                self._show_surface(label, closed_mesh(piece.vertices, piece.faces, piece.uv), X_LG, part)
+                continue
             mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
             # Textured meshes are white by default, so that the texture is unchanged.
             own = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
             self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
+
+    def _show_surface(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
+        """Add a visual without a color of its own, which has the color and the texture of its material."""
+        material = self._material_name(part)
+        texture = None if material is None or self.draft else self.texture_of(material)
+        if texture is None:
+            self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
+            return
+        rgba = self._rgba(part, self._material(part).color or (1.0, 1.0, 1.0, 1.0))
+        self.visuals.append(Visual(name, textured(geometry, texture), rgba, X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
         """Return the finished link.
@@ -179,11 +218,11 @@ class BodyBuilder:
             raise MeshError("SF104", f"{shown}, which is too small for a simulator", "check its mass, size and units")
         return link
 
-    def _weigh(self, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
+    def _weigh(self, solid: mass.SolidMoments, X_LG: Pose, part: Part | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
         self.solids.append((self._material(part).density, moved))
 
-    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: PartSpec | None) -> None:
+    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
         material = self._material(part)
         friction = material.friction if self.body.friction is None else self.body.friction
         restitution = material.restitution if self.body.restitution is None else self.body.restitution
@@ -191,14 +230,14 @@ class BodyBuilder:
         label = self._material_name(part) or ""
         self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling, label))
 
-    def _material_name(self, part: PartSpec | None) -> str | None:
+    def _material_name(self, part: Part | None) -> str | None:
         return part.material if part is not None and part.material is not None else self.body.material
 
-    def _material(self, part: PartSpec | None) -> base.Material:
+    def _material(self, part: Part | None) -> base.Material:
         name = self._material_name(part)
         return base.Material() if name is None else self.materials[name]
 
-    def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
+    def _rgba(self, part: Part | None, default: tuple[float, ...] | None) -> Array:
         """Return the first color that is set for the part, the body, the mesh file or the material.
 
         The default is gray.
@@ -207,12 +246,12 @@ class BodyBuilder:
         return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
 
 
-def _use(part: PartSpec | None) -> str:
+def _use(part: Part | None) -> str:
     """Return the use of a part, which is both a visual and a collider by default."""
-    return "both" if part is None else part.use
+    return part.use if isinstance(part, PartSpec) else "both"
 
 
-def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
+def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
     """Return names for the convex parts of a piece.
 
     The names are numbered unless there is only one convex part and no visual has the same name.
@@ -236,8 +275,30 @@ class ShapeBody(NamedTuple):
     error: float = 0.0
 
 
+def open_box_walls(box: shapes.OpenBox) -> Iterator[tuple[str, shapes.BoxShape, Pose]]:
+    """Yield the name, the shape and the pose of the floor and the walls of an open box, which do not overlap.
+
+    Seen along x, the walls are called `front` (-x), `back` (+x), `left` (+y) and `right` (-y). The walls stand on the
+    floor, and those on the left and right are between the other two.
+    """
+    (x, y, z), t = box.size, box.wall
+    floor, front, back, left, right = shapes.WALLS
+    yield floor, shapes.BoxShape(box=(x, y, t)), Pose.of([0.0, 0.0, (t - z) / 2])
+    for name, side in ((front, -1), (back, 1)):
+        yield name, shapes.BoxShape(box=(t, y, z - t)), Pose.of([side * (x - t) / 2, 0.0, t / 2])
+    for name, side in ((left, 1), (right, -1)):
+        yield name, shapes.BoxShape(box=(x - 2 * t, t, z - t)), Pose.of([0.0, side * (y - t) / 2, t / 2])
+
+
+# Shapes that are lowered to a single solid.
+Solid = (
+    shapes.BoxShape | shapes.SphereShape | shapes.EllipsoidShape | shapes.CylinderShape | shapes.CapsuleShape
+    | shapes.ConeShape | shapes.PrismShape | shapes.LatheShape
+)  # fmt: skip
+
+
 @lru_cache(maxsize=1024)
-def shape_body(shape: shapes.Shape, cache: Cache | None = None) -> ShapeBody:
+def shape_body(shape: Solid, cache: Cache | None = None) -> ShapeBody:
     """Return the body of a shape.
 
     Decomposing a lathe or prism takes up to 40 ms and imports two large libraries, so ``cache`` stores the parts for
@@ -252,6 +313,11 @@ def shape_body(shape: shapes.Shape, cache: Cache | None = None) -> ShapeBody:
             geometry, solid = Box(frozen(shape.box)), mass.box(np.array(shape.box))
         case shapes.SphereShape():
             geometry, solid = Sphere(shape.sphere), mass.sphere(shape.sphere)
+        case shapes.EllipsoidShape():
+            radii = frozen(shape.ellipsoid)
+            geometry, solid = Ellipsoid(radii), mass.ellipsoid(radii)
+        case shapes.ConeShape(cone=c):
+            geometry, solid = Cone(c.radius, c.height), mass.cone(c.radius, c.height)
         case shapes.CylinderShape(cylinder=c):
             geometry, solid = Cylinder(c.radius, c.height), mass.cylinder(c.radius, c.height)
         case shapes.CapsuleShape(capsule=c):

@@ -16,6 +16,8 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.assets.cache import Cache
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.panorama import read_panorama
 from simfoundry.geometry.frames import Pose, look_at
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene import model
@@ -74,6 +76,17 @@ class Lowering:
         """The frames of the scene."""
         return FrameTree(self.spec)
 
+    def viewer(self, placed: Mapping[str, SceneObject]) -> Pose | None:
+        """Return the frame that defines left and right, which may depend on objects that are already placed.
+
+        Raises:
+            SpecError: If the viewpoint is a camera at the center of its target.
+        """
+        try:
+            return self.frames.viewer(self.spec.viewpoint, placed)
+        except PlaceError as error:
+            raise SpecError([self.loaded.finding("SF210", ("viewpoint",), error.message, error.hint)]) from None
+
     def run(self, passes: tuple[Pass, ...]) -> Scene:
         """Run the passes and return the scene.
 
@@ -82,8 +95,7 @@ class Lowering:
         """
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
-        seen = self.spec.viewpoint
-        viewer = None if self.frames.viewer_needs(seen) else self.frames.viewer(seen)
+        viewer = None if self.frames.viewer_needs(self.spec.viewpoint) else self.viewer({})
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer)
         if (given := self.spec.options) is not None:
             scene = replace(scene, options=Options(given.timestep, given.solver_iterations))
@@ -194,7 +206,7 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     work = ObjectLowering(loaded, lowering.cache, cuts=False)
     found = {name: item for name in names if (item := work.lower(name)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
-    viewer = lowering.frames.viewer(spec.viewpoint)
+    viewer = lowering.viewer({})
     placements = lowering.placements
     return _findings(lowering, certain_misfits(shapes, placements, viewer, draft.approximate, lowering.frames))
 
@@ -249,7 +261,7 @@ def _moving_viewer(lowering: Lowering, scene: Scene) -> Pose | None:
             hint = "let the camera look at a point"
             raise SpecError([lowering.loaded.finding("SF210", ("viewpoint",), message, hint)])
     placed, _ = place_all(scene.by_name, {name: places[name] for name in chain}, None, frames)
-    return frames.viewer(viewpoint, placed)
+    return lowering.viewer(placed)
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
@@ -305,7 +317,9 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
     frames, placed = lowering.frames, scene.by_name
-    lights = tuple(_light(name, light, frames.pose(light.frame, placed)) for name, light in spec.lights.items())
+    lights = tuple(
+        _light(lowering.loaded, name, light, frames.pose(light.frame, placed)) for name, light in spec.lights.items()
+    )
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_unusable_textures(lowering.loaded, spec)))
     if spec.background is None:
         return scene
@@ -346,10 +360,22 @@ def _unusable_textures(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
                 yield LeftOut(f"objects.{name}.texture", fault)
 
 
-def _light(name: str, spec: LightSpec, X_WF: Pose) -> Light:
-    """Convert a light, which shines along -z of its frame."""
+def _light(loaded: Loaded, name: str, spec: LightSpec, X_WF: Pose) -> Light:
+    """Convert a light, which shines along -z of its frame.
+
+    Raises:
+        SpecError: If the panorama of a dome light cannot be read.
+    """
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
         X_WL = Pose.of(q=aim.q)
-    return Light(name, model.LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WF @ X_WL)
+    panorama = None
+    if spec.texture is not None:
+        try:
+            panorama = read_panorama(loaded.file(spec.texture))
+        except MeshError as error:
+            place = ("lights", name, "texture")
+            raise SpecError([loaded.finding(error.code, place, str(error), error.hint)]) from None
+    rgb = frozen(spec.color[:3], (3,))
+    return Light(name, model.LightType(spec.type), spec.intensity, rgb, X_WF @ X_WL, panorama)

@@ -79,7 +79,7 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
     if use.touches:
         wrong = summary.fault(path.name, use.scale, use.solid, use.collision)
     else:
-        wrong = implausible_size(path.name, summary.size * use.scale, use.scale)
+        wrong = implausible_size(path.name, summary.size(use.scale), use.scale)
     if wrong is not None:
         raise wrong
     if not use.touches:

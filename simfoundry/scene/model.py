@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from simfoundry.assets.panorama import Panorama as Panorama
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
@@ -83,8 +84,8 @@ class Link:
         com: The center of mass in the link frame [m], shape (3,).
         inertia: The inertia about the center of mass [kg m^2], expressed in link axes as a symmetric positive definite
             matrix, shape (3, 3).
-        collision_error: The maximum distance between the surfaces of the colliders and the shapes that they
-            approximate [m], or 0 if the colliders are exact.
+        collision_error: The maximum distance [m] of the colliders from the shapes that they approximate.
+        gravity_compensation: The share of the weight that is compensated, in [0, 1].
     """
 
     name: str
@@ -94,6 +95,7 @@ class Link:
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...]
     collision_error: float = 0.0
+    gravity_compensation: float = 0.0
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:
@@ -292,7 +294,8 @@ class Light:
     """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or from all sides (dome).
 
     ``intensity`` is relative: at an intensity of 1, a white surface that faces the light is fully lit. ``rgb`` is in
-    [0, 1], shape (3,).
+    [0, 1], shape (3,). The radiance of a dome with a ``panorama`` is that of its pixels, times the intensity and the
+    color.
     """
 
     name: str
@@ -300,6 +303,7 @@ class Light:
     intensity: float
     rgb: Array
     X_WL: Pose
+    panorama: Panorama | None = None
 
 
 Splat = Gaussians  # exported here because backends may import the scene package but not the assets package

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls, hulls_of
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
@@ -97,6 +97,13 @@ def geometry_bounds(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
             half = axes @ (geometry.size / 2)
         case Sphere():
             half = np.full(3, geometry.radius)
+        case Ellipsoid():
+            half = np.sqrt(((X_OG.rotation * geometry.radii) ** 2).sum(axis=1))
+        case Cone():
+            spread = geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
+            tip = X_OG.rotation[:, 2] * geometry.height / 2
+            low, high = np.minimum(-tip - spread, tip), np.maximum(-tip + spread, tip)
+            return X_OG.p + low, X_OG.p + high
         case Cylinder():
             half = axes[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
         case Capsule():

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -13,11 +14,13 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
+from simfoundry.assets.textures import read_texture
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.attachments import Actuator, NativeAttributes, Sensor, Site
 from simfoundry.scene.bodies import BodyBuilder
+from simfoundry.scene.box_mapping import Texture
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
@@ -46,6 +49,7 @@ class ObjectLowering:
     cuts: bool = True
     findings: list[Diagnostic] = field(default_factory=list)
     approximate: set[str] = field(default_factory=set)
+    _textures: dict[Path, bytes | None] = field(default_factory=dict)
 
     @property
     def _spec(self) -> scene.SceneSpec:
@@ -66,14 +70,38 @@ class ObjectLowering:
             self.findings.append(source.finding(error.code, path, str(error), error.hint))
 
     def _builder(
-        self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
+        self,
+        owner: str,
+        name: str,
+        body: base.BodySpec,
+        source: Loaded,
+        materials: dict[str, base.Material],
+        weighed: bool,
     ) -> BodyBuilder:
-        """Return a builder for a link of the ``owner`` object. The builder reports slow steps."""
+        """Return a builder for a link of the ``owner`` object, whose materials are in the document ``source``.
+
+        The builder reports slow steps.
+        """
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
         builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft)
+        builder.texture_of = lambda material: self._texture(source, material, materials[material])
+        for material in materials if self.draft else ():  # a draft shows no meshes, but reports unusable textures
+            self._texture(source, material, materials[material])
         builder.report = lambda step: self.report(f"{owner}: {step}")
         return builder
+
+    def _texture(self, source: Loaded, name: str, material: base.Material) -> Texture | None:
+        """Return the texture of a material, which is read only once, or None if it has none or cannot be read."""
+        if material.texture is None:
+            return None
+        path = source.file(material.texture)
+        if path not in self._textures:
+            self._textures[path] = None
+            with self._reporting(source, ("materials", name, "texture")):
+                self._textures[path] = read_texture(path)
+        png = self._textures[path]
+        return None if png is None else Texture(png, material.texture_size)
 
     def lower(self, name: str) -> SceneObject | None:
         """Return the selected variant of the object, with the other variants attached."""
@@ -112,7 +140,7 @@ class ObjectLowering:
     def _rigid(self, item: scene.ObjectSpec, place: tuple[str, ...], owner: str) -> list[Link]:
         """Return a list with the single link of a primitive or mesh object."""
         before, show = len(self.findings), item.visual is None
-        builder = self._builder(owner, "base", item, self._spec.materials, False)
+        builder = self._builder(owner, "base", item, self.loaded, self._spec.materials, False)
         with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
                 builder.add_shape("shape", item.shape, IDENTITY, None, show)
@@ -135,7 +163,7 @@ class ObjectLowering:
         for name in _topological(spec):
             before = len(self.findings)
             link = spec.links[name]
-            builder = self._builder(owner, name, link, spec.materials, link.weighed)
+            builder = self._builder(owner, name, link, asset, spec.materials, link.weighed)
             for part_name, part in link.parts.items():
                 with self._reporting(asset, ("links", name, "parts", part_name)):
                     if part.shape is not None:
@@ -144,7 +172,8 @@ class ObjectLowering:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
             if hidden is not None:
                 hidden |= {(name, part_name): mesh for part_name, mesh in builder.hidden.items()}
-            links += self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
+            built = self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
+            links += [replace(each, gravity_compensation=link.gravity_compensation) for each in built]
         return links, lower_joints(spec, item.joints)
 
     def _built(

@@ -66,31 +66,21 @@ def checked(read: Loaded, kind: str, known: Known) -> Loaded:
     spec, wrong = validate(model, read.document)
     sound = spec if spec is not None else sound_part(model, read.document)
     if read.reuse is not None:
+        from simfoundry.spec.compose.findings import Causes  # only documents that reuse something
+
         spec, sound = _expanded(spec), _expanded(sound)
-        wrong = unrelated(wrong, read.findings)
+        causes = Causes(read.findings, read.document.data, read.reuse)
+        wrong = causes.unrelated(wrong)
     loaded = replace(read, spec=None if read.findings else spec)
     found = check(loaded, sound, spec is not None, lambda target, kinds: _use(target, kinds, read.root, known))
-    found = unrelated(found, read.findings) if read.reuse is not None else found
     findings = [*read.findings, *wrong, *found]
     if read.reuse is not None:
-        from simfoundry.spec.compose.findings import collapsed, with_sources  # only documents that reuse something
+        from simfoundry.spec.compose.findings import collapsed, with_sources
 
+        findings = [*causes.findings, *wrong, *causes.unrelated(found)]
         findings = collapsed(with_sources(findings, read.reuse), read.reuse)
     kept, silenced = sift(findings, spec.allow if spec is not None else {})
     return replace(loaded, findings=tuple(kept), silenced=tuple(silenced))
-
-
-def unrelated(findings: list[Diagnostic], causes: tuple[Diagnostic, ...]) -> list[Diagnostic]:
-    """Return the findings that do not follow from members which could not be written out."""
-    places = {(d.file, d.line, d.column) for d in causes}
-    members = {tuple(d.path.split(".")[:2]) for d in causes if d.path.startswith(("objects.", "templates."))}
-    consequences = ("SF102", "SF107", "SF108", "SF201")  # something is missing, or a name is unknown
-    return [
-        d
-        for d in findings
-        if (d.file, d.line, d.column) not in places
-        and not (d.code in consequences and tuple(d.path.split(".")[:2]) in members)
-    ]
 
 
 M = TypeVar("M", bound=DocumentSpec)

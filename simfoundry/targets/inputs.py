@@ -80,7 +80,7 @@ def _used(loaded: Loaded) -> Iterator[Loaded]:
 
 
 def _files(loaded: Loaded) -> Iterator[Path]:
-    """Yield the meshes and splats named in a document, along with the files that they reference."""
+    """Yield the meshes, splats and images named in a document, along with the files that they reference."""
     for reference in _references(loaded.spec):
         path = loaded.file(reference)
         yield path
@@ -88,6 +88,8 @@ def _files(loaded: Loaded) -> Iterator[Path]:
 
 
 def _references(spec: object) -> Iterator[str]:
+    if isinstance(spec, SceneSpec | AssetSpec):
+        yield from (material.texture for material in spec.materials.values() if material.texture is not None)
     if isinstance(spec, AssetSpec):
         yield from (part.mesh for link in spec.links.values() for part in link.parts.values() if part.mesh is not None)
     if not isinstance(spec, SceneSpec):
@@ -95,6 +97,7 @@ def _references(spec: object) -> Iterator[str]:
     for item in spec.objects.values():
         for one in (item, *(variant_of(item, name) for name in variant_names(item))):
             yield from (f for f in (one.asset, one.visual) if f is not None and not is_document(f))
+    yield from (light.texture for light in spec.lights.values() if light.texture is not None)
     if spec.background is not None:
         yield spec.background.mesh or spec.background.splat or ""
 

@@ -23,7 +23,7 @@ QUANTITIES = (
     *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
     *("friction", "restitution", "torsional_friction", "rolling_friction"),
     *("axis", "limits", "damping", "joint_friction", "armature", "joint_position", "law", "drive", "effort"),
-    *("max_effort", "max_velocity"),
+    *("max_effort", "max_velocity", "gravity_compensation"),
 )
 
 # The behaviors that `simfoundry verify` measures.

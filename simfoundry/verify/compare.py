@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from simfoundry.backends.convex_hulls import REPLACED, with_hulls
 from simfoundry.backends.features import Fidelity, Loss
 from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
@@ -29,7 +30,7 @@ FLOORS = dict.fromkeys(
 ) | {
     **{"mass": 1e-3, "com": 0.01, "inertia": 1e-9, "bounds": 0.1, "friction": 0.1, "restitution": 0.1},
     **{"torsional_friction": 1e-3, "rolling_friction": 1e-3, "damping": 1e-3, "joint friction": 1e-3},
-    **{"armature": 1e-4, "joint position": 1.0, "max_effort": 1.0, "max_velocity": 1.0},
+    **{"armature": 1e-4, "joint position": 1.0, "max_effort": 1.0, "max_velocity": 1.0, "gravity_compensation": 1.0},
 }
 
 # Maximum deviation of an approximated collision shape from the shape in the scene [m], which allows for Bullet's margin
@@ -125,6 +126,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
         for loss in losses
         if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.feature != "robots")
     ]
+    scene = with_hulls(scene, REPLACED[engine.target.backend])
     ours, robots = without_robots(facts, {robot.name for robot in scene.robots})
     checker = _Checker(expected_readback(scene, engine.target.backend), ours, static_links(scene), engine)
     checker.run()
@@ -218,6 +220,8 @@ class _Checker:
                 continue
             keys = _keys(["mass" if quantity == "mass" else "inertia"], *_owners(name))
             self._numbers(name, quantity, wanted, held, keys, required=True)
+        keys = _keys(["gravity_compensation"], *_owners(name))
+        self._numbers(name, "gravity_compensation", expected.gravity_compensation, got.gravity_compensation, keys)
         self._words(name, "held", expected.held, got.held, _keys(("fixed", *_JOINTS), *_owners(name)))
         if got.colliders is not None:
             self._colliders(name, expected.colliders or (), got.colliders)

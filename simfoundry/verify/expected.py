@@ -14,6 +14,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from simfoundry.backends.convex_hulls import REPLACED, with_hulls
 from simfoundry.backends.light_links import with_light_links
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
@@ -42,8 +43,10 @@ _NO_JOINT = (JointType.FIXED, JointType.FREE)
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
     """Return the expected read-back for ``scene`` in ``target``.
 
-    It contains all pairs of colliders that have different friction coefficients.
+    It contains all pairs of colliders that have different friction coefficients. Colliders that the target writes as
+    convex hulls are expected as such.
     """
+    scene = with_hulls(scene, REPLACED[target])
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     if target in _LIGHT_LINKS:
@@ -76,7 +79,8 @@ def _held_by(item: SceneObject, link: Link) -> str:
 
 def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:
     colliders = tuple(part for collider in link.colliders for part in _collider(collider, target))
-    return LinkReadback(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
+    mass = (link.mass, numbers(link.com), numbers(link.inertia))
+    return LinkReadback(pose_numbers(X_WL), *mass, held, colliders, link.gravity_compensation)
 
 
 def _collider(collider: Collider, target: str) -> Iterator[rb.ColliderReadback]:

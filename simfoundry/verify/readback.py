@@ -25,9 +25,10 @@ class ColliderReadback:
     """A collision shape.
 
     ``name`` is the collider's name in its link, or None if the engine does not store it. In that case, shapes are
-    matched by order. ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``. ``bounds`` contains the
-    minimum and maximum corners [m] of the bounding box along the link axes. ``friction`` and ``restitution`` are the
-    surface's own values, before any combination rule. ``spinning`` and ``rolling`` are its resistances [m].
+    matched by order. ``kind`` is ``box``, ``sphere``, ``ellipsoid``, ``cylinder``, ``capsule``, ``cone`` or ``mesh``.
+    ``bounds`` contains the minimum and maximum corners [m] of the bounding box along the link axes. ``friction`` and
+    ``restitution`` are the surface's own values, before any combination rule. ``spinning`` and ``rolling`` are its
+    resistances [m].
     """
 
     name: str | None = None
@@ -48,7 +49,8 @@ class LinkReadback:
     """A link, with its pose, mass properties, parent and colliders.
 
     ``mass`` is in kg, ``com`` [m] is in the link frame, and ``inertia`` [kg m^2] is the row-major matrix about the
-    center of mass in link axes. ``held`` is the parent link, :data:`FREE` or :data:`WORLD`.
+    center of mass in link axes. ``gravity_compensation`` is a share of the weight. ``held`` is the parent link,
+    :data:`FREE` or :data:`WORLD`.
     """
 
     pose: Numbers | None = None
@@ -57,6 +59,7 @@ class LinkReadback:
     inertia: Numbers | None = None
     held: str | None = None
     colliders: tuple[ColliderReadback, ...] | None = None
+    gravity_compensation: float | None = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,8 @@ def pair_name(a: str, b: str) -> str:
 def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:
     """Return the bounds of a primitive in link axes.
 
-    ``size`` is ``x y z`` for a box, ``r`` for a sphere, and ``r h`` for a cylinder or a capsule.
+    ``size`` is ``x y z`` for a box, ``rx ry rz`` for an ellipsoid, ``r`` for a sphere, and ``r h`` for a cylinder, a
+    capsule or a cone.
     """
     r = X_LG.rotation
     match kind:
@@ -201,6 +205,11 @@ def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Number
             half = np.abs(r) @ (np.asarray(size, dtype=np.float64) / 2)
         case "sphere":
             half = np.full(3, float(size[0]))
+        case "ellipsoid":
+            half = np.sqrt(((r * np.asarray(size, dtype=np.float64)) ** 2).sum(axis=1))
+        case "cone":
+            tip, spread = r[:, 2] * size[1] / 2, size[0] * np.sqrt(np.maximum(0.0, 1 - r[:, 2] ** 2))
+            return numbers([X_LG.p + np.minimum(-tip - spread, tip), X_LG.p + np.maximum(-tip + spread, tip)])
         case "cylinder":
             along = np.abs(r[:, 2])
             half = along * size[1] / 2 + size[0] * np.sqrt(np.maximum(0.0, 1 - along**2))

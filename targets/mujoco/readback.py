@@ -21,7 +21,8 @@ Meetings, PROXY = _contacts.Meetings, _contacts.PROXY
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
 _KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(_GEOM.mjGEOM_CYLINDER): "cylinder",
-          int(_GEOM.mjGEOM_CAPSULE): "capsule", int(_GEOM.mjGEOM_MESH): "mesh"}  # fmt: skip
+          int(_GEOM.mjGEOM_CAPSULE): "capsule", int(_GEOM.mjGEOM_MESH): "mesh",
+          int(_GEOM.mjGEOM_ELLIPSOID): "ellipsoid"}  # fmt: skip
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
@@ -91,6 +92,7 @@ class MujocoSession(rb.Session):
             inertia=rb.numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
             held=self._held(body),
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
+            gravity_compensation=float(model.body_gravcomp[body]),
         )
 
     def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> rb.ColliderReadback:
@@ -103,7 +105,7 @@ class MujocoSession(rb.Session):
             start = model.mesh_vertadr[mesh]
             bounds = rb.mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
         else:
-            size = {"box": (x, y, z), "sphere": (x / 2,)}.get(kind, (x / 2, y))
+            size = {"box": (x, y, z), "ellipsoid": (x / 2, y / 2, z / 2), "sphere": (x / 2,)}.get(kind, (x / 2, y))
             bounds = rb.shape_bounds(kind, size, X_LG)
         name = model.geom(geom).name.removeprefix(f"{link}.")
         sliding, spinning, rolling = surface

@@ -33,6 +33,8 @@ def load(scene: Path = SCENE) -> tuple[mujoco.MjModel, mujoco.MjData]:
     set_options(spec)
     set_surfaces(spec, stage)
     set_joints(spec, stage)
+    for body in spec.bodies[1:]:
+        body.gravcomp = number(stage.GetPrimAtPath(body.name), "mjc:gravcomp")
     set_names(spec, stage)
     model = spec.compile()
     set_leaders(model)

@@ -28,7 +28,7 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
     root = ET.parse(scene).getroot()
     builder = newton.ModelBuilder()
     builder.add_mjcf(str(scene))
-    apply_keyframe(builder, floats(root.find("keyframe/key"), "qpos"))
+    apply_keyframe(builder, floats(root.find("keyframe/key"), "qpos"), root)
     model = builder.finalize(device=device)
     model.set_gravity(tuple(floats(root.find("option"), "gravity")))
     controls = floats(root.find("keyframe/key"), "ctrl")
@@ -37,12 +37,31 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
     return model
 
 
-def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
+def several_axes(root: ET.Element) -> dict[str, list[str]]:
+    """Return the joints of each body with several, keyed by Newton's label for them.
+
+    Newton combines them into one joint, which moves along axes before it turns about axes.
+    """
+    groups = [body.findall("joint") for body in root.iter("body")]
+    return {
+        "_".join(str(joint.get("name")) for joint in group): [
+            str(joint.get("name")) for joint in sorted(group, key=lambda joint: joint.get("type") != "slide")
+        ]
+        for group in groups
+        if len(group) > 1
+    }
+
+
+def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float], root: ET.Element) -> None:
     """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions."""
+    groups = several_axes(root)
+    written = {
+        name: k for body in root.iter("body") for k, name in enumerate(j.get("name") for j in body.findall("joint"))
+    }
     ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
     q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
-    for kind, child, start, end in zip(
-        builder.joint_type, builder.joint_child, builder.joint_q_start, ends, strict=True
+    for kind, label, child, start, end in zip(
+        builder.joint_type, builder.joint_label, builder.joint_child, builder.joint_q_start, ends, strict=True
     ):
         if child in carried:  # a second joint of the body, which closes a loop and is an equality in MuJoCo
             continue
@@ -54,7 +73,8 @@ def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
         at += count
         if kind == newton.JointType.FREE:
             continue
-        q[start:end] = values[[1, 2, 3, 0]] if kind == newton.JointType.BALL else values
+        order = [written[name] for name in groups.get(label.rpartition("/")[2], ())] or list(range(count))
+        q[start:end] = values[[1, 2, 3, 0] if kind == newton.JointType.BALL else order]
     if at != len(qpos):
         raise ValueError(f"the keyframe has {len(qpos)} positions, but the model has {at}")
     builder.joint_q = q.tolist()

@@ -18,7 +18,10 @@ def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     model = loader.load()
     root = ET.parse(folder / "scene.xml").getroot()
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
-    names = _session.Names(_last, _collider, lambda label: _joint(label, joints), {})
+    axes = loader.several_axes(root)
+    names = _session.Names(
+        _last, _collider, lambda label: _joint(label, joints), {}, axes=lambda n: axes.get(_last(n), ())
+    )
     session: rb.Session = _session.NewtonSession(model, names)
     return session
 

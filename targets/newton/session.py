@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import newton
@@ -34,7 +34,8 @@ class Names(NamedTuple):
     ``collider`` returns the link and the name of the collider, or None for visuals. ``joint`` returns None for joints
     added by the importer. ``static`` contains the poses of links that Newton merged into the world. ``custom`` is
     True if Newton stores motors, the resistance to spinning and rolling, and the restitution in MuJoCo's custom
-    attributes.
+    attributes. ``axes`` returns the names of the axes of a joint with several, which Newton sorts: it moves along axes
+    before it turns about axes.
     """
 
     link: Callable[[str], str]
@@ -42,6 +43,7 @@ class Names(NamedTuple):
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
     custom: bool = True
+    axes: Callable[[str], Sequence[str]] = lambda label: ()
 
 
 class NewtonSession(rb.Session):
@@ -55,7 +57,10 @@ class NewtonSession(rb.Session):
         }  # names with a colon belong to parts of links
         self._kinds = [int(k) for k in _array(model.joint_type)]
         labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
-        self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
+        self._joints = {name: (k, 0) for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
+        for k, label in enumerate(model.joint_label):
+            if self._kinds[k] == int(_Joint.D6):
+                self._joints |= {name: (k, axis) for axis, name in enumerate(names.axes(label))}
         self._q_start, self._qd_start = _array(model.joint_q_start), _array(model.joint_qd_start)
         self._state, self._next = model.state(), model.state()
         if self._bodies:
@@ -75,7 +80,7 @@ class NewtonSession(rb.Session):
         """Return the poses of the root bodies, and the joint positions from the generalized coordinates."""
         q = _array(self._state.joint_q)
         poses = {n: rb.pose_numbers(p) for n, p in self._poses().items() if "." not in n}
-        return rb.Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
+        return rb.Moment(time, poses, {n: float(q[self._q_start[k] + axis]) for n, (k, axis) in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
         """Return the bodies, the static links and the joints."""
@@ -95,7 +100,7 @@ class NewtonSession(rb.Session):
         static = {name: pose for name, pose in self.names.static.items() if name not in links}
         for name, pose in static.items():
             links[name] = rb.LinkReadback(rb.pose_numbers(pose), colliders=tuple(colliders.get(name, ())))
-        joints = {name: self._joint(name, k) for name, k in self._joints.items()}
+        joints = {name: self._joint(k, axis) for name, (k, axis) in self._joints.items()}
         driven = None
         if not self.names.custom:
             driven = rb.driven(joints)
@@ -169,12 +174,15 @@ class NewtonSession(rb.Session):
         size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
         return rb.shape_bounds(kind, size, X_LG)
 
-    def _joint(self, name: str, joint: int) -> rb.JointReadback:
-        """Return the values of a joint. Newton limits a motor to the smaller of its own limit and that of its joint."""
-        model, dof = self.model, int(self._qd_start[joint])
+    def _joint(self, joint: int, axis: int) -> rb.JointReadback:
+        """Return the values of a joint or of one of the axes of a joint with several.
+
+        Newton limits a motor to the smaller of its own limit and that of its joint.
+        """
+        model, dof = self.model, int(self._qd_start[joint]) + axis
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
-        start, ball = int(self._q_start[joint]), self._kinds[joint] == int(_Joint.BALL)
+        start, ball = int(self._q_start[joint]) + axis, self._kinds[joint] == int(_Joint.BALL)
         gains = float(model.joint_target_ke.numpy()[dof]), float(model.joint_target_kd.numpy()[dof])
         drive: rb.Numbers | None = None if self.names.custom else ()
         if any(gains) and not self.names.custom:
@@ -184,7 +192,9 @@ class NewtonSession(rb.Session):
             for value in (float(model.joint_effort_limit.numpy()[dof]), float(model.joint_velocity_limit.numpy()[dof]))
         )
         return rb.JointReadback(
-            type=_TYPES[self._kinds[joint]],
+            type=_TYPES.get(
+                self._kinds[joint], "prismatic" if axis < model.joint_dof_dim.numpy()[joint][0] else "revolute"
+            ),
             axis=None if ball else rb.numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
             limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),
             damping=float(model.joint_damping.numpy()[dof]),

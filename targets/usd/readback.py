@@ -14,7 +14,7 @@ from simfoundry.verify import readback as rb
 
 _SCOPES = ("/World/Objects", "/World/Robots")
 _TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
-_KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
+_KINDS = {"Cube": "box"} | {kind: kind.lower() for kind in ("Sphere", "Cylinder", "Capsule", "Cone", "Mesh")}
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
@@ -116,6 +116,7 @@ class UsdSession(rb.Session):
             com=rb.numbers(mass.GetCenterOfMassAttr().Get()),
             inertia=rb.numbers(axes @ np.diag(moments) @ axes.T),
             held=held,
+            gravity_compensation=_number(prim, "mjc:gravcomp"),
             colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
         )
 

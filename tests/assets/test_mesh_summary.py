@@ -30,6 +30,8 @@ FIELDS = (
     "collision: none, ",
     "collision: hull, ",
     "scale: 0.001, ",
+    "scale: [1, 0.5, 2], ",
+    "scale: [0.001, 0.002, 0.003], solid: hull, ",
     "solid: hull, collision: none, ",
 )
 
@@ -90,7 +92,7 @@ def test_facts_survive_the_cache(tmp_path: Path) -> None:
     first = mesh_facts(path, cache)
     module._facts.cache_clear()
     assert mesh_facts(path, cache) == first == measure(path)
-    assert first.size == pytest.approx(0.3)
+    assert first.size() == pytest.approx(0.3)
     assert (first.triangles, first.gaps) == (12, 0)
     assert first.volume == pytest.approx(0.006)
     assert first.hull_volume == pytest.approx(0.006)
@@ -110,9 +112,9 @@ def test_a_mesh_that_is_not_convex_says_so(tmp_path: Path) -> None:
 def test_another_content_is_measured_anew(tmp_path: Path) -> None:
     path, cache = tmp_path / "it.obj", Cache(tmp_path / "store")
     path.write_text(obj(*block((0.1, 0.1, 0.1))))
-    assert mesh_facts(path, cache).size == pytest.approx(0.1)
+    assert mesh_facts(path, cache).size() == pytest.approx(0.1)
     path.write_text(obj(*block((0.1, 0.1, 0.25))))
-    assert mesh_facts(path, cache).size == pytest.approx(0.25)
+    assert mesh_facts(path, cache).size() == pytest.approx(0.25)
 
 
 def test_a_damaged_entry_is_measured_anew(tmp_path: Path) -> None:
@@ -140,7 +142,7 @@ def test_a_file_beyond_all_bounds_is_not_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 0.001, 1000.0])
 def test_the_volume_goes_with_the_cube_of_the_scale(scale: float) -> None:
-    thin = MeshFacts(1.0, 12, 0, 2e-10, 1.0, ((0.0, 0.0, 0.0),))
+    thin = MeshFacts((1.0, 0.5, 0.2), 12, 0, 2e-10, 1.0, ((0.0, 0.0, 0.0),))
     fault = thin.fault("it.obj", scale, "exact", "auto")
     expected = {1.0: None, 0.001: "SF301", 1000.0: "SF303"}[scale]
     assert (fault.code if fault is not None else None) == expected

@@ -12,11 +12,12 @@ import sys
 import tempfile
 import traceback
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from simfoundry.lint.lints import lint
-from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import is_document
@@ -36,6 +37,8 @@ class Tally:
     silent: list[str] = field(default_factory=list)
     crashed: list[str] = field(default_factory=list)
     elsewhere: list[str] = field(default_factory=list)
+    later: int = 0
+    """The number of corruptions whose line is pointed at, but not by the first error."""
 
 
 def findings(path: Path) -> tuple[Loaded, list[Diagnostic]]:
@@ -44,7 +47,12 @@ def findings(path: Path) -> tuple[Loaded, list[Diagnostic]]:
     return loaded, [*loaded.all_findings(), *lint(loaded)]
 
 
-def corrupt(count: int, seed: int = 0, root: Path = REPOSITORY / "specs") -> tuple[dict[str, Tally], Counter[str]]:
+def corrupt(
+    count: int,
+    seed: int = 0,
+    root: Path = REPOSITORY / "specs",
+    generate: Callable[[str, str, random.Random], Iterator[Mutant]] = mutants,
+) -> tuple[dict[str, Tally], Counter[str]]:
     """Check ``count`` corruptions of the documents below ``root``, evenly of each kind; counts of the codes too."""
     tallies: dict[str, Tally] = {}
     codes: Counter[str] = Counter()
@@ -56,7 +64,7 @@ def corrupt(count: int, seed: int = 0, root: Path = REPOSITORY / "specs") -> tup
         every: dict[str, list[tuple[Path, Mutant]]] = {}
         for path in sorted(p for p in work.rglob("*.yaml") if is_document(p)):
             rng = random.Random(f"{seed} {path.relative_to(work)}")
-            for mutant in mutants(path.read_text(), path.name, rng):
+            for mutant in generate(path.read_text(), path.name, rng):
                 every.setdefault(mutant.kind, []).append((path, mutant))
         rng = random.Random(seed)
         for chosen in every.values():
@@ -71,46 +79,60 @@ def corrupt(count: int, seed: int = 0, root: Path = REPOSITORY / "specs") -> tup
 
 
 def judge(path: Path, mutant: Mutant, tally: Tally, codes: Counter[str]) -> None:
-    """Write a corruption in the place of the document, check it, and put the document back."""
+    """Write a corruption in the place of the document, check it or its user, and put the document back."""
     before = path.read_bytes()
     what = f"{path.name}: {mutant.done}"
     tally.count += 1
     path.write_text(mutant.text)
     try:
-        _, found = findings(path)
+        _, found = findings(path.with_name(mutant.user or path.name))
     except Exception:
         tally.crashed.append(f"{what}\n{traceback.format_exc()}")
     else:
         codes.update({d.code for d in found})
         if not found:
             tally.silent.append(what)
-        elif not any(d.line == mutant.line and Path(d.file).name == path.name for d in found):
+        elif not any((Path(d.file).name, d.line) in mutant.places(path.name) for d in found):
             first = found[0]
             tally.elsewhere.append(f"{what} (line {mutant.line}): said {first.line} {first.code} {first.message}")
+        else:
+            first = min(found, key=lambda d: (d.severity is not Severity.ERROR, d.file, d.line))
+            tally.later += (Path(first.file).name, first.line) not in mutant.places(path.name)
     finally:
         path.write_bytes(before)
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=COUNT)
+def options(description: str | None, count: int) -> argparse.Namespace:
+    """The options of the command line."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--count", type=int, default=count)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--show", action="store_true", help="List what was missed.")
-    options = parser.parse_args()
-    tallies, codes = corrupt(options.count, options.seed)
-    print("| corruption | count | crashed | silent | line pointed at |\n|---|---|---|---|---|")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Corrupt the specs of the repository."""
+    given = options(__doc__, COUNT)
+    return report(*corrupt(given.count, given.seed), given.show)
+
+
+def report(tallies: dict[str, Tally], codes: Counter[str], show: bool) -> int:
+    """Print the table; 1 where a bar is missed."""
+    print("| corruption | count | crashed | silent | line pointed at | by the first error |\n|---|---|---|---|---|---|")
     for kind, t in tallies.items():
         share = 1 - (len(t.elsewhere) + len(t.silent)) / t.count
-        print(f"| {kind} | {t.count} | {len(t.crashed)} | {len(t.silent)} | {share:.3f} |")
-        for line in (*t.crashed, *t.silent, *t.elsewhere) if options.show else t.crashed[:3]:
+        first = share - t.later / t.count
+        print(f"| {kind} | {t.count} | {len(t.crashed)} | {len(t.silent)} | {share:.3f} | {first:.3f} |")
+        for line in (*t.crashed, *t.silent, *t.elsewhere) if show else t.crashed[:3]:
             print(f"  {line}", file=sys.stderr)
     total = sum(t.count for t in tallies.values())
     crashed, silent, elsewhere = (
         sum(len(getattr(t, name)) for t in tallies.values()) for name in ("crashed", "silent", "elsewhere")
     )
     share = 1 - (elsewhere + silent) / total
-    print(f"| all | {total} | {crashed} | {silent} | {share:.3f} |")
+    first = share - sum(t.later for t in tallies.values()) / total
+    print(f"| all | {total} | {crashed} | {silent} | {share:.3f} | {first:.3f} |")
     print("codes: " + ", ".join(f"{code} {n}" for code, n in sorted(codes.items())))
     return int(bool(crashed or silent or share < BAR))
 

@@ -39,6 +39,10 @@ NAMES = (
     "in_front_of",
     "behind",
     "anchor",
+    "like",
+    "frame",
+    "seen_from",
+    "look_at",
 )
 CHOICES = ("collision", "solid", "type", "simfoundry", "proposals")
 ARITY = (
@@ -74,12 +78,22 @@ class Spot:
 
 @dataclass(frozen=True)
 class Mutant:
-    """A corrupted text, what was done to it, and the line where it was done."""
+    """A corrupted text, what was done to it, and the line where it was done.
+
+    A finding may also be in one of the lines ``uses``, which use what was removed. If ``user`` is set, it is the name
+    of a document that uses the corrupted one and is checked instead.
+    """
 
     kind: str
     text: str
     line: int
     done: str
+    uses: frozenset[int] = frozenset()
+    user: str = ""
+
+    def places(self, file: str) -> set[tuple[str, int]]:
+        """The files and lines that a finding may point to, given the name of the corrupted document."""
+        return {(file, line) for line in (self.line, *self.uses)}
 
 
 def spots(node: Node, path: Path_ = (), key: tuple[int, int] | None = None) -> Iterator[Spot]:
@@ -206,6 +220,9 @@ def misspelled_key(found: list[Spot], rng: random.Random) -> Iterator[Candidate]
         "frames",
         "subtasks",
         "names",
+        "parameters",
+        "include",
+        "templates",
     )
     free = ("start", "reset", "allow", "conflicts", "pose", "place")
     for s in found:
@@ -262,7 +279,7 @@ def simple_mutants(text: str, found: list[Spot], rng: random.Random) -> Iterator
     for kind, candidates in SIMPLE.items():
         for spot, old, new in candidates(found, rng):
             changed = at(text, spot.node.line, spot.node.column, old, new)
-            if changed is not None:
+            if changed is not None and changed != text:
                 yield Mutant(kind, changed, spot.node.line, f"{'.'.join(map(str, spot.path))}: {old} -> {new}")
 
 

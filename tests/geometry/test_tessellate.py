@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.geometry.frames import frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, tessellate
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
 
 SHAPES: list[tuple[Geometry, float]] = [
     (Box(frozen_array([0.3, 0.2, 0.1])), 0.3 * 0.2 * 0.1),
@@ -16,8 +16,10 @@ SHAPES: list[tuple[Geometry, float]] = [
     (Cylinder(0.05, 0.2), math.pi * 0.05**2 * 0.2),
     (Capsule(0.04, 0.15), math.pi * 0.04**2 * 0.15 + 4 / 3 * math.pi * 0.04**3),
     (Capsule(0.04, 0.0), 4 / 3 * math.pi * 0.04**3),
+    (Ellipsoid(frozen_array([0.05, 0.07, 0.02])), 4 / 3 * math.pi * 0.05 * 0.07 * 0.02),
+    (Cone(0.05, 0.2), math.pi * 0.05**2 * 0.2 / 3),
 ]
-IDS = ["box", "sphere", "cylinder", "capsule", "capsule without a middle"]
+IDS = ["box", "sphere", "cylinder", "capsule", "capsule without a middle", "ellipsoid", "cone"]
 
 
 @pytest.mark.parametrize("geometry", [shape for shape, _ in SHAPES], ids=IDS)

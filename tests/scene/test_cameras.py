@@ -105,3 +105,9 @@ def test_hexadecimal_colors_are_srgb(tmp_path: Path) -> None:
     text = SCENE.replace("mass: 0.2, place", 'mass: 0.2, color: "#C8a07080", place')
     (visual,) = lowered(tmp_path, text).object("mug").root.visuals
     assert visual.rgba * 255 == pytest.approx([0xC8, 0xA0, 0x70, 0x80], abs=1e-3)
+
+
+def test_a_viewpoint_inside_its_target_is_reported(tmp_path: Path) -> None:
+    text = SCENE.replace("name: shelf", "name: shelf\nviewpoint: to_mug")
+    with pytest.raises(SpecError, match=r"a\.scene\.yaml:3:.*at the center of `desk`"):
+        lowered(tmp_path, text.replace("xyz: [0, -1, 1], look_at: mug", "xyz: [0.5, 0, -0.05], look_at: desk"))

@@ -15,9 +15,15 @@ from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectS
 from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
+    CompoundPart,
+    CompoundShape,
+    ConeShape,
     CylinderShape,
+    EllipsoidShape,
     Lathe,
     LatheShape,
+    OpenBox,
+    OpenBoxShape,
     Prism,
     PrismShape,
     Round,
@@ -82,7 +88,14 @@ def _poses(kind: type[PoseSpec], **more: st.SearchStrategy[Any]) -> st.SearchStr
 POSES = _poses(PoseSpec)
 FRAMED_POSES = _poses(FramedPose, frame=st.none() | NAMES)
 ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
-SHAPES = st.one_of(
+PART_SHAPES = st.one_of(
+    st.builds(EllipsoidShape, ellipsoid=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
+    st.builds(ConeShape, cone=ROUNDS),
+    st.builds(
+        lambda x, y, z, share: OpenBoxShape(open_box=OpenBox(size=(x, y, z), wall=share * min(x, y, z))),
+        *(st.floats(1e-6, FARTHEST),) * 3,
+        st.floats(0.01, 0.49),
+    ),
     st.builds(BoxShape, box=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
     st.builds(SphereShape, sphere=LENGTHS),
     st.builds(CylinderShape, cylinder=ROUNDS),
@@ -100,6 +113,21 @@ SHAPES = st.one_of(
             outline=st.lists(st.tuples(COORDINATES, COORDINATES), min_size=3, max_size=30).map(tuple),
             height=LENGTHS,
         ),
+    ),
+)
+SHAPES = PART_SHAPES | st.builds(
+    CompoundShape,
+    compound=st.dictionaries(
+        NAMES,
+        st.builds(
+            CompoundPart,
+            shape=PART_SHAPES,
+            pose=POSES,
+            material=st.none() | NAMES,
+            color=st.none() | COLORS,
+        ),
+        min_size=1,
+        max_size=4,
     ),
 )
 QUANTITIES = POSITIVE | st.builds(
@@ -183,7 +211,7 @@ SCENES = st.builds(
     origin=maybe(ORIGINS),
 )
 PARTS = st.one_of(
-    st.builds(PartSpec, shape=SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
+    st.builds(PartSpec, shape=PART_SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
     st.builds(PartSpec, mesh=TEXTS, scale=POSITIVE, pose=POSES),
 )
 LINKS = st.builds(

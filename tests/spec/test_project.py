@@ -75,7 +75,7 @@ def test_a_project_inside_another_excludes_its_own(tree: Path) -> None:
     [
         ("exclud: [a]\n", "simfoundry.yaml:1:1: error[SF101] unknown key `exclud`"),
         ("exclude: a\n", "simfoundry.yaml:1:10: error[SF103] expected a list, found the string `a`"),
-        ("exclude: [a\n", "simfoundry.yaml:2:1: error[SF002]"),
+        ("exclude: [a\n", "simfoundry.yaml:1:10: error[SF002]"),
         ("- a\n", "simfoundry.yaml:1:1: error[SF103] expected a mapping"),
     ],
 )

@@ -57,9 +57,9 @@ links:
   drawer: {mass: 1, parts: {tray: {shape: {box: [0.2, 0.2, 0.1]}, pose: {xyz: [0, 0, 0.1]}}}}
   door: {mass: 1, parts: {panel: {shape: {box: [0.02, 0.2, 0.2]}, pose: {xyz: [0, 0.1, 0.1]}}}}
   knob: {mass: 0.1, parts: {ball: {shape: {sphere: 0.01}}}}
-  head: {mass: 0.2, parts: {ball: {shape: {sphere: 0.02}}}}
+  head: {mass: 0.2, gravity_compensation: 1, parts: {ball: {shape: {sphere: 0.02}}}}
   lid: {mass: 0.2, parts: {plate: {shape: {box: [0.1, 0.1, 0.01]}}}}
-  shelf: {mass: 0.5, parts: {board: {shape: {box: [0.2, 0.1, 0.01]}}}}
+  shelf: {mass: 0.5, gravity_compensation: 0.25, parts: {board: {shape: {box: [0.2, 0.1, 0.01]}}}}
   pan: {mass: 0.3, parts: {dish: {shape: {box: [0.1, 0.08, 0.02]}}}}
   grip: {mass: 0.1, parts: {bar: {shape: {box: [0.01, 0.05, 0.01]}}}}
 joints:

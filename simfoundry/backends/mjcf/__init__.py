@@ -31,6 +31,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, exact, exacts, numbers
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
@@ -39,11 +40,13 @@ from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.native import NativeWriter, check_references
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
+from simfoundry.backends.mjcf.skybox import add_skybox, skybox_light
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
 from simfoundry.backends.names import InvalidSceneError, check_names, check_timestep
 from simfoundry.backends.robot_models.robot_object import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
+from simfoundry.geometry.shapes import Ellipsoid
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Scene
 
@@ -82,7 +85,7 @@ def compile_mjcf(
         scene: The lowered scene.
         timestep: The simulation time step [s].
         cylinder_sides: If this whole number is not zero, cylinders collide as prisms with this many sides (at least
-            three), for readers that do not support cylinder collisions.
+            three), and ellipsoids as hulls, for readers that do not support their collisions.
         contacts: `exact` to write contact pairs, or `native` to omit them, in which case MuJoCo uses the larger of the
             two friction coefficients.
 
@@ -92,7 +95,9 @@ def compile_mjcf(
     _check_options(timestep, cylinder_sides, contacts)
     check_names(scene)
     sides = int(cylinder_sides)
-    losses = list(prism_losses(scene, sides)) if sides >= 3 else []
+    hulled = (*REPLACED["mjcf"], *([Ellipsoid] if sides >= 3 else []))
+    losses = [*hull_losses(scene, hulled), *(prism_losses(scene, sides) if sides >= 3 else ())]
+    scene = with_hulls(scene, hulled)
     scene = with_prisms(scene, sides) if sides >= 3 else scene
     if timestep == TIMESTEP and scene.options.timestep is not None:
         timestep = scene.options.timestep
@@ -103,6 +108,8 @@ def compile_mjcf(
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
+    if (sky := skybox_light(scene.lights)) is not None:
+        assets.files |= add_skybox(assets.element, sky)
     for camera in scene.cameras:
         add_camera(world, camera)
     if scene.background is not None:
@@ -161,6 +168,8 @@ def _compile_native(scene: Scene, timestep: float, losses: list[Loss]) -> Artifa
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
+    if (sky := skybox_light(scene.lights)) is not None:
+        assets.files |= add_skybox(assets.element, sky)
     for camera in scene.cameras:
         add_camera(world, camera)
     if scene.background is not None:

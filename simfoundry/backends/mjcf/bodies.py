@@ -14,7 +14,7 @@ from simfoundry.backends.mjcf.attachments import add_site
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
 from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_bytes
 from simfoundry.scene.model import Background, Collider, Drive, Joint, JointType, Link, Scene, SceneObject, Visual
@@ -126,6 +126,8 @@ def _fill_body(body: ET.Element, name: str, link: Link, assets: Assets, material
 
     A primitive that is both visual and collider becomes one geom in the visual group.
     """
+    if link.gravity_compensation:
+        body.set("gravcomp", number(link.gravity_compensation))
     moments, q = link.principal
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(_below_sum(moments))}
     ET.SubElement(body, "inertial", inertial | _turn(q))
@@ -156,12 +158,14 @@ def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False
             return {"type": "box", "size": numbers(size / 2)}
         case Sphere(radius=radius):
             return {"type": "sphere", "size": number(radius)}
+        case Ellipsoid(radii=radii):
+            return {"type": "ellipsoid", "size": numbers(radii)}
         case Cylinder(radius=radius, height=height):
             return {"type": "cylinder", "size": numbers([radius, height / 2])}
         case Capsule(radius=radius, height=height):
             return {"type": "capsule", "size": numbers([radius, height / 2])}
-        case Mesh():
-            return {"type": "mesh", "mesh": assets.mesh(geometry, name, collides)}
+        case Mesh() | Cone():  # a cone is only shown; see :mod:`simfoundry.backends.convex_hulls`
+            return {"type": "mesh", "mesh": assets.mesh(tessellate(geometry), name, collides)}
 
 
 def pose_attributes(pose: Pose) -> dict[str, str]:
@@ -182,7 +186,7 @@ class Assets:
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
-        self._element = element
+        self.element = element
         self._counts: dict[str, int] = {}
         self._names: dict[object, str] = {}
         self._files: dict[str, str] = {}
@@ -199,7 +203,7 @@ class Assets:
             file = self._files.setdefault(mesh.digest, name)
             # Visual meshes may be open or flat, which MuJoCo accepts only as shells. The computed mass is not used.
             inertia = inertia or ("convex" if collides else "shell")
-            ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
+            ET.SubElement(self.element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]
 
@@ -209,10 +213,10 @@ class Assets:
         if (png, tint) not in self._names:
             if png not in self._names:
                 texture = self._names[png] = self._new_name(f"{wish}_texture")
-                ET.SubElement(self._element, "texture", name=texture, type="2d", file=f"{texture}.png")
+                ET.SubElement(self.element, "texture", name=texture, type="2d", file=f"{texture}.png")
                 self.files[f"{texture}.png"] = png
             name = self._names[png, tint] = self._new_name(f"{wish}_material")
-            ET.SubElement(self._element, "material", name=name, texture=self._names[png], rgba=tint)
+            ET.SubElement(self.element, "material", name=name, texture=self._names[png], rgba=tint)
         return self._names[png, tint]
 
     def _new_name(self, wish: str, numbered: bool = False) -> str:

@@ -143,6 +143,8 @@ class NativeWriter:
         """Add the content of a link to its body, followed by the bodies below it."""
         item = tree.owner
         native = item.native.links.get(link.name, {})
+        if link.gravity_compensation and "gravcomp" not in native:
+            body.set("gravcomp", exact(link.gravity_compensation))
         if not is_world and not native.get("massless"):
             ET.SubElement(body, "inertial", inertial_attributes(link, X_BL, native))
         for attributes in self._geoms(item, link, X_BL):

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.mjcf.contact_rules import ROBOTS
+from simfoundry.backends.mjcf.skybox import skybox_light
 from simfoundry.backends.robot_models.mujoco_robot import document_fields
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Camera, JointType, Light, LightType, Scene, SceneObject
@@ -69,9 +70,17 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield one loss per dome light."""
+    """Yield one loss per dome light, and one per panorama."""
     reason = "MuJoCo has no dome lights; the light's color illuminates all surfaces equally, without shading."
-    return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)
+    shown = skybox_light(scene.lights)
+    for light in (light for light in scene.lights if light.type is LightType.DOME):
+        yield approximate("dome_lights", light.name, reason)
+        if light.panorama is not None and light is shown:
+            clipped = "The panorama is shown as a skybox of 8-bit images, in which radiances above 1 are clipped."
+            yield approximate("dome_textures", light.name, clipped)
+        elif light.panorama is not None:
+            first = "MuJoCo shows the first panorama in a format other than OpenEXR, which it cannot read."
+            yield drop("dome_textures", light.name, first)
 
 
 # The name of the custom text that marks a file as written by this backend; its data is the format version.

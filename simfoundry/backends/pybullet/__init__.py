@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names, check_timestep
@@ -69,7 +70,9 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         timestep = scene.options.timestep
     check_timestep(timestep)
     check_names(scene)
-    given, scene = scene, with_light_links(scene)
+    hulls = tuple(hull_losses(scene, REPLACED["pybullet"]))
+    given = with_hulls(scene, REPLACED["pybullet"])
+    scene = with_light_links(given)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
     robots, robot_losses = bullet_robots(
@@ -97,7 +100,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    losses = (*bullet_losses(given, timestep, resistances), *light_link_losses(given, "URDF"), *robot_losses)
+    losses = (*bullet_losses(given, timestep, resistances), *light_link_losses(given, "URDF"), *hulls, *robot_losses)
     return Artifact("pybullet", "load.py", files, losses)
 
 

@@ -64,6 +64,8 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
             yield approximate(feature, light.name, _LIGHTS[light.type])
         else:
             yield drop(feature, light.name, "PyBullet renders with one light; the first one is used.")
+        if light.panorama is not None:
+            yield drop("dome_textures", light.name, FEATURES["dome_textures"].reason)
     yield from attachment_losses(scene, FEATURES, drives=True)
     yield from splat_losses(scene, "PyBullet")
     yield from variant_losses(scene, "PyBullet")

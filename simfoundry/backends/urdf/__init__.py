@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.features import Loss
 from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names
@@ -36,11 +37,13 @@ def compile_urdf(scene: Scene) -> Artifact:
         InvalidSceneError: If a name is invalid.
     """
     check_names(scene)
-    given, scene = scene, with_light_links(scene)
+    hulls = hull_losses(scene, REPLACED["urdf"])
+    given = with_hulls(scene, REPLACED["urdf"])
+    scene = with_light_links(given)
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)
     poses = {tree.name: poses_entry(tree) for item in scene.objects for tree in trees(item)}
-    losses: list[Loss] = [*urdf_losses(given), *light_link_losses(given, "URDF")]
+    losses: list[Loss] = [*urdf_losses(given), *light_link_losses(given, "URDF"), *hulls]
     robots: dict[str, RobotUrdf] = {}
     for robot in scene.robots:
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))

@@ -13,7 +13,7 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.urdf.features import UNBOUNDED_M, UNLIMITED
 from simfoundry.backends.xmltext import DECLARATION, xml_text
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, rpy_from_quat
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere, tessellate
 from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
@@ -150,7 +150,8 @@ def _add_shape(
             ET.SubElement(element, "cylinder", radius=number(radius), length=number(height))
         case Capsule(radius=radius, height=height):
             ET.SubElement(element, "capsule", radius=number(radius), length=number(height))
-        case Mesh():
+        case Mesh() | Ellipsoid() | Cone():
+            geometry = tessellate(geometry)
             path = f"assets/{geometry.digest}.obj"
             if path not in files:
                 files.update({f"assets/{name}": data for name, data in obj_with_material(geometry).items()})

@@ -55,6 +55,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
     yield from (_drop("cameras", camera.name) for camera in scene.cameras)
     yield from (_drop("mounted_cameras", mounted.camera.name) for mounted in scene.mounted)
     yield from (_drop(f"{light.type.value}_lights", light.name) for light in scene.lights)
+    yield from (_drop("dome_textures", light.name) for light in scene.lights if light.panorama is not None)
     if scene.background is not None and scene.background.visuals:
         yield _drop("background_mesh", "background")
     yield from attachment_losses(scene, FEATURES, drives=False)
@@ -70,10 +71,12 @@ def robot_losses(name: str) -> tuple[Loss, Loss]:
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:
-    """Yield the joint losses that occur in every URDF dialect.
+    """Yield the losses of joints and links that occur in every URDF dialect.
 
-    These concern armatures, and prismatic joints without limits.
+    These concern armatures, prismatic joints without limits, and gravity compensation.
     """
+    if any(link.gravity_compensation for link in item.links):
+        yield _drop("gravity_compensation", item.name)
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, rounded
+from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
 from simfoundry.backends.light_links import light_link_losses, with_light_links
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
@@ -18,7 +19,14 @@ from simfoundry.backends.usd.prims import Prim, usda, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.shapes import MESHES, mesh_layer, texture_of, texture_path
 from simfoundry.backends.usd.source import KEY, write_source
-from simfoundry.backends.usd.surroundings import SPLAT, define_background, define_camera, define_light, splat_layer
+from simfoundry.backends.usd.surroundings import (
+    SPLAT,
+    define_background,
+    define_camera,
+    define_light,
+    panorama_path,
+    splat_layer,
+)
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
@@ -38,15 +46,17 @@ def compile_usd(scene: Scene) -> Artifact:
         InvalidSceneError: If a name is invalid or not unique.
     """
     check_names(scene)
-    given, scene = scene, with_light_links(scene)
+    hulls = hull_losses(scene, REPLACED["usd"])
+    given = with_hulls(scene, REPLACED["usd"])
+    scene = with_light_links(given)
     world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
+    contents |= {panorama_path(p): p.content for light in scene.lights if (p := light.panorama) is not None}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
-    return Artifact(
-        "usd", "scene.usda", contents, (*usd_losses(given), *light_link_losses(given, "USD"), *robots.losses)
-    )
+    losses = (*usd_losses(given), *light_link_losses(given, "USD"), *hulls, *robots.losses)
+    return Artifact("usd", "scene.usda", contents, losses)
 
 
 def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:

@@ -168,6 +168,11 @@ def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     body.attribute("physics:centerOfMass", "point3f", vec3(link.com.tolist()))
     body.attribute("physics:diagonalInertia", "float3", vec3(moments.tolist()))
     body.floats(link.mass, "physics:mass")
+    if link.gravity_compensation:
+        body.attribute("mjc:gravcomp", "double", rounded(link.gravity_compensation), uniform=True)
+    if link.gravity_compensation == 1.0:
+        body.schemas += ["PhysxRigidBodyAPI"]
+        body.attribute("physxRigidBody:disableGravity", "bool", True)
     body.attribute("physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
         parent = body.define("Visuals", "Scope")

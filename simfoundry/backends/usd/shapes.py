@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from simfoundry.backends.artifact import number, rounded
 from simfoundry.backends.usd.prims import Asset, Prim, vec3
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere
 from simfoundry.scene.model import Collider, Visual
 
 if TYPE_CHECKING:
@@ -64,13 +64,19 @@ def crate_bytes(layer: Sdf.Layer) -> bytes:
 MESHES = "assets/meshes.usdc"
 
 
+# Types of prims whose names differ from those of the shapes.
+_TYPES: Mapping[type[Geometry], str] = {Box: "Cube", Ellipsoid: "Sphere"}
+
+
 def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:
     """Define ``geometry`` below ``parent`` at its pose in the link.
 
-    A box becomes a scaled unit cube, and a mesh becomes a reference; see :func:`mesh_layer`.
+    A box becomes a scaled unit cube, an ellipsoid becomes a scaled unit sphere, and a mesh becomes a reference; see
+    :func:`mesh_layer`.
     """
-    prim = parent.define(name, "Cube" if isinstance(geometry, Box) else type(geometry).__name__, schemas)
-    prim.place(X_LG, scale=geometry.size.tolist() if isinstance(geometry, Box) else None)
+    prim = parent.define(name, _TYPES.get(type(geometry), type(geometry).__name__), schemas)
+    scales = geometry.size if isinstance(geometry, Box) else geometry.radii if isinstance(geometry, Ellipsoid) else None
+    prim.place(X_LG, scale=None if scales is None else scales.tolist())
     match geometry:
         case Mesh():
             prim.references.append(f"@./{MESHES}@</{_LIBRARY}/{_mesh_name(geometry)}>")
@@ -78,10 +84,17 @@ def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, sch
         case Box():
             prim.attribute("size", "double", 1.0)
             half = (0.5, 0.5, 0.5)
+        case Ellipsoid():
+            prim.attribute("radius", "double", 1.0)
+            half = (1.0, 1.0, 1.0)
         case Sphere(radius=radius):
             prim.attribute("radius", "double", rounded(radius))
             half = (radius, radius, radius)
-        case Cylinder(radius=radius, height=height) | Capsule(radius=radius, height=height):
+        case (
+            Cylinder(radius=radius, height=height)
+            | Capsule(radius=radius, height=height)
+            | Cone(radius=radius, height=height)
+        ):
             prim.attribute("radius", "double", rounded(radius))
             prim.attribute("axis", "token", "Z", uniform=True)
             prim.attribute("height", "double", rounded(height))

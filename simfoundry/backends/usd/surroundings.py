@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 
 import numpy as np
 
-from simfoundry.backends.usd.prims import Prim, vec3
+from simfoundry.backends.usd.prims import Asset, Prim, vec3
 from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, linear_from_srgb, new_crate
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import Background, Camera, Light, LightType, Splat
+from simfoundry.scene.model import Background, Camera, Light, LightType, Panorama, Splat
 
 # The path of the splat layer in the artifact.
 SPLAT = "assets/background.usdc"
@@ -91,6 +92,16 @@ FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DO
 _POINT_RADIUS = 0.02  # m, about the size of a light bulb; a sphere light needs a radius
 
 
+# Rotation from the axes of a USD dome, whose image has its center along z and its top along y, to those of a scene,
+# with the center along x and the top along z.
+X_DOME = Pose.of(q=(0.5, 0.5, 0.5, 0.5))
+
+
+def panorama_path(panorama: Panorama) -> str:
+    """Return the path of a panorama in the artifact, with a file name derived from its content."""
+    return f"assets/{hashlib.sha256(panorama.content).hexdigest()[:16]}{panorama.suffix}"
+
+
 def define_light(scope: Prim, light: Light) -> None:
     """Define ``light`` so that intensity 1 makes a white surface facing it (1 m away for a point light) look white."""
     match light.type:
@@ -104,8 +115,11 @@ def define_light(scope: Prim, light: Light) -> None:
             prim.attribute("treatAsPoint", "bool", True)
         case LightType.DOME:
             prim = scope.define(light.name, "DomeLight")
+            if light.panorama is not None:
+                prim.attribute("inputs:texture:file", "asset", Asset(f"./{panorama_path(light.panorama)}"))
+                prim.attribute("inputs:texture:format", "token", "latlong")
     prim.attribute("inputs:color", "color3f", vec3(linear_from_srgb(light.rgb)))
     prim.floats(light.intensity * FULL[light.type], "inputs:intensity")
     if light.type is not LightType.DOME:
         prim.attribute("inputs:normalize", "bool", True)
-    prim.place(light.X_WL)
+    prim.place(light.X_WL if light.panorama is None else light.X_WL @ X_DOME)

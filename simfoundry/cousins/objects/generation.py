@@ -178,7 +178,12 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
         kept = Path(scratch) / Path(first).name
         kept.write_bytes(written[first])
         material = next((m for m in item.spec.materials.values() if m.density is not None), USUAL)
-        made = item_of_mesh(kept, item.name, item.category, Material(**material.model_dump(exclude={"color"})))
+        made = item_of_mesh(
+            kept,
+            item.name,
+            item.category,
+            Material(**material.model_dump(exclude={"color", "texture", "texture_size"})),
+        )
     link = made.spec.links["body"]
     part = link.parts["mesh"].model_copy(
         update={"mesh": first, "color": None if read.texture is not None or read.rgba is None else read.rgba[:3]}

@@ -17,7 +17,7 @@ from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, 
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, AxisSpec, JointSpec, PartSpec
-from simfoundry.spec.models.shapes import LatheShape, SphereShape
+from simfoundry.spec.models.shapes import ConeShape, LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6
@@ -54,7 +54,9 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
     """Return a part scaled along the axes of its link by ``f``, an array of shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
-        return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
+        even = float(np.cbrt(f.prod()))
+        scale = tuple(v * even for v in part.scale) if isinstance(part.scale, tuple) else part.scale * even
+        return there.model_copy(update={"scale": scale})
     assert part.shape is not None
     turn = pose(part.pose).rotation
     local = np.abs(turn.T) @ f
@@ -102,7 +104,7 @@ def _round_about_z(part: PartSpec) -> bool:
     if not _is_square(turn):
         return rod(part) is None
     upright = abs(turn[2, 2]) > 1 - SQUARE
-    return (isinstance(part.shape, LatheShape) or rod(part) is not None) and upright
+    return (isinstance(part.shape, LatheShape | ConeShape) or rod(part) is not None) and upright
 
 
 def _is_square(rotation: Array) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from simfoundry.spec.load import load
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
 from simfoundry.spec.models.base import BodySpec, Material
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, variant_names, variant_of
+from simfoundry.spec.models.shapes import CompoundShape
 from simfoundry.spec.yaml.write import to_yaml
 
 # Name of the single link in the asset of a shape or mesh.
@@ -70,7 +72,8 @@ def item_of_asset(asset: Loaded) -> ObjectAsset:
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
     files = {mesh: asset.file(mesh) for mesh in meshes}
-    flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}})
+    materials = _with_textures(spec.materials, asset, files)
+    flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}, "materials": materials})
     return ObjectAsset(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
 
 
@@ -94,13 +97,32 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec) -> ObjectAsset:
     assert isinstance(scene.spec, SceneSpec)
     body = {key: getattr(written, key) for key in BodySpec.model_fields if key in written.model_fields_set}
     mesh = Path(written.asset or "")
-    part = PartSpec(shape=written.shape) if written.shape is not None else PartSpec(mesh=mesh.name, scale=written.scale)
+    parts = {LINK: PartSpec(mesh=mesh.name, scale=written.scale)}
+    if isinstance(written.shape, CompoundShape):
+        pieces = written.shape.compound.items()
+        parts = {n: PartSpec(shape=p.shape, pose=p.pose, material=p.material, color=p.color) for n, p in pieces}
+    elif written.shape is not None:
+        parts = {LINK: PartSpec(shape=written.shape)}
     files = {} if written.shape is not None else {mesh.name: scene.file(written.asset or "")}
-    used = {} if written.material is None else {written.material: scene.spec.materials[written.material]}
-    links = {LINK: LinkSpec(**body, parts={"body": part})}
+    named = dict.fromkeys((written.material, *(part.material for part in parts.values())))
+    used = {key: scene.spec.materials[key] for key in named if key is not None}
+    used = _with_textures(used, scene, files)
+    links = {LINK: LinkSpec(**body, parts=parts)}
     category = written.category or name
     spec = AssetSpec(simfoundry="asset/1", name=name, category=category, materials=used, links=links)
     return ObjectAsset(name, category, spec, f"{scene.spec.name}.{name}", MappingProxyType(files))
+
+
+def _with_textures(materials: Mapping[str, Material], source: Loaded, files: dict[str, Path]) -> dict[str, Material]:
+    """Return materials whose textures have names that depend on their content, and add the textures to ``files``."""
+    out = dict(materials)
+    for key, material in materials.items():
+        if material.texture is not None:
+            path = source.file(material.texture)
+            name = f"{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}{path.suffix}"
+            files[name] = path
+            out[key] = material.model_copy(update={"texture": name})
+    return out
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.mesh import MeshPart, merged, read_parts
+from simfoundry.assets.mesh import MeshPart, file_scale, merged, read_parts
 from simfoundry.cousins.objects.components import Component, Key, Kind, components, parts_of, with_parts
 from simfoundry.cousins.objects.parts import aimed, at, axis_of, capsule, rod
 from simfoundry.cousins.objects.profiles import Profile, Rng, resampled
@@ -46,7 +46,10 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
     new: dict[str, bytes] = {}
     parts = parts_of(spec)
     meshes = {key: part for key, part in parts.items() if part.mesh is not None}
-    read = {key: read_parts(files[part.mesh or ""], part.scale) for key, part in meshes.items()}
+    read = {
+        key: read_parts(files[part.mesh or ""], file_scale(files[part.mesh or ""], part.scale))
+        for key, part in meshes.items()
+    }
     heights = np.concatenate([piece.vertices[:, 2] for pieces in read.values() for piece in pieces])
     low, high = float(heights.min()), float(heights.max())
     for key, part in meshes.items():

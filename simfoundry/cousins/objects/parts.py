@@ -14,11 +14,15 @@ from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
+    ConeShape,
     CylinderShape,
+    EllipsoidShape,
     LatheShape,
+    OpenBox,
+    OpenBoxShape,
+    PartShape,
     PrismShape,
     Round,
-    Shape,
     SphereShape,
 )
 
@@ -30,7 +34,7 @@ def moved(part: PartSpec, xyz: Array) -> PartSpec:
     return part.model_copy(update={"pose": part.pose.model_copy(update={"xyz": _vector(xyz)})})
 
 
-def shaped(part: PartSpec, shape: Shape) -> PartSpec:
+def shaped(part: PartSpec, shape: PartShape) -> PartSpec:
     """Return the part with its shape replaced."""
     return part.model_copy(update={"shape": shape})
 
@@ -92,12 +96,18 @@ def corners(part: PartSpec) -> Array:
     return pose(part.pose).apply(_own_corners(part.shape))
 
 
-def _own_corners(shape: Shape | None) -> Array:
+def _own_corners(shape: PartShape | None) -> Array:
     match shape:
         case BoxShape():
             return _box(np.array(shape.box) / 2)
         case SphereShape():
             return _box(np.full(3, shape.sphere))
+        case EllipsoidShape():
+            return _box(np.array(shape.ellipsoid))
+        case OpenBoxShape():
+            return _box(np.array(shape.open_box.size) / 2)
+        case ConeShape():
+            return _ring([(shape.cone.radius, -shape.cone.height / 2), (0.0, shape.cone.height / 2)])
         case CylinderShape():
             c = shape.cylinder
             return _ring([(c.radius, -c.height / 2), (c.radius, c.height / 2)])
@@ -136,7 +146,7 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-def scaled(shape: Shape, f: Array) -> Shape:
+def scaled(shape: PartShape, f: Array) -> PartShape:
     """Return a shape scaled along its own axes by ``f``, an array of shape (3,)."""
     x, y, z = (float(v) for v in f)
     across = float(np.sqrt(x * y))
@@ -146,6 +156,14 @@ def scaled(shape: Shape, f: Array) -> Shape:
             return BoxShape(box=(a * x, b * y, c * z))
         case SphereShape():
             return SphereShape(sphere=shape.sphere * float(np.cbrt(x * y * z)))
+        case EllipsoidShape():
+            a, b, c = shape.ellipsoid
+            return EllipsoidShape(ellipsoid=(a * x, b * y, c * z))
+        case ConeShape(cone=size):
+            return ConeShape(cone=Round(radius=size.radius * across, height=size.height * z))
+        case OpenBoxShape(open_box=box):
+            a, b, c = box.size
+            return OpenBoxShape(open_box=OpenBox(size=(a * x, b * y, c * z), wall=box.wall * min(x, y, z)))
         case LatheShape():
             rings = tuple((r * across, h * z) for r, h in shape.lathe.profile)
             return LatheShape.model_validate({"lathe": {"profile": rings}})

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,7 @@ from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import merged, read_parts, weld
+from simfoundry.assets.mesh_summary import axes_of
 from simfoundry.cousins.objects.appearance import priors
 from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults
 from simfoundry.cousins.objects.components import parts_of
@@ -244,7 +246,8 @@ def _variant(
     spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
     thing = lowered(spec, folder, item.name, cache)
     files = dict(made.files)
-    for name in made.kept.keys() & {part.mesh for part in parts_of(spec).values()}:
+    named = {part.mesh for part in parts_of(spec).values()} | {m.texture for m in spec.materials.values()}
+    for name in made.kept.keys() & named:
         path = made.kept[name]
         files |= {name: path.read_bytes()}
         files |= {Path(name).with_name(o.name).as_posix(): o.read_bytes() for o in companions(path)}
@@ -337,7 +340,11 @@ def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: i
     total = 0.0
     for part in link.parts.values():
         if part.use != "visual":
-            own = volume(part.shape) if part.shape is not None else volumes[part.mesh or ""] * part.scale**3
+            own = (
+                volume(part.shape)
+                if part.shape is not None
+                else volumes[part.mesh or ""] * math.prod(axes_of(part.scale))
+            )
             total += own * _density(part.material or link.material, spec.materials, side)
     return total
 

@@ -234,7 +234,7 @@ def measure(item: SceneObject) -> dict[str, Any]:
 def volume(geometry: Any) -> float:
     """Return the volume of a primitive or closed mesh [m^3]."""
     from simfoundry.assets import mass
-    from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+    from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
 
     match geometry:
         case Box(size):
@@ -245,6 +245,10 @@ def volume(geometry: Any) -> float:
             return mass.cylinder(radius, height).volume
         case Capsule(radius, height):
             return mass.capsule(radius, height).volume
+        case Ellipsoid(radii):
+            return mass.ellipsoid(radii).volume
+        case Cone(radius, height):
+            return mass.cone(radius, height).volume
         case Mesh(vertices, faces):
             return abs(float(mass.mesh(vertices, faces).volume))
     raise TypeError(f"unknown geometry: {geometry!r}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft, TextureDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
@@ -88,7 +88,7 @@ class MjcfGeoms:
             case types.mjGEOM_CYLINDER | types.mjGEOM_CAPSULE:
                 geometry = primitive(kind_name, a, 2 * b)
             case types.mjGEOM_ELLIPSOID:
-                geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
+                geometry = primitive("ellipsoid", a, b, c)
             case types.mjGEOM_PLANE:
                 geometry, X_GB = self.draft.plane(f"plane `{name or geom}`", 2 * a, 2 * b)
                 X_BG = X_BG @ X_GB
@@ -126,12 +126,24 @@ class MjcfGeoms:
                 part.contact["torsional_friction"] = spinning
             if dimensions >= 6:
                 part.contact["rolling_friction"] = rolling
-        if self.texture(int(model.geom_matid[geom])) >= 0 and not isinstance(part.geometry, MeshDraft):
-            self.draft.dropped(f"texture of geom `{part.name}`", "only meshes can have textures")
+        if not isinstance(part.geometry, MeshDraft):
+            part.texture = self.texture_draft(geom, part)
         color = self.rgba(geom)
         if color != UNSET and part.use != "collision":
             part.color = color
         return part
+
+    def texture_draft(self, geom: int, part: PartDraft) -> TextureDraft | None:
+        """Return the image of a primitive, or None if there is none."""
+        material = int(self.model.geom_matid[geom])
+        if (texture := self.texture(material)) < 0 or part.use == "collision":
+            return None
+        repeat = float(self.model.mat_texrepeat[material][0])
+        across = 1.0 if self.model.mat_texuniform[material] else 2 * float(max(self.model.geom_size[geom]))
+        why = "the image is projected along the nearest axis of the shape"
+        self.draft.changed(f"texture of geom `{part.name}`", why)
+        name = self.source.name("texture", texture) or f"texture_{texture}"
+        return TextureDraft(name, self.png(texture), across / repeat if repeat > 0 and across > 0 else None)
 
     def rgba(self, geom: int) -> Rgba:
         """Return the color of a geom, which may come from its material."""
@@ -202,12 +214,3 @@ class MjcfGeoms:
         why = "the height field is represented by a box up to its highest point; only MJCF keeps its heights"
         self.draft.changed(f"height field `{name or geom}`", why)
         return primitive("box", width, depth, top + bottom), Pose.of([0.0, 0.0, (top - bottom) / 2])
-
-    def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
-        """Return a mesh that approximates an ellipsoid with three radii [m]."""
-        import trimesh
-
-        ball = trimesh.creation.icosphere(subdivisions=3)
-        self.draft.changed(f"ellipsoid `{name}`", "the ellipsoid is represented by a mesh with 1280 triangles")
-        part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
-        return mesh_of_parts([part], plain_name(name, "ellipsoid"))

@@ -153,7 +153,7 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         if link.mass and exact_values(**inertial):
             found["inertial"] = inertial
         link.native |= {"exact": found} if found else {}
-        if model.body_gravcomp[body]:
+        if model.body_gravcomp[body] != link.gravity_compensation:  # beyond the range of documents
             link.native["gravcomp"] = float(model.body_gravcomp[body])
         if model.body_mocapid[body] >= 0:
             link.native["mocap"] = True

@@ -367,6 +367,7 @@ class _MjcfReader:
         """
         model, X_LB, name = self.model, X_BL.inverse(), self.names["body"][body]
         link = draft.links[name] = LinkDraft(name, mass=float(model.body_mass[body]))
+        link.gravity_compensation = min(max(float(model.body_gravcomp[body]), 0.0), 1.0)
         self.source.owners[body] = (draft, name, X_BL)
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
             if (part := self.geoms.part(geom)) is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, srgb_of_linear, texture_png
-from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft, TextureDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
@@ -51,7 +51,11 @@ class UsdGprims:
         geometry, X_LP = found
         part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP, contact=self.surface(prim)[0])
         if not isinstance(geometry, MeshDraft) and part.use != "collision":
-            part.color, _ = self.look(prim)
+            part.color, png = self.look(prim)
+            if png is not None:
+                part.texture = TextureDraft(prim.GetName(), png)
+                why = "the image is projected along the nearest axis of the shape"
+                self.draft.changed(f"texture of `{prim.GetPath()}`", why)
         return part
 
     def use(self, prim: Any) -> str:
@@ -76,8 +80,8 @@ class UsdGprims:
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
-        if is_orthogonal and np.linalg.det(R_LG) < 0:  # all primitives are mirror-symmetric
-            R_LG = R_LG @ np.diag([1.0, 1.0, -1.0])
+        if is_orthogonal and np.linalg.det(R_LG) < 0:
+            R_LG = R_LG @ _mirror(prim)
         found = self.primitive(prim, kind, scales) if is_orthogonal else None
         if found is not None:
             shape, X_GS = found
@@ -92,11 +96,13 @@ class UsdGprims:
                 return primitive("box", *(prim.GetAttribute("size").Get() * scales).tolist()), IDENTITY
             case "Sphere" if _is_even(scales):
                 return primitive("sphere", prim.GetAttribute("radius").Get() * float(scales[0])), IDENTITY
-            case "Cylinder" | "Capsule":
+            case "Sphere":
+                return primitive("ellipsoid", *(prim.GetAttribute("radius").Get() * scales).tolist()), IDENTITY
+            case "Cylinder" | "Capsule" | "Cone":
                 axis = prim.GetAttribute("axis").Get()
                 along = "XYZ".index(axis)
                 across = np.delete(scales, along)
-                if not _is_even(across if kind == "Cylinder" else scales):
+                if not _is_even(scales if kind == "Capsule" else across):
                     return None
                 sizes = zip(("radius", "height"), (across[0], scales[along]), strict=True)
                 size = (prim.GetAttribute(name).Get() * float(scale) for name, scale in sizes)
@@ -156,7 +162,7 @@ class UsdGprims:
             return float(prim.GetAttribute(name).Get())
 
         match kind:
-            case "Sphere":
+            case "Sphere":  # sheared
                 made = trimesh.creation.icosphere(subdivisions=3, radius=value("radius"))
             case "Cylinder" | "Capsule" | "Cone":
                 make = getattr(trimesh.creation, kind.lower())
@@ -227,6 +233,14 @@ def is_collider(pxr: Any, prim: Any) -> bool:
 
 def _pose(rotation: Array, p: Array | tuple[float, ...] = (0.0, 0.0, 0.0)) -> Pose:
     return Pose.of(p, quat_from_matrix(rotation))
+
+
+def _mirror(prim: Any) -> Array:
+    """Return a reflection that maps a primitive to itself; a cone is symmetric only across its axis."""
+    axis = prim.GetAttribute("axis").Get() if prim.GetTypeName() == "Cone" else "X"
+    signs = np.ones(3)
+    signs["XYZ".index(axis) - 1] = -1.0
+    return np.diag(signs)
 
 
 def _is_even(scales: Array) -> bool:

@@ -244,6 +244,8 @@ def add_mass(body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
     densities of its materials. ``geoms`` provides the draft and the stage units.
     """
     physics, link, draft, to_m, to_kg = geoms.pxr.UsdPhysics, body.link, geoms.draft, geoms.to_m, geoms.to_kg
+    disabled = body.prim.GetAttribute("physxRigidBody:disableGravity").Get() is True
+    link.gravity_compensation = 1.0 if disabled else min(1.0, _first(body.prim, ("mjc:gravcomp",)))
     api = physics.MassAPI(body.prim)
     mass, density = api.GetMassAttr().Get(), api.GetDensityAttr().Get()
     masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]

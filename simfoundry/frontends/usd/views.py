@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.usd.surroundings import FULL, X_CU
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.panorama import read_panorama
+from simfoundry.backends.usd.surroundings import FULL, X_CU, X_DOME
 from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, ModelDraft
+from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.scene.model import LightType
+
+# Largest rotation [rad] of a dome light that is not reported.
+UPRIGHT_RAD = 1e-3
 
 # Image width of cameras [px], as in MuJoCo by default; USD specifies only the aspect ratio.
 WIDTH = 640
@@ -77,12 +84,35 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         X_WP = _pose(matrix(prim))
         x, y, z = X_WP.p.tolist()
         dx, dy, dz = (np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0).tolist()
-        if kind is LightType.DOME and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
-            draft.dropped(f"texture of light `{path}`", "a dome light can only have a uniform color")
         if strength > BRIGHTEST:
             why = (
                 "the intensity assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
             )
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
-        draft.lights.append(LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z)))
+        found = LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z))
+        if kind is LightType.DOME:
+            found.panorama = _panorama(draft, pxr.UsdLux.DomeLight(prim), X_WP)
+        draft.lights.append(found)
+
+
+def _panorama(draft: ModelDraft, dome: Any, X_WP: Pose) -> tuple[str, bytes] | None:
+    """Return the name and the content of the image of a dome light, or None if it has none that is supported."""
+    asset, what = dome.GetTextureFileAttr().Get(), f"texture of light `{dome.GetPath()}`"
+    if not asset or not asset.path:
+        return None
+    file = Path(asset.resolvedPath)
+    if not asset.resolvedPath or not file.is_file():
+        draft.dropped(what, "the image could not be found")
+        return None
+    if dome.GetTextureFormatAttr().Get() not in ("automatic", "latlong"):
+        draft.dropped(what, "only equirectangular images are supported")
+        return None
+    try:
+        panorama = read_panorama(file)
+    except MeshError as error:
+        draft.dropped(what, str(error))
+        return None
+    if X_WP.angle_to(X_DOME) > UPRIGHT_RAD:
+        draft.changed(what, "the center of the image is in the direction of x and its top in that of z")
+    return f"{plain_name(file.stem, 'sky')}{panorama.suffix}", panorama.content

@@ -38,7 +38,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         c.reserved(("links", WORLD), "link")
     links = spec.links.values()
     c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
-    c.densities(spec.materials)
+    c.materials(spec.materials)
     _tree(c, spec)
     places = _places(c, spec)
     _mimics(c, spec, places)

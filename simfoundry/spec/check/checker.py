@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from itertools import pairwise
@@ -11,13 +12,27 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
-from simfoundry.spec.files import FileError, Loaded, reachable
+from simfoundry.spec.files import TEXTURE_SUFFIXES, FileError, Loaded, reachable
 from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
-from simfoundry.spec.models.shapes import BoxShape, CapsuleShape, CylinderShape, LatheShape, Shape, SphereShape
+from simfoundry.spec.models.shapes import (
+    WALLS,
+    BoxShape,
+    CapsuleShape,
+    CompoundShape,
+    ConeShape,
+    CylinderShape,
+    EllipsoidShape,
+    LatheShape,
+    OpenBoxShape,
+    PrismShape,
+    Shape,
+    SphereShape,
+)
 from simfoundry.spec.yaml.text import Document
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import PartSpec
+    from simfoundry.spec.models.shapes import CompoundPart
 
 Path_ = tuple[str | int, ...]
 # Function that reads and checks a document of one of the given kinds; it returns None for other kinds.
@@ -96,25 +111,27 @@ class Checker:
             self.loaded.uses[target] = used
         return self.loaded.uses[target]
 
-    def material(self, body: BodySpec | PartSpec, path: Path_) -> None:
+    def material(self, body: BodySpec | PartSpec | CompoundPart, path: Path_) -> None:
         """Check that the material of a body or part is defined."""
         if body.material is not None:
             self.name(body.material, self.names("materials"), (*path, "material"), "material")
 
     def mass(self, body: BodySpec, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
         """Check that a body has a mass or a density, or that the materials of all its parts have a density."""
-        if body.model_fields_set & {"mass", "density"}:  # a missing value is reported separately
-            return
+        given = body.model_fields_set
+        if given & {"mass", "density"} or ("material" in given and body.material is None):
+            return  # a missing value is reported separately
         if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
             hint = "give `mass`, `density`, or a `material` with a density"
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
 
-    def densities(self, materials: Mapping[str, Material]) -> None:
-        """Check that the densities and frictions of materials are plausible."""
+    def materials(self, materials: Mapping[str, Material]) -> None:
+        """Check that the densities and frictions of materials are plausible, and that their textures exist."""
         from simfoundry.spec.check.plausible import check_friction
 
         for name, material in materials.items():
             check_friction(self, material, ("materials", name))
+            self.file(material.texture, ("materials", name, "texture"), TEXTURE_SUFFIXES)
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
@@ -140,6 +157,22 @@ class Checker:
         for name in materials if self.whole else ():
             if name not in used:
                 self.warn("SF401", ("materials", name), f"the `{name}` material is not used", "remove it")
+
+
+def piece_clash(parts: Mapping[str, Shape | None]) -> tuple[str, str] | None:
+    """Return two parts of a body whose pieces have the same name, or None if there are none.
+
+    The walls of an open box `a` are called `a_floor` and so on, and the convex parts of a lathe or prism `a` are called
+    `a_0`, `a_1` and so on.
+    """
+    for name, shape in parts.items():
+        if not isinstance(shape, OpenBoxShape | LatheShape | PrismShape):
+            continue
+        pattern = "|".join(WALLS) if isinstance(shape, OpenBoxShape) else "[0-9]+"
+        for other in parts:
+            if re.fullmatch(f"{name}_({pattern})", other):
+                return name, other
+    return None
 
 
 # Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity.
@@ -173,6 +206,15 @@ def _volume(shape: Shape) -> float:
         case CapsuleShape():
             r, h = shape.capsule.radius, shape.capsule.height
             return math.pi * r**2 * (h + 4 / 3 * r)
+        case EllipsoidShape():
+            return 4 / 3 * math.pi * math.prod(shape.ellipsoid)
+        case ConeShape():
+            return math.pi / 3 * shape.cone.radius**2 * shape.cone.height
+        case OpenBoxShape(open_box=b):
+            x, y, z = b.size
+            return x * y * z - (x - 2 * b.wall) * (y - 2 * b.wall) * (z - b.wall)
+        case CompoundShape():
+            return sum(_volume(part.shape) for part in shape.compound.values())
         case LatheShape():
             rings = shape.lathe.profile
             thirds = ((a[0] ** 2 + a[0] * b[0] + b[0] ** 2) * (a[1] - b[1]) for a, b in pairwise(rings))

@@ -85,7 +85,7 @@ _METERS = "lengths are in m; for 40 mm, write 0.04"
 def _dimensions(value: Any, path: Path_) -> Iterator[tuple[Path_, float]]:
     """Yield the lengths in a shape with their paths; an outline or profile has the extents of its points."""
     if isinstance(value, Model):
-        for key in type(value).model_fields.keys() - {"pose"}:
+        for key in type(value).model_fields.keys() - {"pose", "color"}:
             yield from _dimensions(getattr(value, key), (*path, key))
     elif isinstance(value, Mapping):
         for key, member in value.items():

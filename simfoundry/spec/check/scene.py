@@ -12,16 +12,26 @@ from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints, check_pairs
-from simfoundry.spec.check.checker import Checker, Path_, volume
+from simfoundry.spec.check.cameras import check_mount, check_target
+from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
 from simfoundry.spec.check.frames import check_frames, check_reference
 from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.reuse import FramedPose, frame_carrier
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
+from simfoundry.spec.models.scene import (
+    DEFAULT_VARIANT,
+    PLACE_REFERENCES,
+    GeometrySpec,
+    ObjectSpec,
+    Place,
+    SceneSpec,
+    variant_of,
+)
+from simfoundry.spec.models.shapes import shape_parts
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -42,9 +52,9 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     for name, item in spec.objects.items():
         _object(c, name, item, spec, ("objects", name))
         _variants(c, name, item, spec)
-    c.densities(spec.materials)
+    c.materials(spec.materials)
     objects = spec.objects.values()
-    c.unused(spec.materials, {o.material for o in (*objects, *(v for item in objects for v in item.variants.values()))})
+    c.unused(spec.materials, {name for o in objects for item in (o, *o.variants.values()) for name in _materials(item)})
     for name, robot in spec.robots.items():
         _robot(c, robot, ("robots", name))
     names = SceneNames(c.loaded, spec)
@@ -57,9 +67,11 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     for name, camera in spec.cameras.items():
         check_camera(c, camera, ("cameras", name))
         if camera.mount is not None:
-            _mount(c, names, camera.mount, ("cameras", name, "mount"))
+            check_mount(c, names, camera.mount, ("cameras", name, "mount"))
         if isinstance(camera.pose.look_at, str):
-            _target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
+            check_target(c, names, camera.pose.look_at, camera.mount, ("cameras", name, "pose", "look_at"))
+    for name, light in spec.lights.items():
+        c.file(light.texture, ("lights", name, "texture"), PANORAMA_SUFFIXES)
     if spec.viewpoint is not None:
         c.name(spec.viewpoint, [*c.names("cameras"), *names.robots], ("viewpoint",), "camera or robot")
     if spec.background is not None:
@@ -83,8 +95,20 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
         c.add("SF213", ("viewpoint",), message, "rename one of them")
 
 
+def _materials(item: GeometrySpec) -> list[str | None]:
+    """Return the materials that an object or a variant names for itself and for the parts of its shape."""
+    parts = shape_parts(item.shape).values() if item.shape is not None else ()
+    return [item.material, *(part.material for part in parts)]
+
+
 def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path_) -> None:
     c.material(item, path)
+    parts = shape_parts(item.shape) if item.shape is not None else {}
+    for part_name, part in parts.items():
+        c.material(part, (*path, "shape", "compound", part_name))
+    if (clash := piece_clash({key: part.shape for key, part in parts.items()})) is not None:
+        message = f"a piece of the part `{clash[0]}` is also called `{clash[1]}`"
+        c.add("SF213", (*path, "shape", "compound", clash[1]), message, "rename one of the parts")
     check_friction(c, item, path)
     if item.shape is not None:
         check_size(c, item.shape, (*path, "shape"), item.fixed)
@@ -95,7 +119,8 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
         c.add("SF201", (*path, "joints"), f"`{name}` is a primitive, so it cannot have joints")
     if item.asset is None or not is_document(item.asset):
         if not item.fixed:
-            c.mass(item, [item.material], spec.materials, path)
+            made_of = [part.material or item.material for part in parts.values()] or [item.material]
+            c.mass(item, made_of, spec.materials, path)
         if item.mass is not None or item.density is not None:
             c.density(item, path, volume(item.shape) if item.shape is not None else None)
 
@@ -167,36 +192,6 @@ def _robot_file(c: Checker, reference: str, path: Path_) -> None:
         read_robot_file(file)
     except SimfoundryError as error:
         c.add("SF107", path, str(error).replace(str(file), reference))
-
-
-def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
-    carrier, _, link = mount.partition(".")
-    if carrier not in names.robots:
-        if c.name(carrier, [*names.robots, *names.objects], path, "robot or object") and link not in names.links(
-            carrier
-        ):
-            names.check_link(c, mount, path)
-        return
-    robot = names.spec.robots.get(carrier) if names.spec is not None else None
-    known = robot.known() if robot is not None and link else None
-    if known is not None:
-        c.name(link, known.links, path, f"link of `{carrier}`")
-
-
-def _target(c: Checker, names: SceneNames, target: str, mount: str | None, path: Path_) -> None:
-    """Check the name of the object, link or robot that a camera looks at."""
-    owner, _, part = target.partition(".")
-    if mount is not None and mount.partition(".")[0] in names.robots:
-        message = "a camera on a robot cannot look at a name, because the robot moves it"
-        c.add("SF107", path, message, "give a point in the frame of the robot's link, or `quat_wxyz`")
-    elif not c.name(owner, [*names.objects, *names.robots], path, "object or robot"):
-        return
-    elif owner not in names.robots:
-        names.check_part(c, target, path)
-        if mount is not None and mount == target:
-            c.add("SF107", path, "a camera cannot look at the object that it is mounted on", "give a point")
-    elif part:
-        c.add("SF107", path, f"a camera can look at the base of a robot, but not at its link `{part}`", "give a point")
 
 
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
@@ -364,7 +359,8 @@ class SceneNames:
             if cycle:
                 shown = " → ".join(f"`{n}`" for n in (*cycle, name))
                 hint = "give one of them a `pose`, or place it on something else"
-                c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
+                key = _key_for((*cycle, name)[1], places[name])
+                c.add("SF208", (*paths[name], key), f"the place of `{name}` depends on itself: {shown}", hint)
 
     def _check_place(self, c: Checker, place: Place, path: Path_) -> list[str]:
         """Check the names in a place, and return the objects to which it refers."""
@@ -380,6 +376,12 @@ class SceneNames:
             views = [*self.cameras, *self.robots, *self.frames]
             c.name(place.seen_from, views, (*path, "seen_from"), "camera, robot or frame")
         return list(named.values())
+
+
+def _key_for(name: str, place: Place | FramedPose) -> str:
+    """Return the key of a place or pose that refers to an object, directly or by a named frame."""
+    given = {key: getattr(place, key) for key in (*PLACE_REFERENCES, "frame") if key in place.model_fields_set}
+    return next((key for key, other in given.items() if (other or "").partition(".")[0] == name), "frame")
 
 
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:

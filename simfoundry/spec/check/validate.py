@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -24,8 +26,16 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
     except ValidationError as error:
         from simfoundry.spec.check.wording import worded
 
-        return None, findings + worded(model, document, error)
+        absent = {d.path for d in findings}
+        wrong = worded(model, document, error)
+        return None, findings + [d for d in wrong if not (d.code == "SF107" and _needs(d, absent))]
     return (None if findings else spec), findings
+
+
+def _needs(finding: Diagnostic, absent: Collection[str]) -> bool:
+    """Return True if a finding says that a key is needed which is present but has no value."""
+    keys = re.findall("`([a-z_]+)`", finding.message) if finding.message.endswith(" is needed") else []
+    return any(f"{finding.path}.{key}" in absent for key in keys)
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:

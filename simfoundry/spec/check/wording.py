@@ -97,7 +97,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     elif kind == "missing":
         path += loc[-1:]
     elif kind.startswith("sf") and "at" in error.get("ctx", {}):
-        path += (error["ctx"]["at"],)
+        path += tuple(error["ctx"]["at"].split("."))
     return document.finding(code, path, message, hint, of_key=of_key)
 
 
@@ -153,6 +153,10 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
         names = set(SHAPE_KEYS)
     elif names and names <= _JOINED:
         names = _JOINED
+    inner = "compound" in loc[:-1]
+    if last == "compound" and names == set(SHAPE_KEYS) and (inner or loc[0] == "links"):
+        where = "the outer compound" if inner else "the link's `parts`"
+        return "a part cannot be a compound", f"list its parts in {where}"
     if last in SHAPE_KEYS and "shape" in names:
         return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
     former = {old: new for owner in owners for old, new in former_keys(owner).items()}

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.spec.compose.join import LISTS, Joining, mark_file, members, relocate
+from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, mark_file, members, relocate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import FileError, Loaded, reachable
-from simfoundry.spec.models.kinds import suffix
+from simfoundry.spec.models.kinds import model_of, suffix
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, read
 
@@ -145,8 +145,24 @@ def _included(
         raise refused("SF006", f"`{scene}` is not a `{SCENE}` document", "only scenes can be included")
     composed = _composed(document, SCENE, root, parameters, including)
     mark_file(composed.document.root, str(shown))
+    composed = replace(composed, findings=(*composed.findings, *_misused(composed.document)))
     relocate(composed.document.root, SCENE, str(shown), str(outer))
     return replace(composed, findings=(*document.duplicates, *composed.findings))
+
+
+def _misused(document: Document) -> list[Diagnostic]:
+    """Return the type errors of an included scene, except those in the members that are included.
+
+    The scene that includes them reports the latter.
+    """
+    from simfoundry.spec.check.validate import validate
+
+    included = {*SECTIONS, *LISTS}
+    kinds = {key: list if key in LISTS else dict for key in included}
+    keys = members(document.root)
+    rest = {key: node for key, node in keys.items() if not isinstance(node.children, kinds.get(key, ()))}
+    root = document.root.with_members(rest)
+    return validate(model_of(SCENE), replace(document, data=root.value, root=root, duplicates=()))[1]
 
 
 # Keys of a scene that describe reuse; the expanded scene does not need them.

@@ -82,6 +82,13 @@ def group(name: str, root: str, repeat: RepeatSpec, centered: bool) -> Group:
     return Group(root, repeat, tuple(found))
 
 
+def states_position(entry: Node | None) -> bool:
+    """Return True if an entry for a copy defines the horizontal position of its place."""
+    place = child(entry, "place") if entry is not None else None
+    keys = place.children if place is not None and isinstance(place.children, dict) else {}
+    return not keys.keys().isdisjoint(("xy", "local_xy", *_ANCHORED))
+
+
 def is_centered(item: Node) -> bool:
     """Return True if the copies of an object are arranged around the center of its support."""
     place = child(item, "place")

@@ -6,19 +6,17 @@ that a person wrote. An entry with the name of a copy or of an included member c
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from simfoundry.spec.change.diff.changes import names_in, renamed_reference
-from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, scalar_at
+from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, states_position
 from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
+from simfoundry.spec.compose.lists import with_copied_lists
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.models.reuse import MAX_DEPTH, IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
@@ -28,9 +26,6 @@ if TYPE_CHECKING:
     from simfoundry.spec.compose.compose import Composed
 
 SCENE = "scene/1"
-
-# Maximum number of relations or pairs that one item can stand for; a scene can have 1,000 pairs.
-MAX_ITEMS = 10_000
 
 # Function that reads and composes the scene of an include, given its node and path, the file, and the parameters.
 ReadScene = Callable[[Node, tuple[str | int, ...], str, Mapping[str, float]], "Composed"]
@@ -58,12 +53,15 @@ class Reuse:
         generated: The members that were written out, by section and name.
         groups: The copies of repeated objects, by the name of the object.
         files: The files of included scenes.
+        unresolved: Files, lines and columns of expressions that could not be evaluated, for a reason reported
+            elsewhere.
     """
 
     written: Any
     generated: Mapping[Member, Generated]
     groups: Mapping[str, Group]
     files: tuple[Path, ...]
+    unresolved: tuple[tuple[str, int, int], ...] = ()
 
     def source(self, section: str, name: str) -> Member | None:
         """Return the repeated object or the include that a member comes from, or None if it was written itself."""
@@ -97,7 +95,7 @@ def expand(
         root = work.with_templates(root)
         root = work.with_copies(root)
         root = work.without_removals(root)
-    reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files))
+    reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files), tuple(work.unresolved))
     expanded = replace(document, data=root.value, root=root, added=document.added | work.joining.added)
     return expanded, [*work.findings, *work.joining.findings], reuse
 
@@ -112,6 +110,7 @@ class _Expansion:
     generated: dict[Member, Generated] = field(default_factory=dict)
     groups: dict[str, Group] = field(default_factory=dict)
     files: list[Path] = field(default_factory=list)
+    unresolved: list[tuple[str, int, int]] = field(default_factory=list)
 
     def fault(self, code: str, node: Node, path: tuple[str | int, ...], message: str, hint: str = "") -> None:
         """Add an error at a node."""
@@ -129,11 +128,14 @@ class _Expansion:
         for name in given.keys() - members(section).keys():
             hint = nearest(name, members(section)) if members(section) else "the scene does not define any"
             self.fault("SF201", section or root, ("parameters",), f"no parameter is called `{name}`", hint)
-        values, findings = parameter_values(members(section), given, self.document.file)
-        self.findings += findings
-        substitution = Substitution(values, self.document.file)
+        solved = parameter_values(members(section), given, self.document.file)
+        values = solved.values
+        known = section is None or isinstance(section.children, dict)
+        names = members(section) if known else None
+        substitution = Substitution(values, self.document.file, names, solved.findings, solved.unresolved)
         new = {key: node if key == "parameters" else substitution.apply(node, (key,)) for key, node in keys.items()}
         self.findings += substitution.findings
+        self.unresolved += substitution.unresolved
         if section is not None and isinstance(section.children, dict):
             numbers = {
                 name: replace(node, value=values[name], plain="") if name in values else node
@@ -163,6 +165,7 @@ class _Expansion:
                 self.fault("SF107", node, path, message, hint)
             reuse = composed.reuse
             self.files += [Path(composed.document.file), *composed.bases, *(reuse.files if reuse is not None else ())]
+            self.unresolved += reuse.unresolved if reuse is not None else ()
             for inner, copies in reuse.groups.items() if reuse is not None else ():
                 self.groups[f"{name}_{inner}"] = copies.renamed(name)
         return self._joined(root, scenes) if scenes else root
@@ -172,7 +175,7 @@ class _Expansion:
         keys, places = dict(members(root)), dict(root.keys)
         for section in SECTIONS:
             theirs = [(scene.name, part) for scene in scenes if (part := scene.sections.get(section)) is not None]
-            if theirs:
+            if theirs and (section not in keys or isinstance(keys[section].children, dict)):
                 keys[section] = self._joined_section(section, theirs, keys.get(section))
                 places.setdefault(section, keys[section].place)
         for key in LISTS:
@@ -273,21 +276,22 @@ class _Expansion:
         for name, item in items.items():
             self._add_group(name, item, items, own, ())
         if objects is None or not own:
-            return self._with_lists(root)
+            return with_copied_lists(root, self.groups, self.fault)
         self._within_limit(items, own, root.weight)
         own = self._without_removed(items, own)
         self.groups |= own
         copies = {copy.name for found in own.values() for copy in found.copies}
         new, places = dict[str, Node](), dict(objects.keys)
         for name, item in items.items():
-            for copy, node in self._copies(name, item, own[name]).items() if name in own else ():
+            for copy, node in self._copies(name, item, own[name], items).items() if name in own else ():
                 self.generated["objects", copy] = Generated(("objects", name), node.value)
                 places.setdefault(copy, objects.keys[name])
                 over = items.get(copy)
                 new[copy] = node if over is None else self.joining.join(node, over, ("objects", copy))
             if name not in own and name not in copies:
                 new[name] = item
-        return self._with_lists(root.with_members({**keys, "objects": objects.with_members(new, places)}))
+        root = root.with_members({**keys, "objects": objects.with_members(new, places)})
+        return with_copied_lists(root, self.groups, self.fault)
 
     def _without_removed(self, items: dict[str, Node], own: Mapping[str, Group]) -> dict[str, Group]:
         """Drop the copies that an entry removes, and the copies that repeat with them."""
@@ -343,8 +347,8 @@ class _Expansion:
                     del own[each]
                 return
 
-    def _copies(self, name: str, item: Node, found: Group) -> dict[str, Node]:
-        """Return the nodes of the copies of an object."""
+    def _copies(self, name: str, item: Node, found: Group, items: Mapping[str, Node]) -> dict[str, Node]:
+        """Return the nodes of the copies of an object, without the entries that change them."""
         item = _without(item, "repeat")
         beside = [(other, same) for other, same in self.groups.items() if same.root == found.root and other != name]
         out = dict[str, Node]()
@@ -353,48 +357,9 @@ class _Expansion:
             if found.root == name and found.repeat.stack is not None and copy.index[-1] > 1:
                 below = f"{name}_{'_'.join(map(str, (*copy.index[:-1], copy.index[-1] - 1)))}"
             names = {other: same.named(copy.index) for other, same in beside}
+            if states_position(items.get(copy.name)):  # it is not an offset from the position of the first copy
+                copy = replace(copy, offset=(0.0, 0.0, 0.0))
             out[copy.name] = copied_object(item, copy, below, {key: new for key, new in names.items() if new})
-        return out
-
-    def _with_lists(self, root: Node) -> Node:
-        """Replace a repeated object in relations and pairs by its copies."""
-        if not self.groups:
-            return root
-        keys = members(root)
-        new = dict(keys)
-        for key in ("relations", "no_contact"):
-            node = keys.get(key)
-            if node is not None and isinstance(node.children, list):
-                items = [copy for item in node.children for copy in self._of_copies(key, item)]
-                new[key] = node.with_members(items)
-        return root.with_members(new)
-
-    def _of_copies(self, key: str, item: Node) -> list[Node]:
-        """Return one item for each combination of copies that the names in a relation or pair stand for."""
-        texts = [item] if isinstance(item.value, str) else item.children if isinstance(item.children, list) else []
-        named = [name for node in texts if isinstance(node.value, str) for name in names_in(key, node.value)]
-        roots = list(dict.fromkeys(self.groups[name].root for name in named if name in self.groups))
-        if not roots:
-            return [item]
-        same = len(texts) == 2 and len(named) == 2 and named[0] == named[1]  # each pair of copies of one object
-        choices = [self.groups[root].copies for root in roots] * (2 if same else 1)
-        if math.prod(map(len, choices)) > MAX_ITEMS:
-            message = f"with the copies of `{named[0]}`, this stands for more than {MAX_ITEMS} items"
-            self.fault("SF005", item, (key,), message, "name fewer copies")
-            return []
-        out = []
-        for chosen in product(*choices):
-            index = dict(zip(roots, (copy.index for copy in chosen), strict=False))
-            of_root = {name: self.groups[name] for name in named if name in self.groups}
-            new = {name: group.named(index[group.root]) for name, group in of_root.items()}
-            if None in new.values() or (same and chosen[0].index >= chosen[1].index):
-                continue
-            spaces = {"objects": {name: copy for name, copy in new.items() if copy is not None}}
-            values = [renamed_reference(key, node.value, spaces) for node in texts]
-            if same:
-                values[1] = chosen[1].name
-            nodes = [scalar_at(value, node) for value, node in zip(values, texts, strict=True)]
-            out.append(nodes[0] if not isinstance(item.children, list) else item.with_members(nodes))
         return out
 
     # -- removals ---------------------------------------------------------------------------------------------------

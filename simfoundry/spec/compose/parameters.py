@@ -6,7 +6,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -38,11 +38,14 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
 
 
 class ParameterError(Exception):
-    """Raised if an expression cannot be evaluated. ``hint`` suggests a fix."""
+    """Raised if an expression cannot be evaluated.
 
-    def __init__(self, code: str, message: str, hint: str = "") -> None:
+    ``hint`` suggests a fix, and ``name`` is the parameter without a value, if that is the reason.
+    """
+
+    def __init__(self, code: str, message: str, hint: str = "", name: str = "") -> None:
         super().__init__(message)
-        self.code, self.message, self.hint = code, message, hint
+        self.code, self.message, self.hint, self.name = code, message, hint, name
 
 
 def is_expression(text: str) -> bool:
@@ -74,7 +77,7 @@ def _parsed(text: str) -> ast.expr:
 def evaluate(text: str, values: Mapping[str, float]) -> float:
     """Return the value of an expression.
 
-    Operations on integers return integers, except for divisions with a remainder.
+    A whole number is returned as an integer, because numbers of copies are integers.
 
     Raises:
         ParameterError: If the text is not an expression, a parameter is undefined, or the result is not finite.
@@ -88,7 +91,12 @@ def evaluate(text: str, values: Mapping[str, float]) -> float:
         finite = False
     if not finite:
         raise ParameterError("SF109", f"the value of `{text}` is not finite", "change a parameter")
-    return value if isinstance(value, int) else float(f"{value:.{DIGITS}g}")
+    return whole(value if isinstance(value, int) else float(f"{value:.{DIGITS}g}"))
+
+
+def whole(value: float) -> float:
+    """Return a number as an integer if it is whole and has no more than :data:`DIGITS` digits."""
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 10**DIGITS else value
 
 
 def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
@@ -98,7 +106,7 @@ def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
         case ast.Name(id=name):
             if name not in values:
                 hint = nearest(name, values) if values else "define it under `parameters`"
-                raise ParameterError("SF201", f"no parameter is called `{name}`", hint)
+                raise ParameterError("SF201", f"no parameter is called `{name}`", hint, name)
             return values[name]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as prefix, operand=operand):
             inner = _value(operand, values)
@@ -124,12 +132,16 @@ class Substitution:
     Attributes:
         values: Values of the parameters.
         file: File of the document, for nodes that do not name their own.
+        declared: Names of the parameters, including those without a valid value, or None if they are unknown.
         findings: Findings for expressions that cannot be evaluated; these are left as they are.
+        unresolved: Files, lines and columns of expressions with parameters whose values have their own findings.
     """
 
     values: Mapping[str, float]
     file: str
+    declared: Collection[str] | None = ()
     findings: list[Diagnostic] = field(default_factory=list)
+    unresolved: list[tuple[str, int, int]] = field(default_factory=list)
     _done: dict[int, Node] = field(default_factory=dict)
 
     def apply(self, node: Node, path: tuple[str | int, ...] = ()) -> Node:
@@ -142,7 +154,10 @@ class Substitution:
             if any(children[key] is not child for key, child in node.children.items()):
                 new = node.with_members(children)
         elif isinstance(node.children, list):
+            known = len(self.unresolved)
             items = [self.apply(child, (*path, k)) for k, child in enumerate(node.children)]
+            if len(self.unresolved) > known:  # the list does not have the type that is expected either
+                self.unresolved.append((node.file or self.file, node.line, node.column))
             if any(a is not b for a, b in zip(items, node.children, strict=True)):
                 new = node.with_members(items)
         elif isinstance(node.value, str) and is_expression(node.value) and not _TEXTS.intersection(path):
@@ -154,33 +169,35 @@ class Substitution:
         try:
             value = evaluate(node.value, self.values)
         except ParameterError as wrong:
-            place = (node.file or self.file, node.line, node.column, ".".join(map(str, path)), wrong.hint)
-            self.findings.append(Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place))
+            place = (node.file or self.file, node.line, node.column)
             value = None
+            if wrong.name and (self.declared is None or wrong.name in self.declared):
+                self.unresolved.append(place)
+            else:
+                dotted = ".".join(map(str, path))
+                self.findings.append(Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place, dotted, wrong.hint))
         return node if value is None else Node(value, node.line, node.column, file=node.file)
 
 
-def parameter_values(
-    section: Mapping[str, Node], given: Mapping[str, float], file: str
-) -> tuple[dict[str, float], list[Diagnostic]]:
+def parameter_values(section: Mapping[str, Node], given: Mapping[str, float], file: str) -> Substitution:
     """Evaluate the parameters of a document, which may refer to each other.
 
     Values in ``given``, which come from the command line, a recipe or an including scene, replace those of the
     document. Values that are not numbers are omitted, because the type check reports them.
 
     Returns:
-        The values, and the findings.
+        The values, with the findings.
     """
     values: dict[str, float] = {}
     waiting: dict[str, Node] = {}
     for name, node in section.items():
         if name in given:
-            values[name] = given[name]
+            values[name] = whole(given[name])  # a model may have made the number a float
         elif isinstance(node.value, int | float) and not isinstance(node.value, bool):
             values[name] = node.value
         elif isinstance(node.value, str) and is_expression(node.value):
             waiting[name] = node
-    solving = Substitution(values, file)
+    solving = Substitution(values, file, section)
     needs = {name: waiting.keys() & PARAMETER.findall(node.value) for name, node in waiting.items()}
     sorter = TopologicalSorter(needs)
     with suppress(CycleError):  # the sorter still yields all parameters that do not depend on a cycle
@@ -195,4 +212,4 @@ def parameter_values(
         message = f"the value of `{name}` depends on itself: `{node.value}`"
         place = (node.file or file, node.line, node.column, f"parameters.{name}", "write one of them as a number")
         solving.findings.append(Diagnostic("SF109", Severity.ERROR, message, *place))
-    return values, solving.findings
+    return solving

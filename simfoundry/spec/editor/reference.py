@@ -33,6 +33,8 @@ def reference() -> str:
     schemas = {kind: model_of(kind).model_json_schema() for kind in KINDS}
     uses = [set(schema["$defs"]) for schema in schemas.values()]
     shared = {name for name in set().union(*uses) if sum(name in names for names in uses) > 1}
+    # Shapes share a table, although only scenes have compounds.
+    shared |= {name for name in set().union(*uses) if name.endswith("Shape")}
     lines = [INTRODUCTION]
     parts: dict[str, Schema] = {}
     for kind, schema in schemas.items():

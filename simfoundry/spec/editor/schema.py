@@ -25,9 +25,14 @@ from simfoundry.spec.yaml.write import number
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_PART_SHAPES = {
+    *("BoxShape", "SphereShape", "EllipsoidShape", "CylinderShape", "CapsuleShape", "ConeShape", "PrismShape"),
+    *("LatheShape", "OpenBoxShape"),
+}
 # Names of the schema parts that combine alternatives, each with the models that it combines.
 UNIONS = {
-    "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
+    "PartShape": _PART_SHAPES,
+    "Shape": {*_PART_SHAPES, "CompoundShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
     "Quantity": {"Estimate"},
     "JointPosition": {"Degrees"},
@@ -266,7 +271,10 @@ def _special(union: str) -> Schema:
     if union == "Condition":
         message = f"expected a predicate such as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
-    if union == "Shape":  # separate from the keys, because editors stop offering keys if the maximum is one
+    if union in (
+        "Shape",
+        "PartShape",
+    ):  # separate from the keys, because editors stop offering keys if the maximum is one
         return {"allOf": [{"maxProperties": 1}]}
     return {"defaultSnippets": robots()} if union == "RobotModel" else {}
 

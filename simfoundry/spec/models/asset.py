@@ -9,10 +9,12 @@ from pydantic import Field
 
 from simfoundry.spec.models.base import (
     COLOR,
+    SCALE,
     BodySpec,
     Color,
     DocumentSpec,
     FileName,
+    Fraction,
     Interval,
     Material,
     Model,
@@ -24,21 +26,22 @@ from simfoundry.spec.models.base import (
     PoseSpec,
     Positive,
     Range,
+    Scale,
     Vec3,
     consistent,
     exclusive,
     fault,
 )
 from simfoundry.spec.models.native import ActuatorNative, JointNative, LinkNative, PartNative, SensorNative, SiteNative
-from simfoundry.spec.models.shapes import Shape
+from simfoundry.spec.models.shapes import PartShape
 
 
 class PartSpec(Model):
     """A part of a link: a shape or a mesh with a pose in the link's frame."""
 
-    shape: Shape | None = Field(None, description="A primitive.")
+    shape: PartShape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
-    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
+    scale: Scale = Field(1.0, description=SCALE)
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
     color: Color | None = Field(None, description=COLOR.format("; default: the link's"))
@@ -99,6 +102,9 @@ class LinkSpec(BodySpec):
 
     parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
     inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
+    gravity_compensation: Fraction = Field(
+        0.0, description="Share of the link's weight that is compensated, from 0 to 1: a link with 1 does not fall."
+    )
     native: LinkNative | None = Field(None, description="Data that only one format knows.")
 
     @consistent

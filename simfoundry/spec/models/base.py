@@ -82,6 +82,13 @@ Vec3 = tuple[Component, Component, Component]
 Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
+# Length of one mesh unit [m], or that along the x, y and z axes of the mesh, with z up.
+Scale = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[tuple[Positive, Positive, Positive], Tag("axes")],
+    Discriminator(lambda v: "axes" if isinstance(v, tuple | list) else "number"),
+]
+# Description of the scale of a mesh.
+SCALE = "Length of one mesh unit [m], or three lengths along x, y and z (z is up, also for files with y up)."
 MAX_IMAGE_SIDE = 8192  # Largest width or height of an image [px], as for textures
 Pixels = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 ImageSize = tuple[Pixels, Pixels]
@@ -292,7 +299,7 @@ class Origin(Model):
 
 
 class Material(Model):
-    """The physical properties and color of a material."""
+    """The physical properties, the color and the texture of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(
@@ -311,7 +318,20 @@ class Material(Model):
     restitution: Fraction = Field(
         0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
     )
-    color: Color | None = Field(None, description=COLOR.format(""))
+    color: Color | None = Field(None, description=COLOR.format("; it tints the texture"))
+    texture: FileName | None = Field(
+        None,
+        description="An image (.png, .jpg), relative to this document, that repeats over the surfaces; it is projected "
+        "along the nearest axis of the shape. Meshes with a texture or color of their own keep it.",
+    )
+    texture_size: Length | None = Field(
+        None, description="Width of one repetition of the texture [m]; default: the longest side of the surface."
+    )
+
+    @consistent
+    def _texture_has_a_size(self) -> None:
+        if self.texture_size is not None and self.texture is None:
+            raise fault("sf107", "`texture_size` requires `texture`", "texture_size")
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]

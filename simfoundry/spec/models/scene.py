@@ -10,6 +10,7 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
     COLOR,
     FARTHEST,
+    SCALE,
     BodySpec,
     CameraPose,
     Color,
@@ -28,6 +29,7 @@ from simfoundry.spec.models.base import (
     Point3,
     PoseSpec,
     Positive,
+    Scale,
     Vec3,
     consistent,
     exclusive,
@@ -131,7 +133,7 @@ class GeometrySpec(BodySpec):
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
-    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
+    scale: Scale = Field(1.0, description=SCALE)
 
 
 class VariantSpec(GeometrySpec):
@@ -265,12 +267,20 @@ class LightSpec(Model):
     color: Color = Field((1.0, 1.0, 1.0), description=COLOR.format(""))
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
+    texture: FileName | None = Field(
+        None,
+        description="Panorama around a dome light (.hdr, .exr, .png, .jpg), relative to this document: an "
+        "equirectangular image whose center is in the direction of x and whose top is in that of z of `frame`. `color` "
+        "tints it.",
+    )
     frame: PartName | None = Field(
         None, description="Frame of the position or direction: a name from `frames`; default: the world."
     )
 
     @consistent
     def _shines_somewhere(self) -> None:
+        if self.texture is not None and self.type != "dome":
+            raise fault("sf107", f"`texture` applies only to dome lights, but this light is {self.type}", "texture")
         if math.hypot(*self.direction) < 1e-6:
             raise fault("sf104", "`direction` must not be zero", "direction")
 

@@ -223,9 +223,45 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
             message = f"an unquoted string cannot start with `{found}`"
             return YamlError("SF002", message, line, column, "put it in double quotes")
         problem = "tab character"
+    if "':'" in problem or "mapping values" in problem:
+        key = _key_without_colon(text, mark.line)
+        if key is not None:
+            return YamlError("SF002", "a `:` and a space are missing after the key", *key, "write `key: value`")
     for row in (row for row in _known_problems() if row["phrase"] in problem):
         start = opening.line + 1 if opening is not None else line
+        if "expected ',' or" in row["phrase"] and opening is not None and _has_ended(text, opening.line, mark.line):
+            kind, bracket = ("list", "[") if "]" in row["phrase"] else ("mapping", "{")
+            message, hint = f"the {kind} that starts here is not closed", f"close each `{bracket}`"
+            return YamlError("SF002", message, start, opening.column + 1, hint)
         if not row["hint"] and opening is not None:  # reported at the end of the text, but caused here
             line, column = start, opening.column + 1
         return YamlError("SF002", row["message"], line, column, row["hint"].format(start=start))
     return YamlError("SF002", problem, line, column)
+
+
+# Line that consists of one word, or of a word and a value with a colon but no space between them.
+_WITHOUT_COLON = re.compile(r" *(?:- )? *([A-Za-z_][A-Za-z0-9_]*)(?: +[^\s#:]|:[^\s:]|[ \t]*(?:#|$))")
+
+
+def _key_without_colon(text: str, line: int) -> tuple[int, int] | None:
+    """Return the line and column of a key without a colon above a syntax error, or None if there is none.
+
+    YAML reads such a line as the start of a string that continues on the line with the error.
+    """
+    lines = text.splitlines()
+    for above in range(line - 1, -1, -1):
+        if ": " in lines[above] or lines[above].rstrip().endswith((":", ",", "|", ">")):
+            return None
+        found = _WITHOUT_COLON.match(lines[above])
+        if found is not None:
+            return above + 1, found.start(1) + 1
+    return None
+
+
+def _has_ended(text: str, opening: int, line: int) -> bool:
+    """Return True if a line is not indented further than an earlier line, in which a bracket opens."""
+    lines = text.splitlines()
+    if line <= opening or line >= len(lines):
+        return line > opening
+    start, end = (len(lines[k]) - len(lines[k].lstrip()) for k in (opening, line))
+    return end <= start and lines[line].strip()[:1] not in ("]", "}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from simfoundry.assets.solids import checked_profile
 from simfoundry.cousins.objects.appearance import change_material, color_of, recolor
 from simfoundry.cousins.objects.components import Kind, components, parts_of
 from simfoundry.cousins.objects.geometry import reshape, resize, stretched, taper
-from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, alone, item_of, item_of_asset, lowered
 from simfoundry.cousins.objects.meshes import COLLIDERS, FORMS, swept
 from simfoundry.cousins.objects.parts import at, axis_of, is_radial, rod
 from simfoundry.cousins.objects.procedural import draft, rng_of
@@ -39,6 +40,7 @@ from simfoundry.spec.models.cousins import Change
 from simfoundry.spec.models.shapes import LatheShape
 from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
+from tests.scenes import checker_png
 
 ASSETS = REPOSITORY / "specs" / "assets"
 NAMES = sorted(p.name.partition(".")[0] for p in ASSETS.glob("*.asset.yaml"))
@@ -371,3 +373,25 @@ def test_a_given_mass_grows_with_the_volume() -> None:
     spec = item("baseball").spec
     mass = weighed(stretched(spec, np.full(3, 1.05)), spec, {}, {}).links["body"].mass
     assert isinstance(mass, Estimate) and mass.value == pytest.approx(0.145 * 1.05**3, rel=0.01)
+
+
+def test_new_shapes_are_stretched_and_keep_their_textures(tmp_path: Path) -> None:
+    """A compound becomes the parts of a link, and an image is named after its content."""
+    scene = Path(__file__).parents[2] / "scene" / "new_shapes.scene.yaml"
+    (tmp_path / "oak.png").write_bytes(checker_png())
+    text = scene.read_text().replace('color: "#c8a070"', "texture: oak.png")
+    (tmp_path / "new_shapes.scene.yaml").write_text(text)
+    loaded = load(tmp_path / "new_shapes.scene.yaml")
+    for name, size in {"bin": (0.6, 0.2, 0.06), "egg": (0.12, 0.06, 0.02), "party_hat": None, "hammer": None}.items():
+        item = item_of(loaded, name)
+        factor = np.array([2.0, 1.0, 0.5])
+        low, high = bounds(alone(replace(item, spec=stretched(item.spec, factor))))
+        if size is not None:
+            assert high - low == pytest.approx(size)
+        else:  # x and y grow alike, because the shapes are round
+            twin = np.subtract(*reversed(bounds(alone(item))))
+            assert high - low != pytest.approx(twin)
+    hammer = item_of(loaded, "hammer")
+    assert list(hammer.spec.links["body"].parts) == ["handle", "head"]
+    (texture,) = (m.texture for m in hammer.spec.materials.values() if m.texture is not None)
+    assert texture in hammer.files and texture.startswith("oak_") and len(texture) == len("oak_01234567.png")

@@ -96,7 +96,7 @@ def test_what_a_document_cannot_say_is_told(desk: Project) -> None:
     put(stage, f"{OBJECTS}/cabinet/Joints/drawer", "physics:upperLimit", 0.3)
     put(stage, f"{OBJECTS}/ball/base", "physics:centerOfMass", Gf.Vec3f(0, 0, 0.01))
     UsdGeom.Sphere.Define(stage, f"{OBJECTS}/plate/base/Visuals/extra")
-    UsdGeom.Cone.Define(stage, "/World/Cone")
+    UsdGeom.NurbsPatch.Define(stage, "/World/Patch")
     reading = desk.read(stage)
     assert reading.data == reading.before
     told = {note.prim: f"{note.message}; {note.hint}" for note in reading.notes}
@@ -105,7 +105,7 @@ def test_what_a_document_cannot_say_is_told(desk: Project) -> None:
         f"{OBJECTS}/cabinet/Joints/drawer",
         f"{OBJECTS}/ball/base",
         f"{OBJECTS}/plate/base/Visuals/extra",
-        "/World/Cone",
+        "/World/Patch",
     }
     assert "from 0.3 to 9; the value is defined in cabinet.asset.yaml" in told[f"{OBJECTS}/cabinet/tray"]
     assert "`physics:upperLimit` changed from 0.2 to 0.3" in told[f"{OBJECTS}/cabinet/Joints/drawer"]

@@ -23,6 +23,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import CompoundShape
 from simfoundry.spec.yaml.write import to_data, to_yaml
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
@@ -62,6 +63,9 @@ def lowered(spec: SceneSpec, folder: Path) -> Loaded | None:
 
 def standing(item: ObjectSpec) -> ObjectSpec:
     """A primitive that needs nothing from elsewhere."""
+    if isinstance(item.shape, CompoundShape):
+        parts = {name: part.model_copy(update={"material": None}) for name, part in item.shape.compound.items()}
+        item = item.model_copy(update={"shape": CompoundShape(compound=parts)})
     given: dict[str, Any] = {"material": None, "visual": None, "joints": {}, "mass": item.mass or 1.0, "density": None}
     return item.model_copy(update=given)
 

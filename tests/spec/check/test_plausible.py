@@ -11,9 +11,15 @@ from simfoundry.spec.models.base import BodySpec
 from simfoundry.spec.models.shapes import (
     BoxShape,
     CapsuleShape,
+    CompoundPart,
+    CompoundShape,
+    ConeShape,
     CylinderShape,
+    EllipsoidShape,
     Lathe,
     LatheShape,
+    OpenBox,
+    OpenBoxShape,
     Prism,
     PrismShape,
     Round,
@@ -27,6 +33,12 @@ SHAPES: list[Shape] = [
     CylinderShape(cylinder=Round(radius=0.04, height=0.1)),
     CapsuleShape(capsule=Round(radius=0.04, height=0.1)),
     PrismShape(prism=Prism(outline=((0, 0), (0.3, 0), (0.1, 0.1), (0, 0.4)), height=0.05)),
+    EllipsoidShape(ellipsoid=(0.03, 0.04, 0.05)),
+    ConeShape(cone=Round(radius=0.04, height=0.1)),
+    OpenBoxShape(open_box=OpenBox(size=(0.3, 0.2, 0.1), wall=0.01)),
+    CompoundShape(
+        compound={"a": CompoundPart(shape=SphereShape(sphere=0.02)), "b": CompoundPart(shape=BoxShape(box=(1, 1, 1)))}
+    ),
     LatheShape(lathe=Lathe(profile=((0, 0.02), (0.05, 0.1), (0.06, 0.1), (0.04, 0), (0, 0)))),  # a bowl
 ]
 

@@ -115,7 +115,7 @@ def test_a_name_that_the_overlay_breaks_is_found_where_it_is_used(project: Path)
         ("", "[twin.scene.yaml]", "SF103", "expected a string"),
         ("", "a.asset.yaml", "SF006", "this is a `scene/1` document"),
         ("", "other.yaml", "SF006", "`asset/1`"),
-        ("", "broken.scene.yaml", "SF002", "`,` or `]`"),
+        ("", "broken.scene.yaml", "SF002", "is not closed"),
     ],
 )
 def test_what_cannot_be_extended_is_said(project: Path, body: str, base: str, code: str, words: str) -> None:

@@ -226,7 +226,7 @@ PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
     *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
-    *("noise", "cutoff", "solver_iterations"),
+    *("noise", "cutoff", "solver_iterations", "gravity_compensation"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor)."""
 

@@ -236,6 +236,7 @@ def _displaced(part: StageMember, relative: str) -> bool:
     if new[3:7] @ old[3:7] < 0:
         new[3:7] = -new[3:7]
     bound = np.full(len(old), MOVED_M)
+    bound[:3] += 1e-8 * np.abs(old[:3]).max()  # stages store nine digits
     bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are stored in single precision
     return bool((np.abs(old - new) > bound).any())
 
@@ -283,11 +284,10 @@ def _resized(part: StageMember, relative: str) -> Array:
     """Return the scale factors of a primitive along its three axes."""
     built, now = part.built[relative], part.now[relative]
     factors = transform(part.now, relative)[7:] / transform(part.built, relative)[7:]
-    for name, axes in (("size", (0, 1, 2)), ("radius", (0, 1)), ("height", (2,))):
+    around = (0, 1) if "height" in built else (0, 1, 2)  # the radius of a sphere also applies along z
+    for name, axes in (("size", (0, 1, 2)), ("radius", around), ("height", (2,))):
         if name in built and isinstance(now.get(name), float) and built[name]:
             factors[list(axes)] *= now[name] / built[name]
-    if "radius" in built and "height" not in built:  # a sphere
-        factors[2] = factors[0]
     return factors
 
 
@@ -320,7 +320,8 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
                 yield StageNote(f"{part.path}/{relative}", "the new material does not have a uniform color")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
-                data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
+                owner = _part_of_compound(data, relative.rpartition("/")[2])
+                owner["color"] = (*rgb, opacity) if opacity != 1.0 or len(owner.get("color", ())) == 4 else rgb
         if values.get("contact") is not None:
             handled.add((relative, "contact"))
             if now.get("contact") is None:
@@ -328,8 +329,25 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
                 continue
             for k, name in ((0, "friction"), (2, "restitution")):
                 own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
-                if own is not None:
+                if own is not None and "compound" in data.get("shape", {}):
+                    message = f"the {name} of a part of a compound was changed"
+                    yield StageNote(f"{part.path}/{relative}", message, "change the material of the part")
+                elif own is not None:
                     data[name] = own
+
+
+def _part_of_compound(data: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a new copy of the compound's part that a visual shows, or the object if it is not a compound.
+
+    The copy is stored in ``data``.
+    """
+    parts = data["shape"].get("compound", {}) if "shape" in data else {}
+    owner = next((key for key in sorted(parts, key=len, reverse=True) if name == key or name.startswith(f"{key}_")), "")
+    if not owner:
+        return data
+    copy = dict(parts[owner])
+    data["shape"] = {"compound": {**parts, owner: copy}}
+    return copy
 
 
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
@@ -377,11 +395,26 @@ def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
     if not isinstance(shape, dict):
         if str(data.get("asset", "")).endswith(".yaml"):
             return {}, "the object was scaled, but objects from asset documents cannot be scaled"
-        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "meshes only scale uniformly")
+        scale = np.array(data.get("scale", 1.0)) * (x if even else np.asarray(factors))
+        return {"scale": short(scale.tolist())}, ""
     kind, value = next(iter(shape.items()))
-    if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
-        return {}, f"scaled by {x:.4g}, {y:.4g}, {z:.4g}, it is no longer a {kind}"
-    by_size = {"box": factors, "sphere": x, "radius": x, "height": z, "profile": (x, z), "outline": (x, y)}
+    if kind == "sphere" and not even:
+        return {"shape": {"ellipsoid": short((value * np.asarray(factors)).tolist())}}, ""
+    needs_even = kind in ("capsule", "open_box", "compound") and not even
+    if needs_even or (kind in ("cylinder", "cone", "lathe") and not round_):
+        return {}, f"scaled by {x:.4g}, {y:.4g}, {z:.4g}, it is no longer a{'n' * (kind[0] == 'o')} {kind}"
+    if kind == "compound":
+        return {"shape": {"compound": {name: _scaled_part(part, factors) for name, part in value.items()}}}, ""
+    by_size = {"sphere": x, "radius": x, "height": z, "wall": x, "profile": (x, z), "outline": (x, y)}
+    by_size |= dict.fromkeys(("box", "ellipsoid", "size"), factors)
     sizes = value if isinstance(value, dict) else {kind: value}
     new = {name: short((np.array(size) * by_size[name]).tolist()) for name, size in sizes.items()}
     return {"shape": {kind: new if isinstance(value, dict) else new[kind]}}, ""
+
+
+def _scaled_part(part: dict[str, Any], factors: Array) -> dict[str, Any]:
+    """Scale a part of a compound uniformly."""
+    out = part | scaled(part, factors)[0]
+    if "xyz" in part.get("pose", {}):
+        out["pose"] = part["pose"] | {"xyz": short((np.array(part["pose"]["xyz"]) * factors).tolist())}
+    return out

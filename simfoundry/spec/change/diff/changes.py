@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from simfoundry.spec.change.diff.generated import generated_names
 from simfoundry.spec.models.types import REFERENCES
 
 Path_ = tuple[str, ...]
@@ -144,7 +145,7 @@ NAMED = (
 )
 
 # Keys whose value is a mapping with named members.
-SECTIONS = (*NAMED, "axes", "parts", "variants", "place", "pose")
+SECTIONS = (*NAMED, "axes", "parts", "compound", "variants", "place", "pose")
 
 # Minimum fraction of equal values for which two members are treated as a rename.
 ALIKE = 0.6
@@ -186,7 +187,9 @@ def renamed(data: Any, renames: Iterable[Rename]) -> Any:
     """Return a copy of ``data`` in which members and references to them are renamed."""
     local: dict[Path_, dict[str, str]] = {}
     spaces: dict[str, dict[str, str]] = {}
-    for rename in renames:
+    renames = list(renames)
+    generated = (Rename(*new) for r in renames for new in generated_names(data, r.section, r.old, r.new))
+    for rename in (*renames, *generated):
         local.setdefault(rename.section, {})[rename.old] = rename.new
         spaces.setdefault(_space(rename.section), {}).setdefault(rename.old, rename.new)
     spaces.pop("", None)

@@ -70,7 +70,10 @@ class Describing:
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old, new, self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
-            return [_shape(old, new)]
+            if "compound" in old and "compound" in new:
+                return list(self._mapping((*path, "compound"), old["compound"], new["compound"]))
+            part = f"{_label(path[:-1])} " if "compound" in path else ""
+            return [part + _shape(old, new)]
         if path == ("origin", "cousin") and {"recipe", "index", "seed"} <= dict(after).keys():
             return [f"origin: cousin {new['index']} of recipe {new['recipe']}, seed {new['seed']}"]
         whole = isinstance(before, dict) and isinstance(after, dict)
@@ -296,6 +299,8 @@ def _label(path: Path_) -> str:
     """Return the label of a field, such as ``part left color``. It is the path of the field below its member."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
+    if parts[:2] == ["shape", "compound"]:
+        return " ".join(["part", *parts[2:]])
     for k in range(len(parts) - 1):
         if path[start + k] in SECTIONS:
             parts[k] = parts[k].removesuffix("s")

@@ -100,11 +100,21 @@ def shape(item: Any) -> str:
             return f"box {_list('box', size)} m"
         case {"sphere": radius}:
             return f"sphere of radius {number(radius)} m"
+        case {"ellipsoid": radii}:
+            return f"ellipsoid of radii {_list('box', radii)} m"
+        case {"open_box": {"size": size, "wall": wall}}:
+            return f"open box {_list('box', size)} m with {number(wall)} m walls"
+        case {"compound": dict(parts)}:
+            return f"compound of {len(parts)} part{'s' * (len(parts) != 1)}"
         case {"prism": {"outline": outline, "height": height}}:
             return f"prism of {len(outline)} corners and height {number(height)} m"
         case {"lathe": {"profile": profile}}:
             return f"lathe of {len(profile)} corners"
-        case {"cylinder": {"radius": r, "height": h}} | {"capsule": {"radius": r, "height": h}}:
+        case (
+            {"cylinder": {"radius": r, "height": h}}
+            | {"capsule": {"radius": r, "height": h}}
+            | {"cone": {"radius": r, "height": h}}
+        ):
             return f"{next(iter(item))} of radius {number(r)} and height {number(h)} m"
     return value("shape", item)
 
