@@ -44,7 +44,7 @@ class ConstraintReader(NativeState):
                 self.places["site", k] = called
                 continue
             owner, link, X_BL = self.source.owners[body]
-            native |= exact_values(pos=model.site_pos[k], quat=model.site_quat[k])
+            native |= {} if self.source.is_own else exact_values(pos=model.site_pos[k], quat=model.site_quat[k])
             data: Data = _posed(X_BL.inverse() @ X_BS) | native_data(native)
             owner.sites.append(AttachmentDraft(name, data, "link", link))
             self.places["site", k] = CompiledName("site", owner.name, name)

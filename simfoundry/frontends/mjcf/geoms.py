@@ -46,6 +46,12 @@ class MjcfSource:
         name = self.name(kind, number)
         return f"`{name}`" if name else f"number {number + 1}"
 
+    def is_drive(self, actuator: int) -> bool:
+        """Return True if an actuator of a compiled file is the drive of a joint, which has the same name."""
+        return self.is_own and self.name("actuator", actuator) == self.name(
+            "joint", int(self.model.actuator_trnid[actuator, 0])
+        )
+
 
 # First geom group that MuJoCo's viewers hide by default; geoms in this group or above are for contact only.
 HIDDEN_GROUP = 3

@@ -172,6 +172,17 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         self._keyframes()
         return self.data
 
+    def read_attachments(self) -> None:
+        """Add the sites, actuators and sensors of a compiled file to the draft, and record others as dropped."""
+        self._bodies_and_joints()
+        self.read_sites()
+        self.read_actuators()
+        self.read_sensors()
+        for section in ("worldbody", "actuator", "sensor"):
+            for element in self.data.get(section, ()):
+                ((tag, attributes),) = element.items()
+                self.source.draft.inexpressible(f"{tag} `{attributes['name']}`")
+
     def _bodies_and_joints(self) -> None:
         source = self.source
         for body, (owner, link, _) in source.owners.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -18,6 +19,7 @@ from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.corpora.mjcf_scenes import apart, counts, trajectory
+from tests.targets.everything import write_everything
 
 HOPPER = """<mujoco model="hopper">
   <option timestep="0.004" integrator="RK4" iterations="50"><flag energy="enable"/></option>
@@ -159,6 +161,29 @@ def test_exact_values_that_disagree_are_not_written(value: str, tmp_path: Path) 
     )
     model = compiled(lower_file(document), tmp_path)
     assert (model.body_pos[1].tolist(), model.body_mass[1]) == ([0, 0, 1], 1)
+
+
+def test_native_data_without_effect_is_reported(imported: tuple[Path, Scene], tmp_path: Path) -> None:
+    (loss,) = [k for k in compile_scene(replace(imported[1], native=None), "mjcf").losses if k.feature == "native"]
+    assert "parts take effect only in a scene with `native: {mjcf: …}` of its own" in loss.reason
+    pull = '<tendon><fixed name="pull"><joint joint="hinge" coef="1"/></fixed></tendon>'
+    (tmp_path / "turned.xml").write_text(TURNED.replace("<actuator>", f"{pull}<actuator>"))
+    report = import_file(tmp_path / "turned.xml", tmp_path / "turned.asset.yaml", ImportOptions())
+    (note,) = [note for note in report.notes if note.what == "native data of the scene"]
+    assert (note.kind, note.detail) == ("dropped", "1 tendon")
+
+
+def test_attachments_of_compiled_scenes_are_restored(tmp_path: Path) -> None:
+    scene = replace(lower_file(write_everything(tmp_path, "attachments")), native=None)
+    compile_scene(scene, "mjcf").write(tmp_path / "build")
+    report = import_file(tmp_path / "build" / "scene.xml", tmp_path / "again.scene.yaml", ImportOptions())
+    assert not [note for note in report.notes if note.kind == "dropped"]
+    old, new = scene.object("cabinet"), lower_file(tmp_path / "again.scene.yaml").object("cabinet")
+    assert [(s.name, s.link) for s in new.sites] == [(s.name, s.link) for s in old.sites]
+    assert list(map(vars, new.actuators)) == list(map(vars, old.actuators))
+    assert [(s.name, s.type, s.target, s.noise) for s in new.sensors] == [
+        (s.name, s.type, s.target, s.noise) for s in old.sensors
+    ]
 
 
 def test_other_formats_say_what_they_lose(imported: tuple[Path, Scene]) -> None:
