@@ -119,6 +119,8 @@ def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
     for geometry, pose, link in shapes:
         links.append(link)
         parts.append(_part(geometry).posed(pose))
+    if len(parts) == 1:
+        return replace(parts[0], link=np.array(links, dtype=np.int64))
     corners = _starts([len(part.corners) for part in parts])
     triangles = _starts([len(part.triangles) for part in parts])
     beside = [np.where(p.beside >= 0, p.beside + k, -1) for p, k in zip(parts, triangles, strict=False)]

@@ -46,12 +46,53 @@ def heights(above: Hulls, below: Hulls) -> Array:
     The result has shape (parts above, parts below). A height is negative if the part can be lowered. It is -inf if the
     two parts do not overlap as seen from above, because no vertical motion can make them touch.
     """
+    top = _level_top(below)
+    if top is not None and top.contains(above):
+        return top.heights(above)
     out = np.full((len(above.radius), len(below.radius)), -np.inf)
     a, b = _upper(_narrowed(above).flipped()), _landing(below)
     flat, width = out.reshape(-1), len(below.radius)
     for mine, yours, height in _meetings(a, b):
         np.maximum.at(flat, mine * width + yours, height)
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class _LevelTop:
+    """A level rectangle above which a shape has no other point, with its corners (x, y) [m] and its height [m].
+
+    What is above the inside of the rectangle rests on its lowest point, as on a table.
+    """
+
+    low: Array
+    high: Array
+    height: float
+
+    def contains(self, shape: Hulls) -> bool:
+        """Return True if a shape is above the inside of the rectangle, as seen from above."""
+        if not len(shape.corners):
+            return False
+        low, high = shape.bounds()
+        return bool((low[:2] > self.low).all() and (high[:2] < self.high).all())
+
+    def heights(self, shape: Hulls) -> Array:
+        """Return the heights [m] by which each part of a shape must be lifted to rest on the top, shape (n, 1)."""
+        lowest = np.full(len(shape.radius), np.inf)
+        np.minimum.at(lowest, shape.part, shape.corners[:, 2])
+        return np.asarray(self.height - (lowest - shape.radius * (1 - SHRINK)))[:, None]
+
+
+@lru_cache(maxsize=16)  # as for `_landing`
+def _level_top(shape: Hulls) -> _LevelTop | None:
+    """Return the top of a shape that is a single part with a level rectangular top along the axes, such as a table."""
+    if len(shape.radius) != 1 or shape.radius[0] or not len(shape.corners):
+        return None
+    height = shape.corners[:, 2].max()
+    top = shape.corners[shape.corners[:, 2] == height, :2]
+    low, high = top.min(axis=0), top.max(axis=0)
+    if len(top) != 4 or len(np.unique(top, axis=0)) != 4 or not ((top == low) | (top == high)).all():
+        return None
+    return _LevelTop(low, high, float(height))
 
 
 def _meetings(a: _Upper, b: _Upper) -> Meetings:

@@ -368,3 +368,21 @@ def test_a_repository_without_commits(tmp_path: Path, monkeypatch: pytest.Monkey
     (tmp_path / "table.scene.yaml").write_text(TABLE.replace("parts/cabinet.asset.yaml", "cabinet.asset.yaml"))
     (tmp_path / "cabinet.asset.yaml").write_text(CABINET)
     assert told("table.scene.yaml") == [("uncommitted changes", PLACED)]
+
+
+def test_included_scenes_are_bases(repository: Repository) -> None:
+    cell = "simfoundry: scene/1\nname: cell\ninclude: {left: {scene: table.scene.yaml, pose: {xyz: [0, 1, 0]}}}\n"
+    commit(repository, "cell", cell=cell)
+    wider = cell.replace("[0, 1, 0]", "[0, 2, 0]")
+    commit(repository, "wider", cell=wider, table=MOVED)
+    both = ["include left moved 1.000 m (+y 1.000)", "left_mug moved 3.0 cm (+x 3.0)", "2 moved"]
+    assert (
+        shown(repository)["cell.scene.yaml"] == compared("HEAD~1..HEAD", "cell.scene.yaml")["cell.scene.yaml"] == both
+    )
+    assert dict(told("cell.scene.yaml"))["wider"] == both
+    commit(repository, "back", table=TABLE)
+    commit(repository, "again", table=MOVED.replace("0.33", "0.36"))
+    assert (
+        ALONE in shown(repository, "HEAD~2")["cell.scene.yaml"]
+        or shown(repository, "HEAD~2")["cell.scene.yaml"] == both
+    )

@@ -11,9 +11,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from simfoundry.assets.convex import hull
+from simfoundry.geometry import vertical_contact
 from simfoundry.geometry.frames import Pose, frozen_array
-from simfoundry.geometry.hulls import PROUD
+from simfoundry.geometry.hulls import PROUD, hulls_of
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
+from simfoundry.geometry.vertical_contact import heights
 from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.place import CLEARANCE, solve
 from simfoundry.spec.models.scene import Place
@@ -163,3 +165,19 @@ def test_what_fits_exactly_between_two_walls_does_not_stand_on_them() -> None:
     for shape, half in ((box(0.04, 0.04, 0.04), 0.02), (Cylinder(0.02 - PROUD, 0.06), 0.03), (Sphere(0.02), 0.02)):
         thing = put(solid("thing", shape, pose(0, 0, 0)), Place(inside="slot", xy=(0, 0)), slot)
         assert thing.X_WO.p == pytest.approx([0, 0, -0.05 + half + CLEARANCE], abs=ROUNDING)
+
+
+@given(
+    st.sampled_from([CUBE, Sphere(0.03), Cylinder(0.03, 0.12), Capsule(0.02, 0.1)]),
+    st.tuples(*[st.floats(-180, 180)] * 3),
+    st.tuples(*[st.floats(-0.8, 0.8)] * 2),
+)
+def test_what_stands_on_a_level_top_rests_where_every_pair_of_parts_says(
+    shape: Primitive, angles: Angles, at: tuple[float, float]
+) -> None:
+    table = hulls_of([(Box(np.array([1.2, 1.0, 0.1])), Pose.of((0, 0, 0.7)), 0)])
+    thing = hulls_of([(shape, Pose.of((*at, 2.0), rotation(angles)), 0), (shape, Pose.of((*at, 2.5)), 1)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vertical_contact, "_level_top", lambda shape: None)
+        expected = heights(thing, table)
+    assert heights(thing, table) == pytest.approx(expected, abs=1e-12)

@@ -80,6 +80,7 @@ class Bodies:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
         self.robots = tuple(r.name for r in scene.robots if _native_model(r) is not None)
+        self._names = dict.fromkeys((*self.objects, *self.robots))
         self._bodies: dict[str, CollisionBody] = {}
         self._hollow: dict[Entity, tuple[int, ...]] = {}
 
@@ -155,12 +156,11 @@ class Bodies:
         return Joints(owner, tuple(ended))
 
     def _body(self, name: str) -> CollisionBody:
-        names = (*self.objects, *self.robots)
-        if name in names:
+        if name in self._names:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
             raise PredicateError(f"no model of robot `{name}` was found; run `simfoundry doctor` for details")
-        available = ", ".join(names) or "none"
+        available = ", ".join(self._names) or "none"
         raise PredicateError(f"there is no `{name}` in this scene; available objects and robots: {available}")
 
 

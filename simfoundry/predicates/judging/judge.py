@@ -151,10 +151,13 @@ class Judge:
         self.scene = scene
         self._context = Context(Bodies(scene), bounds_first)
         self._calls: dict[str, tuple[str, Callable[..., None], list[Any]]] = {}
+        self._single: tuple[SceneState, View] | None = None
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
         """Evaluate a condition in a single state."""
-        value, margin, why = self._judged(condition, View(self._context.bodies, StateBatch.of(self.scene, [state])))
+        if self._single is None or self._single[0] is not state:  # conditions often follow on the same state
+            self._single = state, View(self._context.bodies, StateBatch.of(self.scene, [state]))
+        value, margin, why = self._judged(condition, self._single[1])
         return Verdict(bool(value[0]), float(margin[0]), why(0))
 
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:

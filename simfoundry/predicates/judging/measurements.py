@@ -224,7 +224,7 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
     another object also touches ``a``, the margin of that contact is returned instead.
     """
     within = over(center_of_mass(view, a), view.boxes(b))
-    for other in context.others(a, b):
+    for other in context.others(a, b) if (within <= 0).any() else ():
         left = np.flatnonzero(within <= 0)
         if len(left):
             gap = context.distances.between(view.at(left), a, other, TOUCH)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.check.checker import Checker, Path_
 
 if TYPE_CHECKING:
-    from simfoundry.spec.check.scene import SceneNames
+    from simfoundry.spec.check.names import SceneNames
 
 
 def check_mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:

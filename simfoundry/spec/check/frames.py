@@ -10,7 +10,7 @@ from simfoundry.spec.models.reuse import MAX_DEPTH, ReferenceFrame, frame_carrie
 from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.spec.check.scene import SceneNames
+    from simfoundry.spec.check.names import SceneNames
 
 
 def check_frames(c: Checker, names: SceneNames, spec: SceneSpec) -> None:

@@ -11,7 +11,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints
 from simfoundry.spec.check.checker import Checker, Path_
 from simfoundry.spec.check.goal_logic import verdict
-from simfoundry.spec.check.scene import SceneNames
+from simfoundry.spec.check.names import SceneNames
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.cousins import CousinsSpec, TaskAxis

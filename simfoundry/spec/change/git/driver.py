@@ -13,7 +13,7 @@ from pathlib import Path
 
 from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
 from simfoundry.spec.change.diff.changes import leaves
-from simfoundry.spec.change.git.revisions import Read, document_references, export, extended
+from simfoundry.spec.change.git.revisions import Read, bases_of, document_references, export
 from simfoundry.spec.change.merge.conflict import ABSENT, dotted, shown
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.yaml.text import parse
@@ -99,21 +99,21 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
     """Compare only the document's own fields.
 
     Raises:
-        ValueError: If the document does not extend another document.
+        ValueError: If the document neither extends nor includes another document.
     """
     present = [blob for blob in (old, new) if blob is not None]
-    bases = [extended(blob.path, blob.content) for blob in present]
+    bases = [bases_of(blob.path, blob.content) for blob in present]
     before, after = (
         dict(leaves(parse(blob.content.decode("utf-8")).data)) if blob is not None else {} for blob in (old, new)
     )
-    if None in bases or {side.get(("simfoundry",)) for side in (before, after) if side} - set(KINDS):
+    if [] in bases or {side.get(("simfoundry",)) for side in (before, after) if side} - set(KINDS):
         raise ValueError
     changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path, ABSENT) != after.get(path, ABSENT)]
     for path in changed:
         yield f"{dotted(path)}: {shown(before.get(path, ABSENT))} → {shown(after.get(path, ABSENT))}"
     if not changed:
         yield "equivalent, written differently"
-    names = " or ".join(dict.fromkeys(map(str, bases)))
+    names = " or ".join(dict.fromkeys(name for side in bases for name in side))
     yield f"(only this file's own keys are compared, because git does not report the revision of {names};"
     yield f" `simfoundry log {present[-1].path}` shows each commit in full)"
 
@@ -159,7 +159,7 @@ class Blob:
 
 
 def read_beside(top: Path, blob: Blob) -> Read | None:
-    """Return a reader for the documents that belong to a blob, or None if a document that it extends is ambiguous.
+    """Return a reader for the documents that belong to a blob, or None if one that it extends or includes is ambiguous.
 
     ``top`` is the root of the working tree. Other documents that the blob refers to are treated as missing if they are
     ambiguous.
@@ -171,7 +171,7 @@ def read_beside(top: Path, blob: Blob) -> Read | None:
     try:
         return _Lookup(top, blob, time.monotonic() + LOOKUP_S, [blob.path]).read()
     except (_UnknownError, OSError):
-        return _only(blob, lambda name: None) if extended(blob.path, blob.content) is None else None
+        return _only(blob, lambda name: None) if not bases_of(blob.path, blob.content) else None
 
 
 def _only(blob: Blob, others: Read) -> Read:
@@ -191,7 +191,7 @@ class _Lookup:
         top: The root of the working tree.
         blob: The document.
         deadline: The time on the monotonic clock at which the search must end [s].
-        chain: The paths of the document and of the documents that it extends.
+        chain: The paths of the document and of the documents that it extends or includes.
         others: The paths of all other documents that these documents refer to.
     """
 
@@ -215,12 +215,12 @@ class _Lookup:
                 return lambda name: texts.get(name)
 
     def _follow(self, texts: dict[str, bytes]) -> None:
-        """Add the documents that the documents in ``texts`` extend or refer to."""
+        """Add the documents that the documents in ``texts`` extend, include or refer to."""
         for path in list(self.chain):
-            base = extended(path, texts.get(path, b""))
-            if base is not None and base not in self.chain:
-                self.chain.append(base)
-                self.others = [other for other in self.others if other != base]
+            for base in bases_of(path, texts.get(path, b"")):
+                if base not in self.chain:
+                    self.chain.append(base)
+                    self.others = [other for other in self.others if other != base]
         for path, text in texts.items():
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 

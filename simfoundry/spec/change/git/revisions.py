@@ -179,14 +179,18 @@ def document_references(name: str, data: bytes) -> list[str]:
     return [path for path in references(name, data) if path.endswith(".yaml")]
 
 
-def extended(name: str, data: bytes) -> str | None:
-    """Return the repository path of the document that ``name`` extends, or None if it does not extend one."""
+def bases_of(name: str, data: bytes) -> list[str]:
+    """Return the repository paths of the documents that ``name`` extends or includes."""
     try:
         written = parse(data.decode("utf-8")).data
     except (YamlError, UnicodeDecodeError):
-        return None
-    base = written.get("extends") if isinstance(written, dict) else None
-    return posixpath.normpath(posixpath.join(posixpath.dirname(name), base)) if isinstance(base, str) else None
+        return []
+    keys = written if isinstance(written, dict) else {}
+    included = keys.get("include")
+    scenes = included.values() if isinstance(included, dict) else ()
+    named = [keys.get("extends"), *(scene.get("scene") for scene in scenes if isinstance(scene, dict))]
+    folder = posixpath.dirname(name)
+    return [posixpath.normpath(posixpath.join(folder, base)) for base in named if isinstance(base, str)]
 
 
 def references(name: str, data: bytes) -> Iterator[str]:
