@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.names import InvalidSceneError
@@ -224,3 +225,18 @@ def test_native_data_is_checked(native: str, words: str, tmp_path: Path) -> None
     document.write_text(f"simfoundry: scene/1\nname: a\nnative:\n  mjcf: {native}\n")
     (error,) = load(document).errors
     assert words in error.message and error.line == 4
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_meshes_come_back_to_the_last_bit(suffix: str, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 3)) + (0.3, 0.2, 0.1)
+    trimesh.convex.convex_hull(points).export(tmp_path / f"stone.{suffix}")
+    text = f"""<mujoco><asset><mesh name="stone" file="stone.{suffix}"/></asset><worldbody>
+      <body><freejoint/><geom type="mesh" mesh="stone"/></body></worldbody></mujoco>"""
+    (tmp_path / "stone.xml").write_text(text)
+    document = tmp_path / "again.scene.yaml"
+    import_file(tmp_path / "stone.xml", document, ImportOptions())
+    original = mujoco.MjModel.from_xml_path(str(tmp_path / "stone.xml"))
+    model = compiled(lower_file(document), tmp_path)
+    for name in ("mesh_vert", "mesh_face", "mesh_pos", "mesh_quat", "geom_pos", "geom_quat", "body_inertia"):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
