@@ -205,7 +205,11 @@ class NativeWriter:
             native = item.native.parts.get((link.name, collider.name.rpartition("_")[0]))
         native = native or {}
         name = f"{item.qualified(link.name)}.{shown.name}"
-        out = {"name": name} | self._shape(shown, native, name, X_BL, collider is not None)
+        is_textured = (
+            collider is not None and isinstance(shown.geometry, Mesh) and not isinstance(collider.geometry, Mesh)
+        )
+        shape = collider if is_textured and collider is not None else shown  # a textured primitive is shown as a mesh
+        out = {"name": name} | self._shape(shape, native, name, X_BL, collider is not None)
         if visual is not None:
             texture = visual.geometry.texture if isinstance(visual.geometry, Mesh) else None
             if texture is not None and isinstance(visual.geometry, Mesh) and has_texture(visual.geometry):

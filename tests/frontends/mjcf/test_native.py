@@ -240,3 +240,15 @@ def test_meshes_come_back_to_the_last_bit(suffix: str, tmp_path: Path) -> None:
     model = compiled(lower_file(document), tmp_path)
     for name in ("mesh_vert", "mesh_face", "mesh_pos", "mesh_quat", "geom_pos", "geom_quat", "body_inertia"):
         assert np.array_equal(getattr(model, name), getattr(original, name)), name
+
+
+def test_textured_primitives_stay_primitives(tmp_path: Path) -> None:
+    text = """<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="1 0 0"/>
+      <material name="m" texture="t"/></asset><worldbody><geom type="plane" size="0 0 1" material="m"/>
+      <body pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" material="m"/></body></worldbody></mujoco>"""
+    (tmp_path / "tiles.xml").write_text(text)
+    document = tmp_path / "again.scene.yaml"
+    import_file(tmp_path / "tiles.xml", document, ImportOptions())
+    original, model = mujoco.MjModel.from_xml_string(text), compiled(lower_file(document), tmp_path)
+    for name in ("geom_type", "geom_pos", "geom_size"):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
