@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import yaml
@@ -141,13 +141,38 @@ _NATIVE_WORDS = {
 
 
 def native_count(scene: Scene) -> dict[str, int]:
-    """Return the number of elements, settings and sets of attributes that only MJCF knows, by their words."""
-    data = scene.native or {}
+    """Return the number of elements, settings and sets of attributes that only MJCF knows, by their words.
+
+    Exact values are not counted, because the document states the same values.
+    """
+    counts = _section_counts(scene.native or {})
+    for item in scene.objects:
+        for key in ("links", "joints", "parts"):
+            counts[key] += sum(bool(values.keys() - {"exact"}) for values in getattr(item.native, key).values())
+    return _in_words(counts)
+
+
+def native_words(data: Mapping[str, Any]) -> str:
+    """Return what the native data of a scene contains, such as `2 tendons, 1 setting`."""
+    return ", ".join(f"{count} {word}" for word, count in _in_words(_section_counts(data)).items())
+
+
+def _section_counts(data: Mapping[str, Any]) -> Counter[str]:
     counts = Counter({key: len(value) for key, value in data.items() if key in _NATIVE_WORDS})
     counts["settings"] = sum(len(v) for k, v in data.items() if k not in _NATIVE_WORDS and k != "order")
-    for item in scene.objects:
-        counts.update({key: len(getattr(item.native, key)) for key in ("links", "joints", "parts")})
+    return counts
+
+
+def _in_words(counts: Counter[str]) -> dict[str, int]:
     return {_NATIVE_WORDS[key][count > 1]: count for key, count in counts.items() if count}
+
+
+def unused_native_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield the loss of the native data of links, joints and parts in a scene that has none itself."""
+    if scene.native is None and (found := native_count(scene)):
+        known = ", ".join(f"{count} {word}" for word, count in found.items())
+        reason = f"The native attributes of {known} take effect only in a scene with `native: {{mjcf: …}}` of its own."
+        yield drop("native", "native.mjcf", reason)
 
 
 def attachment_losses(scene: Scene, cells: Cells, drives: bool) -> Iterator[Loss]:

@@ -215,7 +215,7 @@ def inline_data(body: BodyDraft) -> Data | None:
     link, *others = body.links.values()
     if body.joints or others or body.sites or [part.use for part in link.parts] != ["both"]:
         return None
-    if link.native.keys() - {"merge"}:
+    if link.native.keys() - {"merge", "exact"}:
         return None
     (part,) = link.parts
     if body.exact and (link.name, part.name) != ("base", "shape"):
@@ -230,7 +230,9 @@ def inline_data(body: BodyDraft) -> Data | None:
     out |= contact
     if part.color is not None:
         out["color"] = color_data(part.color)
-    return out | _category(body) | placement_data(body) | native_data(part.native | link.native)
+    exact = part.native.get("exact", {}) | link.native.get("exact", {})
+    native = part.native | link.native | ({"exact": exact} if exact else {})
+    return out | _category(body) | placement_data(body) | native_data(native)
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:

@@ -35,11 +35,11 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 
 
 def exactly(value: Any) -> Any:
-    """Return plain data in which all numbers are exact, up to the noise of conversions."""
+    """Return plain data in which all numbers are exact, up to the noise of conversions; native data has no noise."""
     if isinstance(value, float):
         return float(exact(value))
     if isinstance(value, dict):
-        return {key: exactly(item) for key, item in value.items()}
+        return {key: item if key == "native" else exactly(item) for key, item in value.items()}
     return tuple(exactly(item) for item in value) if isinstance(value, list | tuple) else value
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from simfoundry.backends.features import native_words
 from simfoundry.errors import OutputError
 from simfoundry.frontends.asset_documents import BuiltDocuments
 from simfoundry.frontends.document_data import document_text
@@ -95,6 +96,9 @@ def _import_model(path: Path, out: Path, options: ImportOptions) -> ImportReport
     if kind == ASSET and draft.bodies[0].fixed:
         why = "scenes, not assets, fix objects to the world; write `fixed: true` in the scene"
         draft.changed("fixed root link", why)
+    if kind == ASSET and draft.native:
+        why = "an asset has no native data of its scene, such as tendons and settings; import the file to a scene"
+        draft.dropped("native data of the scene", why, native_words(draft.native))
     built, scene = _write(draft, kind, out, folder, path)
     return ImportReport(
         source=str(path),

@@ -253,7 +253,8 @@ def inline_native(item: scene.ObjectSpec) -> NativeAttributes:
     """Return the native data of an object with an inline shape, whose body and part share their attributes."""
     given = dict(_mjcf(item))
     merge = given.pop("merge", False)
-    links = {"base": {"merge": merge}} if merge else {}
+    of_link = ({"merge": merge} if merge else {}) | ({"exact": given["exact"]} if "exact" in given else {})
+    links = {"base": of_link} if of_link else {}
     return NativeAttributes(links, {}, {("base", "shape"): given} if given else {})
 
 

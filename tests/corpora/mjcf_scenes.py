@@ -84,6 +84,8 @@ def measure(path: Path) -> dict[str, Any]:
     if not (out["position"] <= POSITION and out["angle"] <= ANGLE):
         chaotic = out["own_position"] > POSITION or out["own_angle"] > ANGLE
         why = ", as the original does if nudged" if chaotic else ", unstable: MuJoCo resets it" if is_reset(a) else ""
+        if a.nflex > b.nflex:
+            why = f": {a.nflex} flex of the original is not imported"
         out.setdefault("reason", f"moves differently{why}")
     return out
 

@@ -32,7 +32,7 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, exact, exacts, numbers
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
-from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
+from simfoundry.backends.features import Loss, read_cells, splat_losses, unused_native_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses
@@ -149,6 +149,7 @@ def compile_mjcf(
         *scene_contacts.contact_losses(geoms, contacts == EXACT),
         *stiffness_losses(scene, timestep, implicit_damping=True),
         *joint_losses(scene),
+        *unused_native_losses(scene),
         *_common_losses(scene),
     ]
     return Artifact("mjcf", "scene.xml", files, tuple(losses))

@@ -1,12 +1,11 @@
-"""Conversion of sites, actuators and sensors to MJCF, and the writing of exact numbers and of native attributes."""
+"""Conversion of sites, actuators and sensors to MJCF."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
-from typing import Any
 
 from simfoundry.backends.artifact import exact, exacts
+from simfoundry.backends.mjcf.attribute_values import attribute_texts, exact_pose, with_exact_values
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.attachments import Actuator, Sensor, Site
 from simfoundry.scene.model import Scene, SceneObject
@@ -22,29 +21,10 @@ _SENSORS = {
 }
 
 
-def exact_pose(pose: Pose) -> dict[str, str]:
-    """Return a pose as exact ``pos`` and ``quat`` (wxyz) attributes, omitting identity values."""
-    p, q = exacts(pose.p), exacts(pose.q)
-    return ({} if p == "0 0 0" else {"pos": p}) | ({} if q == "1 0 0 0" else {"quat": q})
-
-
-def attribute_text(value: Any) -> str:
-    """Format a native value as the text of an attribute."""
-    if isinstance(value, list | tuple):
-        return " ".join(map(attribute_text, value))
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
-
-
-def attribute_texts(values: Mapping[str, Any], *omitted: str) -> dict[str, str]:
-    """Format native attributes, except for the ``omitted`` ones."""
-    return {key: attribute_text(value) for key, value in values.items() if key not in omitted}
-
-
 def add_site(body: ET.Element, name: str, site: Site, X_BL: Pose) -> None:
     """Add a site to the body in whose frame its link has the pose ``X_BL``."""
-    ET.SubElement(body, "site", {"name": name} | exact_pose(X_BL @ site.X_LS) | attribute_texts(site.mjcf))
+    pose = with_exact_values(exact_pose(X_BL @ site.X_LS), site.mjcf)
+    ET.SubElement(body, "site", {"name": name} | pose | attribute_texts(site.mjcf, "exact"))
 
 
 def actuator_attributes(item: SceneObject, actuator: Actuator) -> dict[str, str]:

@@ -14,13 +14,13 @@ from typing import Any
 
 from simfoundry.backends.artifact import exact, exacts
 from simfoundry.backends.mjcf import contact_rules as rules
-from simfoundry.backends.mjcf.attachments import (
-    add_actuators,
-    add_sensors,
-    add_site,
+from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors, add_site
+from simfoundry.backends.mjcf.attribute_values import (
     attribute_text,
     attribute_texts,
     exact_pose,
+    inertial_attributes,
+    with_exact_values,
 )
 from simfoundry.backends.mjcf.bodies import JOINT_TYPES, Assets, free_joint_name
 from simfoundry.backends.mjcf.surroundings import camera_attributes
@@ -136,7 +136,8 @@ class NativeWriter:
 
     def _body(self, parent: ET.Element, name: str, X_PB: Pose, native: Mapping[str, Any]) -> ET.Element:
         own = {key: native[key] for key in ("gravcomp", "mocap", "user") if key in native}
-        return ET.SubElement(parent, "body", {"name": name} | exact_pose(X_PB) | attribute_texts(own))
+        pose = with_exact_values(exact_pose(X_PB), native)
+        return ET.SubElement(parent, "body", {"name": name} | pose | attribute_texts(own))
 
     def _fill(self, body: ET.Element, tree: Tree, link: Link, X_BL: Pose, is_world: bool = False) -> Iterator[float]:
         """Add the content of a link to its body, followed by the bodies below it."""
@@ -145,7 +146,7 @@ class NativeWriter:
         if link.gravity_compensation and "gravcomp" not in native:
             body.set("gravcomp", exact(link.gravity_compensation))
         if not is_world and not native.get("massless"):
-            ET.SubElement(body, "inertial", _inertial(link, X_BL, native.get("inertial")))
+            ET.SubElement(body, "inertial", inertial_attributes(link, X_BL, native))
         for attributes in self._geoms(item, link, X_BL):
             ET.SubElement(body, "geom", attributes)
         for site in item.sites:
@@ -204,7 +205,11 @@ class NativeWriter:
             native = item.native.parts.get((link.name, collider.name.rpartition("_")[0]))
         native = native or {}
         name = f"{item.qualified(link.name)}.{shown.name}"
-        out = {"name": name} | self._shape(shown, native, name, X_BL, collider is not None)
+        is_textured = (
+            collider is not None and isinstance(shown.geometry, Mesh) and not isinstance(collider.geometry, Mesh)
+        )
+        shape = collider if is_textured and collider is not None else shown  # a textured primitive is shown as a mesh
+        out = {"name": name} | self._shape(shape, native, name, X_BL, collider is not None)
         if visual is not None:
             texture = visual.geometry.texture if isinstance(visual.geometry, Mesh) else None
             if texture is not None and isinstance(visual.geometry, Mesh) and has_texture(visual.geometry):
@@ -217,7 +222,8 @@ class NativeWriter:
             out |= {"contype": "0", "conaffinity": "0"}
         else:
             out |= _surface(collider, native)
-        return out | attribute_texts(native, "type", "size", "friction", "mesh_inertia", "hfield", "top")
+        out = with_exact_values(out, native)
+        return out | attribute_texts(native, "type", "size", "friction", "mesh_inertia", "hfield", "top", "exact")
 
     def _shape(
         self, part: Visual | Collider, native: Mapping[str, Any], name: str, X_BL: Pose, collides: bool
@@ -343,15 +349,6 @@ def _passed_on(item: SceneObject, joint: Joint) -> Joint | None:
     )
 
 
-def _inertial(link: Link, X_BL: Pose, native: Mapping[str, Any] | None) -> dict[str, str]:
-    if native is not None:
-        return attribute_texts(native)
-    moments, q = link.principal
-    X_BI = X_BL @ Pose.of(link.com, q)
-    pose = {"pos": "0 0 0"} | exact_pose(X_BI)
-    return pose | {"mass": exact(link.mass), "diaginertia": exacts(moments)}
-
-
 def _surface(collider: Collider, native: Mapping[str, Any]) -> dict[str, str]:
     """Return the friction of a geom. Its sliding friction is the collider's, unless its contacts do not slide."""
     spinning, rolling = collider.torsional_friction, collider.rolling_friction
@@ -384,4 +381,4 @@ def _joint_attributes(item: SceneObject, joint: Joint, X_BJ: Pose) -> dict[str, 
     out |= {key: exact(value) for key, value in values if value}
     if native.get("limited") is False:
         out.pop("range", None)
-    return out | attribute_texts(native, "drive", "equality")
+    return with_exact_values(out, native) | attribute_texts(native, "drive", "equality", "exact")

@@ -18,6 +18,8 @@ class ActuatorReader(NativeState):
         """Add the actuators to the draft or to the native data."""
         model, order, controls, outside = self.model, [], [], False
         for k in range(len(model.actuator_trntype)):
+            if self.source.is_drive(k):
+                continue
             name = self.source.name("actuator", k) or f"actuator_{k}"
             control = float(self.source.data.ctrl[k]) if k < model.nu else 0.0
             controls.append(control)

@@ -110,6 +110,8 @@ def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], fre
             joint = _free_joint(body, owner, own, poses, free_joints[body.name])
             owners[owner].links |= body.links
             owners[owner].joints += [joint, *body.joints]
+            for kind in ("sites", "actuators", "sensors"):
+                getattr(owners[owner], kind).extend(getattr(body, kind))
             draft.bodies.remove(body)
     draft.relations = [text for text in own.texts.get("relations", "").split("; ") if text]
     for name, values in own.numbers.items():
@@ -157,6 +159,10 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
         link.name = names[old]
     body.links = {link.name: link for link in body.links.values()}
     body.root = names[body.root]
+    for found, targets in ((body.sites, names), (body.actuators, joints), (body.sensors, names | joints)):
+        for each in found:
+            each.name = each.name.removeprefix(f"{owner}.")
+            each.target = targets.get(each.target, each.target.removeprefix(f"{owner}."))
     # Pairs within the body may have been added before or after renaming, so they can use either name.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.frontends.document_data import Data, native_data, pose_data
 from simfoundry.frontends.draft import AttachmentDraft, CompiledName
-from simfoundry.frontends.mjcf.native_state import NativeState, plain
+from simfoundry.frontends.mjcf.native_state import NativeState, exact_values, plain
 from simfoundry.geometry.frames import Pose
 
 # Attributes by the model field that contains them.
@@ -44,6 +44,7 @@ class ConstraintReader(NativeState):
                 self.places["site", k] = called
                 continue
             owner, link, X_BL = self.source.owners[body]
+            native |= {} if self.source.is_own else exact_values(pos=model.site_pos[k], quat=model.site_quat[k])
             data: Data = _posed(X_BL.inverse() @ X_BS) | native_data(native)
             owner.sites.append(AttachmentDraft(name, data, "link", link))
             self.places["site", k] = CompiledName("site", owner.name, name)

@@ -40,6 +40,8 @@ def add_elements(source: MjcfSource, native: NativeReader | None) -> None:
     _add_lights(source)
     if native is not None:
         _note_left_out(source)
+    else:
+        NativeReader(source, []).read_attachments()
 
 
 def _add_mimics(source: MjcfSource) -> None:
@@ -62,9 +64,11 @@ def _add_mimics(source: MjcfSource) -> None:
 
 
 def _add_drives(source: MjcfSource) -> None:
-    """Add position servos, velocity servos and joint springs as drives, and record all other actuators as dropped."""
+    """Add the actuators of a compiled file that are drives, and record those that a hand changed as dropped."""
     mujoco, model, draft, joints = source.mujoco, source.model, source.draft, source.joints
     for k in range(model.nu):
+        if not source.is_drive(k):
+            continue
         what, joint = f"actuator {source.label('actuator', k)}", int(model.actuator_trnid[k, 0])
         kinds = (model.actuator_trntype[k], model.actuator_gaintype[k], model.actuator_biastype[k])
         is_servo = kinds == (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshPart
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.mesh import MeshPart, read_parts
 from simfoundry.frontends.draft import BodyDraft, JointDraft, MeshDraft, ModelDraft, PartDraft, TextureDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.shapes import PrimitiveShape, Rgba, clamped_rgba, primitive
-from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import Array, Pose
 
 
 @dataclass(eq=False)
@@ -46,12 +48,22 @@ class MjcfSource:
         name = self.name(kind, number)
         return f"`{name}`" if name else f"number {number + 1}"
 
+    def is_drive(self, actuator: int) -> bool:
+        """Return True if an actuator of a compiled file is the drive of a joint, which has the same name."""
+        return self.is_own and self.name("actuator", actuator) == self.name(
+            "joint", int(self.model.actuator_trnid[actuator, 0])
+        )
+
 
 # First geom group that MuJoCo's viewers hide by default; geoms in this group or above are for contact only.
 HIDDEN_GROUP = 3
 
 # Default color of a geom in MuJoCo.
 UNSET = (0.5, 0.5, 0.5, 1.0)
+
+
+# Relative distance of vertices that are the same, except for rounding to single precision in two frames.
+SAME_VERTEX = 1e-6
 
 
 def height_field_extents(model: Any, field: int) -> tuple[float, float, float, float]:
@@ -192,8 +204,32 @@ class MjcfGeoms:
             vertices, corners = vertices[corners.reshape(-1)], np.arange(3 * faces).reshape(-1, 3)
             png = self.png(texture)
         # Rounding to MuJoCo's single precision removes the noise that the rotation introduced.
-        vertices = np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))
+        vertices = self.as_in_file(mesh, vertices.astype(np.float32).astype(np.float64))
         return MeshPart(vertices, corners.astype(np.int32), uv, png)
+
+    def as_in_file(self, mesh: int, vertices: Array) -> Array:
+        """Return vertices to the last bit as in the mesh file, or rounded if they are not from there."""
+        from scipy.spatial import cKDTree
+
+        rounded = np.asarray(np.round(vertices, 9))
+        start = int(self.model.mesh_pathadr[mesh])
+        if start < 0 or not (self.model.mesh_scale[mesh] == 1).all():
+            return rounded
+        path = Path(bytes(self.model.paths[start:]).partition(b"\0")[0].decode("utf-8", "replace"))
+        if path.suffix.lower() not in (".stl", ".obj") or not path.is_file():
+            return rounded
+        try:
+            parts = read_parts(path)
+        except MeshError:  # MuJoCo reads it nevertheless
+            return rounded
+        points = np.vstack([part.vertices for part in parts])
+        limit = SAME_VERTEX * np.ptp(points, axis=0).max()
+        _, first = np.unique(points, axis=0, return_index=True)
+        in_order = points[np.sort(first)]  # MuJoCo keeps the first of equal vertices
+        if in_order.shape == vertices.shape and np.abs(in_order - vertices).max() <= limit:
+            return in_order
+        distances, nearest = cKDTree(points).query(vertices)
+        return points[nearest] if distances.max() <= limit else rounded
 
     def png(self, texture: int) -> bytes:
         """Encode a texture as PNG."""

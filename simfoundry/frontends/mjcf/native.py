@@ -17,7 +17,7 @@ from simfoundry.frontends.files import Element
 from simfoundry.frontends.mjcf.actuators import ActuatorReader
 from simfoundry.frontends.mjcf.constraints import ConstraintReader
 from simfoundry.frontends.mjcf.geoms import HIDDEN_GROUP, height_field_extents
-from simfoundry.frontends.mjcf.native_state import plain
+from simfoundry.frontends.mjcf.native_state import exact_values, is_angle_stated, plain
 from simfoundry.frontends.mjcf.sensors import SensorReader
 from simfoundry.geometry.frames import Pose
 
@@ -68,6 +68,10 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
             native["mesh_inertia"] = self.mesh_inertia.get(
                 self.source.name("mesh", int(model.geom_dataid[geom])), "legacy"
             )
+        elif part.use != "visual":  # MuJoCo moves meshes, and parts that are only visible have no effect
+            is_plane = kind == kinds.mjGEOM_PLANE
+            size = {} if is_plane or "size" in native else {"size": self._size(geom)}
+            native |= exact_values(pos=model.geom_pos[geom], quat=model.geom_quat[geom], **size)
         part.native = native
         owner = self.source.owners.get(int(model.geom_bodyid[geom]))
         if owner is not None:  # the world has no owner
@@ -95,6 +99,7 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         is_ball = model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_BALL
         if is_ball and is_limited:
             native["range"] = plain(model.jnt_range[joint])
+        native |= self._exact_joint(joint)
         if not is_ball and (reference := float(model.jnt(joint).qpos0[0])):
             native["ref"] = reference
         if model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_SLIDE and not is_limited:
@@ -102,6 +107,31 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         if is_ball and (stiffness := float(np.ravel(model.jnt_stiffness[joint])[0])):
             native["stiffness"] = stiffness
         return native
+
+    def inertial(self, body: int) -> Data:
+        """Return the attributes of a body's inertia."""
+        fields = {"mass": "mass", "pos": "ipos", "quat": "iquat", "diaginertia": "inertia"}
+        return {key: plain(getattr(self.model, f"body_{field}")[body]) for key, field in fields.items()}
+
+    def _size(self, geom: int) -> Any:
+        """Return the sizes that a primitive has."""
+        kinds = self.mujoco.mjtGeom
+        counts = {kinds.mjGEOM_SPHERE: 1, kinds.mjGEOM_CAPSULE: 2, kinds.mjGEOM_CYLINDER: 2}
+        return self.model.geom_size[geom][: counts.get(kinds(self.model.geom_type[geom]), 3)]
+
+    def _exact_joint(self, joint: int) -> Data:
+        """Return the exact values of a joint, except for those that the document states to the last bit."""
+        model, dof, kinds = self.model, int(self.model.jnt_dofadr[joint]), self.mujoco.mjtJoint
+        kind, limits = model.jnt_type[joint], model.jnt_range[joint]
+        values = {"pos": model.jnt_pos[joint]} | {key: np.ravel(getattr(model, f"dof_{key}")[dof])[0] for key in _FREE}
+        if kind in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE):
+            values["axis"] = model.jnt_axis[joint]
+        found = exact_values(**values)
+        if model.jnt_limited[joint] and kind == kinds.mjJNT_SLIDE:
+            found = exact_values(**values, range=limits)
+        elif model.jnt_limited[joint] and kind == kinds.mjJNT_HINGE and not all(map(is_angle_stated, limits.tolist())):
+            found = {"exact": found.get("exact", {}) | {"range": plain(limits)}}
+        return found
 
     def free_joint(self, joint: int) -> Data:
         """Return the attributes of a free joint."""
@@ -118,6 +148,11 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         model = self.model
         if any(X_LB.p):
             link.native["pos"] = tuple(X_LB.p.tolist())
+        found = exact_values(pos=model.body_pos[body], quat=model.body_quat[body]).get("exact", {})
+        inertial = self.inertial(body)
+        if link.mass and exact_values(**inertial):
+            found["inertial"] = inertial
+        link.native |= {"exact": found} if found else {}
         if model.body_gravcomp[body] != link.gravity_compensation:  # beyond the range of documents
             link.native["gravcomp"] = float(model.body_gravcomp[body])
         if model.body_mocapid[body] >= 0:
@@ -136,6 +171,17 @@ class NativeReader(ActuatorReader, SensorReader, ConstraintReader):
         self._custom()
         self._keyframes()
         return self.data
+
+    def read_attachments(self) -> None:
+        """Add the sites, actuators and sensors of a compiled file to the draft, and record others as dropped."""
+        self._bodies_and_joints()
+        self.read_sites()
+        self.read_actuators()
+        self.read_sensors()
+        for section in ("worldbody", "actuator", "sensor"):
+            for element in self.data.get(section, ()):
+                ((tag, attributes),) = element.items()
+                self.source.draft.inexpressible(f"{tag} `{attributes['name']}`")
 
     def _bodies_and_joints(self) -> None:
         source = self.source

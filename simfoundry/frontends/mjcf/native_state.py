@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from simfoundry.backends.artifact import exact
 from simfoundry.frontends.document_data import Data
 from simfoundry.frontends.draft import CompiledName
 from simfoundry.frontends.files import Element
@@ -26,6 +28,23 @@ def plain(value: Any) -> Any:
         value = array.reshape(-1)[0].item()
         return float(value) if isinstance(value, float) else value
     return tuple(array.reshape(-1).tolist())
+
+
+def exact_values(**values: Any) -> Data:
+    """Return the values as native data, except for those that documents and MJCF state to the last bit anyway."""
+    kept = {key: plain(value) for key, value in values.items() if not _is_stated(key, np.ravel(value).tolist())}
+    return {"exact": kept} if kept else {}
+
+
+def _is_stated(key: str, values: list[float]) -> bool:
+    if key in ("quat", "axis") and not {abs(v) for v in values} <= {0.0, 1.0}:  # documents have angles and unit vectors
+        return False
+    return all(float(exact(v)) == v == float(f"{v:.12g}") for v in values)  # longer ones change if poses are combined
+
+
+def is_angle_stated(angle: float) -> bool:
+    """Return True if an angle [rad] is the same after it was written in degrees."""
+    return math.radians(float(exact(math.degrees(angle)))) == angle == float(exact(angle))
 
 
 def mesh_inertia_modes(roots: list[Element]) -> dict[str, str]:

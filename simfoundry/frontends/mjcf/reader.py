@@ -20,7 +20,6 @@ from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restor
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.frontends.mjcf.native import NativeReader
-from simfoundry.frontends.mjcf.native_state import plain
 from simfoundry.frontends.names import free_name
 from simfoundry.geometry.frames import IDENTITY, Pose
 
@@ -200,7 +199,8 @@ class _MjcfReader:
         for body, (owner, name, _) in self.source.owners.items():
             link = owner.links[name]
             if given[link] != self.measured(link) and "massless" not in link.native:
-                link.native["inertial"] = self.inertial(body)
+                link.native.get("exact", {}).pop("inertial", None)
+                link.native["inertial"] = self.native.inertial(body)
         self.draft.native = self.native.read(self.roots)
         return self.draft
 
@@ -209,12 +209,6 @@ class _MjcfReader:
         """Return the mass properties of a link for comparison."""
         arrays = (link.com, link.inertia)
         return (link.mass, *(None if array is None else tuple(array.ravel().tolist()) for array in arrays))
-
-    def inertial(self, body: int) -> dict[str, Any]:
-        """Return the attributes of a body's inertia."""
-        model = self.model
-        fields = {"mass": "mass", "pos": "ipos", "quat": "iquat", "diaginertia": "inertia"}
-        return {key: plain(getattr(model, f"body_{field}")[body]) for key, field in fields.items()}
 
     def world(self) -> None:
         """Convert each geom in the world body to a fixed object, and a compiled scene's background to a mesh."""

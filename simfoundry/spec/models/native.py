@@ -143,7 +143,7 @@ def check_attributes(given: Attributes, allowed: Iterable[str], names: dict[str,
     for key, value in given.items():
         if key not in known:
             raise fault("sf107", f"`{key}` is not an attribute of `{what}`; there are {', '.join(known)}", "mjcf")
-        if isinstance(value, dict) and key in ("inertial", "freejoint", "equality"):
+        if isinstance(value, dict) and key in ("inertial", "freejoint", "equality", "exact"):
             check_attributes(value, names[key], names, key)
             continue
         for each in value if isinstance(value, list | tuple) else [value]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.names import InvalidSceneError
@@ -17,6 +20,7 @@ from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.corpora.mjcf_scenes import apart, counts, trajectory
+from tests.targets.everything import write_everything
 
 HOPPER = """<mujoco model="hopper">
   <option timestep="0.004" integrator="RK4" iterations="50"><flag energy="enable"/></option>
@@ -116,6 +120,73 @@ def test_edits_of_the_document_take_effect(imported: tuple[Path, Scene], tmp_pat
     assert model.opt.timestep == 0.002
 
 
+TURNED = """<mujoco><worldbody><body pos="0.1 0 0.3" euler="20 -30 77"><freejoint/>
+  <geom type="box" size="0.03 0.05 0.0333333333333333" euler="11 22 33" pos="0.01 0.02 0.123456789012345"/>
+  <geom type="sphere" size="0.02"/>
+  <body pos="0 0 0.1" euler="5 6 7">
+    <joint name="hinge" axis="1 2 3" pos="0.01 0.02 0.123456789012345" range="-33.3333 77.7777"
+      damping="0.123456789012345678"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.02"/><site euler="1 2 3"/>
+  </body></body></worldbody>
+  <actuator><motor joint="hinge"/></actuator></mujoco>"""
+
+
+def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    (tmp_path / "turned.xml").write_text(TURNED)
+    document = tmp_path / "turned.scene.yaml"
+    import_file(tmp_path / "turned.xml", document, ImportOptions())
+    original, model = mujoco.MjModel.from_xml_string(TURNED), compiled(lower_file(document), tmp_path)
+    for name in (
+        *("body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat"),
+        *("geom_size", "site_quat", "jnt_pos", "jnt_axis", "jnt_range", "dof_damping", "dof_M0"),
+    ):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
+    (asset,) = (tmp_path / "turned_files").glob("*.asset.yaml")
+    asset.write_text(re.sub(r"(?<=mass: )[0-9.e-]+", "2", asset.read_text(), count=1))
+    mass = compiled(lower_file(document), tmp_path / "edited").body_mass
+    assert 2.0 in mass.tolist() and not np.array_equal(mass, original.body_mass)
+
+
+@pytest.mark.parametrize(
+    "value", ["{pos: [x, y, z]}", "{pos: [0.1]}", "{quat: 3}", "{inertial: {mass: 2}}", "{axis: []}"]
+)
+def test_exact_values_that_disagree_are_not_written(value: str, tmp_path: Path) -> None:
+    (tmp_path / "a.asset.yaml").write_text(
+        "simfoundry: asset/1\nname: a\nlinks:\n  base:\n    mass: 1\n    parts: {ball: {shape: {sphere: 0.1}}}\n"
+        f"    native: {{mjcf: {{exact: {value}}}}}\n"
+    )
+    document = tmp_path / "s.scene.yaml"
+    document.write_text(
+        "simfoundry: scene/1\nname: s\nobjects:\n  a: {asset: a.asset.yaml, pose: {xyz: [0, 0, 1]}}\n"
+        "native: {mjcf: {option: {cone: elliptic}}}\n"
+    )
+    model = compiled(lower_file(document), tmp_path)
+    assert (model.body_pos[1].tolist(), model.body_mass[1]) == ([0, 0, 1], 1)
+
+
+def test_native_data_without_effect_is_reported(imported: tuple[Path, Scene], tmp_path: Path) -> None:
+    (loss,) = [k for k in compile_scene(replace(imported[1], native=None), "mjcf").losses if k.feature == "native"]
+    assert "parts take effect only in a scene with `native: {mjcf: …}` of its own" in loss.reason
+    pull = '<tendon><fixed name="pull"><joint joint="hinge" coef="1"/></fixed></tendon>'
+    (tmp_path / "turned.xml").write_text(TURNED.replace("<actuator>", f"{pull}<actuator>"))
+    report = import_file(tmp_path / "turned.xml", tmp_path / "turned.asset.yaml", ImportOptions())
+    (note,) = [note for note in report.notes if note.what == "native data of the scene"]
+    assert (note.kind, note.detail) == ("dropped", "1 tendon")
+
+
+def test_attachments_of_compiled_scenes_are_restored(tmp_path: Path) -> None:
+    scene = replace(lower_file(write_everything(tmp_path, "attachments")), native=None)
+    compile_scene(scene, "mjcf").write(tmp_path / "build")
+    report = import_file(tmp_path / "build" / "scene.xml", tmp_path / "again.scene.yaml", ImportOptions())
+    assert not [note for note in report.notes if note.kind == "dropped"]
+    old, new = scene.object("cabinet"), lower_file(tmp_path / "again.scene.yaml").object("cabinet")
+    assert [(s.name, s.link) for s in new.sites] == [(s.name, s.link) for s in old.sites]
+    assert list(map(vars, new.actuators)) == list(map(vars, old.actuators))
+    assert [(s.name, s.type, s.target, s.noise) for s in new.sensors] == [
+        (s.name, s.type, s.target, s.noise) for s in old.sensors
+    ]
+
+
 def test_other_formats_say_what_they_lose(imported: tuple[Path, Scene]) -> None:
     for target in ("urdf", "usd", "pybullet"):
         losses = {loss.feature: loss for loss in compile_scene(imported[1], target).losses}
@@ -154,3 +225,30 @@ def test_native_data_is_checked(native: str, words: str, tmp_path: Path) -> None
     document.write_text(f"simfoundry: scene/1\nname: a\nnative:\n  mjcf: {native}\n")
     (error,) = load(document).errors
     assert words in error.message and error.line == 4
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_meshes_come_back_to_the_last_bit(suffix: str, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 3)) + (0.3, 0.2, 0.1)
+    trimesh.convex.convex_hull(points).export(tmp_path / f"stone.{suffix}")
+    text = f"""<mujoco><asset><mesh name="stone" file="stone.{suffix}"/></asset><worldbody>
+      <body><freejoint/><geom type="mesh" mesh="stone"/></body></worldbody></mujoco>"""
+    (tmp_path / "stone.xml").write_text(text)
+    document = tmp_path / "again.scene.yaml"
+    import_file(tmp_path / "stone.xml", document, ImportOptions())
+    original = mujoco.MjModel.from_xml_path(str(tmp_path / "stone.xml"))
+    model = compiled(lower_file(document), tmp_path)
+    for name in ("mesh_vert", "mesh_face", "mesh_pos", "mesh_quat", "geom_pos", "geom_quat", "body_inertia"):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
+
+
+def test_textured_primitives_stay_primitives(tmp_path: Path) -> None:
+    text = """<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="1 0 0"/>
+      <material name="m" texture="t"/></asset><worldbody><geom type="plane" size="0 0 1" material="m"/>
+      <body pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" material="m"/></body></worldbody></mujoco>"""
+    (tmp_path / "tiles.xml").write_text(text)
+    document = tmp_path / "again.scene.yaml"
+    import_file(tmp_path / "tiles.xml", document, ImportOptions())
+    original, model = mujoco.MjModel.from_xml_string(text), compiled(lower_file(document), tmp_path)
+    for name in ("geom_type", "geom_pos", "geom_size"):
+        assert np.array_equal(getattr(model, name), getattr(original, name)), name
