@@ -78,7 +78,10 @@ class EditableDocument(DocumentEntry):
             return self._source
         from simfoundry.spec.yaml.text import parse
 
-        own = own_data(parse(self._source).data, self._before, self._data, self._base)
+        written, before, base = parse(self._source).data, self._before, self._base
+        for rename in self._renames:  # they apply to everything as it is written, such as the place of repeated objects
+            written, before, base = (renamed(side, [rename]) for side in (written, before, base))
+        own = own_data(written, before, self._data, base)
         return edit_text(self._source, own, self._model)
 
     @property
@@ -161,6 +164,7 @@ class EditableDocument(DocumentEntry):
         self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
         # All values that the text states, including defaults, joined with the documents that it extends.
         self._before: dict[str, Any] = loaded.document.data if text else to_data(loaded.spec)
+        self._renames: tuple[Rename, ...] = ()
         self._data = self._before  # edits replace the mappings that contain them and leave others as they are
         self._base = inherited_data(loaded, self._kind, loaded.root)
 
@@ -224,8 +228,18 @@ class EditableDocument(DocumentEntry):
     def _rename(self, section: DataPath, old: str, new: str) -> None:
         """Rename a member and all references to it."""
         (sections,) = (field_type(owner, section[-1]) for owner in models_at(self._model, section[:-1]))
-        with self._replacing(renamed(self._data, [Rename(section, old, new)]), [(*section, new)]):
+        rename = Rename(section, old, new)
+        with self._replacing(renamed(self._data, [rename]), [(*section, new)]):
             TypeAdapter(get_args(sections)[0]).validate_python(new, strict=True)
+        if self._is_own(section, old):
+            self._renames = (*self._renames, rename)
+
+    def _is_own(self, section: DataPath, name: str) -> bool:
+        """Return True if a member is written in this document, rather than in a base or by a repeat or include."""
+        value: Any = self._base
+        for part in (*section, name):
+            value = value.get(part, ABSENT) if isinstance(value, dict) else ABSENT
+        return value is ABSENT
 
     @contextmanager
     def _replacing(self, data: dict[str, Any], paths: Iterable[DataPath]) -> Iterator[None]:

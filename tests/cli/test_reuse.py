@@ -136,3 +136,13 @@ def test_what_moves_in_a_stage_leaves_its_frame(scene: Path, tmp_path: Path) -> 
     assert after.lights["lamp"].frame is None and after.lights["lamp"].xyz == (0.15, 0.1, 1)
     sides = text(describe(to_data(before), to_data(after), SceneSpec))
     assert sides[0] == "bowl is now at (0.15, 0.1, 0.02) m (was at (0, 0, 0.02) m in the frame mid)"
+
+
+def test_a_renamed_object_is_renamed_in_repeats(scene: Path) -> None:
+    document = sf.load(scene)
+    assert isinstance(document, sf.SceneDocument)
+    document.objects.rename("desk", "bench")
+    document.objects.rename("bench", "table")
+    document.save()
+    text = scene.read_text()
+    assert "desk" not in text and "cup_1" not in text and "place: {on: table, xy: [0, 0.1]}" in text
