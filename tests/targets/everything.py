@@ -103,6 +103,15 @@ LIGHTS = {
     "dome_lights": "  sky: {type: dome, intensity: 0.3}\n",
 }
 
+PANORAMA = {"dome_textures": "  room: {type: dome, intensity: 0.3, texture: tile.png}\n"}
+"""A light of its own, because a dome with a picture is also a dome light."""
+
+HULLS = """\
+  egg: {shape: {ellipsoid: [0.02, 0.02, 0.03]}, mass: 0.06, place: {on: desk, xy: [0.4, 0.25]}}
+  hat: {shape: {cone: {radius: 0.04, height: 0.1}}, mass: 0.05, place: {on: desk, xy: [0.5, 0.25]}}
+"""
+"""Shapes that some engines approximate by hulls."""
+
 ROBOT = """\
 <mujoco model="arm">
   <compiler angle="radian"/>
@@ -153,7 +162,9 @@ def write_everything(folder: Path, *features: str) -> Path:
     if "robots" in features:
         text = text.replace("model: franka_robotiq", "model: {mjcf: arm.xml}, joints: {turn: 0.3}")
         (folder / "arm.xml").write_text(ROBOT)
-    shone = [LIGHTS[name] for name in LIGHTS if name in features]
+    shone = [text for name, text in (LIGHTS | PANORAMA).items() if name in features]
+    if "hulls" in features:
+        text = text.replace("robots:\n", f"{HULLS}robots:\n", 1)
     text += "lights:\n" + "".join(shone) if shone else ""
     if "background_mesh" in features:
         text += "background: {mesh: room.obj, pose: {xyz: [1, 2, 0], yaw_deg: 30}}\n"

@@ -25,6 +25,7 @@ from tests.targets.everything import LIGHTS, write_everything
 OF_ROBOTS = ("robots", "robot_motors", "robot_contacts", "mounted_cameras")
 
 APART = {name: name for name in (*LIGHTS, "background_mesh", "background_splat")} | dict.fromkeys(OF_ROBOTS, "robots")
+APART |= {"dome_textures": "dome_textures", **dict.fromkeys(("ellipsoid", "cone"), "hulls")}
 APART |= dict.fromkeys(("options", "native", "sites", "sensors", "actuators"), "attachments")
 """Features that are looked at one at a time: a picture has one light, one background; robots; attachments.
 
