@@ -198,7 +198,7 @@ def test_a_key_brings_a_first_value_in_the_canonical_form(editor: Editor) -> Non
         (f"{OBJECT}sha|pe: {{box: [1, 1, 1]}}", "A primitive."),
         (f"{OBJECT}shape: {{bo|x: [1, 1, 1]}}", "Full extents along x, y, z [m]."),
         (f"{OBJECT}shape: {{cyl|inder: {{radius: 1, height: 1}}}}", "Radius and height [m]."),
-        (f"{OBJECT}shape: {{cylinder: {{ra|dius: 1, height: 1}}}}", "Radius [m]."),
+        (f"{OBJECT}shape: {{cylinder: {{ra|dius: 1, height: 1}}}}", "Radius [m];"),
         (f"{SCENE}gra|vity: [0, 0, -1.6]", "Gravitational acceleration [m/s^2]"),
         (f"{SCENE}objects:\n  cu|p: {{mass: 1}}", "An object in the scene"),
         (f"{SCENE}cameras:\n  front: {{f|x: 600}}", "Focal length in x [px]."),

@@ -78,10 +78,8 @@ def schema(kind: str) -> Schema:
     if "parameters" in parts["Document"]["properties"]:
         parts = with_expressions(parts) | {"Expression": EXPRESSION}
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
-    for section in ("objects", "templates"):  # null removes a copy, or a value of a template
-        if "templates" in parts["Document"]["properties"]:
-            keys = parts["Document"]["properties"]
-            keys[section] = loose(keys[section])
+    if "templates" in parts["Document"]["properties"]:
+        _allow_removal(parts["Document"]["properties"]["objects"])
     never_null = {key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")}
     overlay[f"{OVERLAY}Document"]["properties"] |= never_null
     extends = {"title": "extends", "type": "string"}
@@ -372,6 +370,13 @@ def loose(part: Any) -> Any:
     if isinstance(out.get("additionalProperties"), dict):
         out["additionalProperties"] = _nullable(out["additionalProperties"])
     return out
+
+
+def _allow_removal(section: Schema) -> None:
+    """Let null stand for a member of a section, where it removes a copy or a member of an included scene."""
+    (core,) = section.get("allOf") or section.get("anyOf") or [section]
+    # Editors do not offer it, because most new members are not removals.
+    core["additionalProperties"] = {"anyOf": [core["additionalProperties"], {"type": "null"}]}
 
 
 def _nullable(item: Schema) -> Schema:
