@@ -1,4 +1,4 @@
-"""What is attached to the links and joints of an object: sites, actuators and sensors; and data of single formats."""
+"""Sites, actuators and sensors, which are attached to links and joints, and data that only one format knows."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ the robot's name, as in ``arm.joint1``. The robot frames that a scene can refer 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -107,22 +107,12 @@ def compile_mjcf(
     root = _settings(scene, timestep, materials)
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
-    add_lights(world, scene.lights)
-    if (sky := skybox_light(scene.lights)) is not None:
-        assets.files |= add_skybox(assets.element, sky)
-    for camera in scene.cameras:
-        add_camera(world, camera)
-    if scene.background is not None:
-        add_background(world, scene.background, assets)
+    _add_surroundings(world, scene, assets)
     qpos: list[float] = []
     for item in scene.objects:
         qpos.extend(add_object(world, item, assets, materials))
     excluded = scene_contacts.excluded_pairs(scene)
-    if excluded:
-        root.append(ET.Comment("Pairs of bodies that do not collide, usually because they are connected by a joint."))
-        contact = ET.SubElement(root, "contact")
-        for a, b in excluded:
-            ET.SubElement(contact, "exclude", body1=a, body2=b)
+    _add_exclusions(root, excluded)
     add_mimics(root, scene)
     ctrl = add_drives(root, scene, timestep) + add_actuators(root, scene)
     add_sensors(root, scene)
@@ -155,6 +145,26 @@ def compile_mjcf(
     return Artifact("mjcf", "scene.xml", files, tuple(losses))
 
 
+def _add_surroundings(world: ET.Element, scene: Scene, assets: Assets) -> None:
+    """Add the lights, the cameras that are fixed in the world, and the background."""
+    add_lights(world, scene.lights)
+    if (sky := skybox_light(scene.lights)) is not None:
+        assets.files |= add_skybox(assets.element, sky)
+    for camera in scene.cameras:
+        add_camera(world, camera)
+    if scene.background is not None:
+        add_background(world, scene.background, assets)
+
+
+def _add_exclusions(root: ET.Element, pairs: Sequence[tuple[str, str]]) -> None:
+    """Add the pairs of bodies that do not collide."""
+    if pairs:
+        root.append(ET.Comment("Pairs of bodies that do not collide, usually because they are connected by a joint."))
+        contact = ET.SubElement(root, "contact")
+        for a, b in pairs:
+            ET.SubElement(contact, "exclude", body1=a, body2=b)
+
+
 def _common_losses(scene: Scene) -> Iterator[Loss]:
     """Yield the losses that do not depend on how the scene is written."""
     yield from scene_contacts.restitution_losses(scene)
@@ -168,13 +178,7 @@ def _compile_native(scene: Scene, timestep: float, losses: list[Loss]) -> Artifa
     root = _settings(scene, timestep, None)
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
-    add_lights(world, scene.lights)
-    if (sky := skybox_light(scene.lights)) is not None:
-        assets.files |= add_skybox(assets.element, sky)
-    for camera in scene.cameras:
-        add_camera(world, camera)
-    if scene.background is not None:
-        add_background(world, scene.background, assets)
+    _add_surroundings(world, scene, assets)
     writer = NativeWriter(scene, root, world, assets)
     writer.settings()
     qpos, ctrl = writer.write()

@@ -56,7 +56,7 @@ def mesh_inertia_modes(roots: list[Element]) -> dict[str, str]:
 
 
 class NativeState:
-    """What has been read of a model: the native data, and how it refers to elements."""
+    """The native data read from a model so far, and the names by which it refers to elements."""
 
     def __init__(self, source: MjcfSource, roots: list[Element]) -> None:
         self.source, self.mujoco, self.model = source, source.mujoco, source.model

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, mark_file, members, relocate
+from simfoundry.spec.compose.join import LISTS, SCENE, SECTIONS, Joining, mark_file, members, relocate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import FileError, Loaded, reachable
 from simfoundry.spec.models.kinds import model_of, suffix
@@ -19,9 +19,6 @@ from simfoundry.spec.yaml.text import Document, Path_, read
 
 if TYPE_CHECKING:
     from simfoundry.spec.compose.expand import Reuse
-
-# The kind of document that can reuse parts.
-SCENE = "scene/1"
 
 # Maximum number of documents in a chain of `extends`, which limits the work for malicious input.
 MAX_BASES = 16

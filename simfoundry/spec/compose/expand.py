@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from simfoundry.spec.compose.copies import Group, copied_object, group, is_centered, repeat_of, states_position
 from simfoundry.spec.compose.include import IncludedScene, included_scene
-from simfoundry.spec.compose.join import LISTS, SECTIONS, Joining, Member, members
+from simfoundry.spec.compose.join import LISTS, SCENE, SECTIONS, Joining, Member, members
 from simfoundry.spec.compose.lists import with_copied_lists
 from simfoundry.spec.compose.templates import Generated, with_templates, without
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
@@ -26,8 +26,6 @@ from simfoundry.spec.yaml.text import Document, Path_
 
 if TYPE_CHECKING:
     from simfoundry.spec.compose.compose import Composed
-
-SCENE = "scene/1"
 
 # End of the name of a copy.
 INDICES = re.compile(r"(?:_[0-9]+){1,4}\Z")

@@ -13,7 +13,7 @@ from simfoundry.spec.yaml.nodes import Node
 
 @dataclass(frozen=True)
 class IncludedScene:
-    """What an included scene adds to the scene that includes it.
+    """The members, lists and silenced warnings that an included scene adds to the scene that includes it.
 
     Attributes:
         name: The name of the include.

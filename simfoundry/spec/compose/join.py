@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -17,6 +17,12 @@ SECTIONS = ("materials", "frames", "objects", "robots", "cameras", "lights")
 
 # Lists whose items refer to members of a scene. Those of an included scene are added to those of the including scene.
 LISTS = ("relations", "no_contact")
+
+# The kind of document that can reuse parts.
+SCENE = "scene/1"
+
+# Function that adds an error, given its code, node, path, message and hint.
+Fault = Callable[[str, Node, tuple[str | int, ...], str, str], None]
 
 # A section and a name in it.
 Member = tuple[str, str]

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from itertools import product
 
 from simfoundry.spec.change.diff.changes import names_in, renamed_reference
 from simfoundry.spec.compose.copies import Group, scalar_at
-from simfoundry.spec.compose.join import LISTS, members
+from simfoundry.spec.compose.join import LISTS, Fault, members
 from simfoundry.spec.yaml.nodes import Node
 
 # Maximum number of relations or pairs that one item can stand for; a scene can have 1,000 pairs.
 MAX_ITEMS = 10_000
-
-# Function that adds an error, given its code, node, path, message and hint.
-Fault = Callable[[str, Node, tuple[str | int, ...], str, str], None]
 
 
 def with_copied_lists(root: Node, groups: Mapping[str, Group], removed: Set[str], fault: Fault) -> Node:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from simfoundry.spec.compose.join import Joining, Member, members
+from simfoundry.spec.compose.join import Fault, Joining, Member, members
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.reuse import MAX_DEPTH
 from simfoundry.spec.yaml.nodes import Node
-
-# Function that adds an error, given its code, node, path, message and hint.
-Fault = Callable[[str, Node, tuple[str | int, ...], str, str], None]
 
 
 @dataclass(frozen=True)

@@ -55,49 +55,49 @@ class NativeData(Model):
 
 
 class LinkNative(NativeData):
-    """What MJCF says of a link's body beyond the language."""
+    """MJCF attributes of a link's body that the language has no keys for."""
 
     LEVEL = "link"
 
 
 class JointNative(NativeData):
-    """What MJCF says of a joint beyond the language."""
+    """MJCF attributes of a joint that the language has no keys for."""
 
     LEVEL = "joint"
 
 
 class PartNative(NativeData):
-    """What MJCF says of a part's geom beyond the language."""
+    """MJCF attributes of a part's geom that the language has no keys for."""
 
     LEVEL = "part"
 
 
 class ObjectNative(NativeData):
-    """What MJCF says of the geom of an object with an inline shape beyond the language."""
+    """MJCF attributes of the geom of an object with an inline shape."""
 
     LEVEL = "object"
 
 
 class SiteNative(NativeData):
-    """What MJCF says of a site beyond the language."""
+    """MJCF attributes of a site that the language has no keys for."""
 
     LEVEL = "site"
 
 
 class ActuatorNative(NativeData):
-    """What MJCF says of an actuator beyond the language."""
+    """MJCF attributes of an actuator that the language has no keys for."""
 
     LEVEL = "actuator"
 
 
 class SensorNative(NativeData):
-    """What MJCF says of a sensor beyond the language."""
+    """MJCF attributes of a sensor that the language has no keys for."""
 
     LEVEL = "sensor"
 
 
 class SceneNative(NativeData):
-    """What MJCF says of a scene beyond the language. Elements refer to others by their names in the compiled file."""
+    """MJCF elements and settings of a scene. Elements refer to others by their names in the compiled file."""
 
     def check(self, names: dict[str, Any]) -> None:
         """Raise a fault if the data contains an unknown section, element or attribute, or an invalid value."""

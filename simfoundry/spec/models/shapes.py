@@ -144,8 +144,7 @@ def _shape_tag(value: Any) -> str:
     return _tag(value, SHAPE_KEYS)
 
 
-# A shape of a single part.
-PartShape = Annotated[
+_SinglePart = (
     Annotated[BoxShape, Tag("box")]
     | Annotated[SphereShape, Tag("sphere")]
     | Annotated[EllipsoidShape, Tag("ellipsoid")]
@@ -154,9 +153,11 @@ PartShape = Annotated[
     | Annotated[ConeShape, Tag("cone")]
     | Annotated[PrismShape, Tag("prism")]
     | Annotated[LatheShape, Tag("lathe")]
-    | Annotated[OpenBoxShape, Tag("open_box")],
-    Discriminator(_part_tag),
-]
+    | Annotated[OpenBoxShape, Tag("open_box")]
+)
+
+# A shape of a single part.
+PartShape = Annotated[_SinglePart, Discriminator(_part_tag)]
 
 # Maximum number of parts of a compound, as of corners of a hull; larger objects are better described by a mesh.
 MAX_PARTS = 64
@@ -180,19 +181,7 @@ class CompoundShape(Model):
 
 
 # A shape of an object, which may consist of several parts.
-Shape = Annotated[
-    Annotated[BoxShape, Tag("box")]
-    | Annotated[SphereShape, Tag("sphere")]
-    | Annotated[EllipsoidShape, Tag("ellipsoid")]
-    | Annotated[CylinderShape, Tag("cylinder")]
-    | Annotated[CapsuleShape, Tag("capsule")]
-    | Annotated[ConeShape, Tag("cone")]
-    | Annotated[PrismShape, Tag("prism")]
-    | Annotated[LatheShape, Tag("lathe")]
-    | Annotated[OpenBoxShape, Tag("open_box")]
-    | Annotated[CompoundShape, Tag("compound")],
-    Discriminator(_shape_tag),
-]
+Shape = Annotated[_SinglePart | Annotated[CompoundShape, Tag("compound")], Discriminator(_shape_tag)]
 
 
 def shape_parts(shape: Shape) -> dict[str, CompoundPart]:

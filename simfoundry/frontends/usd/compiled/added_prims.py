@@ -12,7 +12,8 @@ import numpy as np
 from simfoundry.backends.usd.surroundings import FULL, X_CU
 from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
-from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
+from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, srgb
+from simfoundry.frontends.usd.compiled.scaling import short
 from simfoundry.frontends.usd.compiled.stage import StageNote, factored
 from simfoundry.frontends.usd.compiled.views import RESOLUTION, camera_pose, lens, light_place
 from simfoundry.frontends.usd.geoms import UsdGprims

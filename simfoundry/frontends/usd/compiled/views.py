@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
-from simfoundry.frontends.usd.compiled.edits import differs, has_moved, rest, short, srgb
+from simfoundry.frontends.usd.compiled.edits import differs, has_moved, rest, srgb
+from simfoundry.frontends.usd.compiled.scaling import short
 from simfoundry.frontends.usd.compiled.stage import Edited, StageMember, StageNote
 from simfoundry.frontends.usd.views import LENS, LIGHTS, OFFSETS
 from simfoundry.geometry.frames import Array, Pose, look_at
