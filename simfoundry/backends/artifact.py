@@ -107,7 +107,7 @@ NOISE = 5e-16
 
 
 def exact(value: float) -> str:
-    """Format a number so that reading it returns the number, up to the noise of a few conversions.
+    """Format a number with all digits that are not rounding noise, so that reading the text returns the number.
 
     A number that is within this noise of a short decimal, such as most numbers that people write, becomes that decimal.
     """

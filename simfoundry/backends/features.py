@@ -168,7 +168,7 @@ def _in_words(counts: Counter[str]) -> dict[str, int]:
 
 
 def unused_native_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the loss of the native data of links, joints and parts in a scene that has none itself."""
+    """Yield a loss for native data of links, joints and parts that has no effect, because the scene has none itself."""
     if scene.native is None and (found := native_count(scene)):
         known = ", ".join(f"{count} {word}" for word, count in found.items())
         reason = f"The native attributes of {known} take effect only in a scene with `native: {{mjcf: …}}` of its own."

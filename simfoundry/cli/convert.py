@@ -93,7 +93,7 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     lines = [f"{out}  from the stage {path}: " + ("written" if changed else "no changes")]
     lines += [f"  not applied: {n.prim}: {n.message}" + (f"; {n.hint}" if n.hint else "") for n in imported.notes]
     edited = "edited in both the stage and the document"
-    lines += [f"  {name} has an entry of its own now, unlike the rest of {rest}" for name, rest in imported.exceptions]
+    lines += [f"  {name} has an entry of its own now, separate from {rest}" for name, rest in imported.exceptions]
     lines += [f"  {edited}: {disputed}; the values in the stage were kept" for disputed in imported.disputed]
     output.print_result(as_json, report, "\n".join(lines))
     return output.FINDINGS if strict and (imported.notes or imported.disputed) else output.DONE

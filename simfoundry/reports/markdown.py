@@ -187,7 +187,7 @@ def _slug(name: str) -> str:
 
 
 def inline(text: str) -> str:
-    """Return a text on one line, as it is if nothing in it has a meaning for Markdown, and as code otherwise."""
+    """Return a text on one line. Text that Markdown could interpret is formatted as code."""
     line = _line(text)
     return line if _PLAIN.fullmatch(line) and not _LINKED.search(line) else code(line)
 

@@ -95,7 +95,7 @@ objects:
         ),
         (
             "frames: {" + ", ".join(f"f{k}: {{frame: f{k + 1}}}" for k in range(99)) + ", f99: {}}\n",
-            "SF005 frames are attached to each other more than 32 levels deep",
+            "SF005 the chain of `frame` has more than 32 frames",
         ),
     ],
 )

@@ -48,7 +48,7 @@ def _check_frame(c: Checker, names: SceneNames, name: str, frame: ReferenceFrame
     check_reference(c, names, frame.frame, (*path, "frame"))
     chain = frame_chain(spec.frames, name)
     if len(chain) > MAX_DEPTH:
-        c.add("SF005", (*path, "frame"), f"frames are attached to each other more than {MAX_DEPTH} levels deep")
+        c.add("SF005", (*path, "frame"), f"the chain of `frame` has more than {MAX_DEPTH} frames")
     elif spec.frames[chain[-1]].frame == name:
         shown = " → ".join(f"`{each}`" for each in (*chain, name))
         c.add("SF208", (*path, "frame"), f"the frame `{name}` depends on itself: {shown}", "remove one `frame`")

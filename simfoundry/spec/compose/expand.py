@@ -299,7 +299,7 @@ class _Expansion:
             self.fault("SF207", repeat, path, f"`{name}` repeats with itself", "give one of them a `count`")
             return
         if len(users) > MAX_DEPTH:
-            self.fault("SF005", repeat, path, f"objects repeat with each other more than {MAX_DEPTH} levels deep")
+            self.fault("SF005", repeat, path, f"the chain of `repeat` has more than {MAX_DEPTH} objects")
             return
         if leader not in items:
             self.fault("SF201", repeat, path, f"no object is called `{leader}`", nearest(leader, items))

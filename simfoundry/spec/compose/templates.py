@@ -69,7 +69,7 @@ class _Templates:
             self.fault("SF207", like, path, f"{cycle}, which is a cycle", "remove `like` from one of them")
             return None
         if len(users) > MAX_DEPTH:
-            self.fault("SF005", like, path, f"templates are alike more than {MAX_DEPTH} levels deep", "")
+            self.fault("SF005", like, path, f"the chain of `like` has more than {MAX_DEPTH} templates", "")
             return None
         if name not in self.written:
             hint = nearest(name, self.written) if self.written else "define it under `templates`"

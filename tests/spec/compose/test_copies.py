@@ -164,7 +164,7 @@ relations: [OnTop(cup, dek)]
         (
             "templates: {" + "".join(f"t{k}: {{like: t{k + 1}}}, " for k in range(99)) + "t99: {}}\n"
             f"objects: {{a: {{{CUP}, like: t0}}}}\n",
-            "SF005 templates are alike more than 32 levels deep",
+            "SF005 the chain of `like` has more than 32 templates",
         ),
     ],
 )
