@@ -33,7 +33,7 @@ class _Model:
 
     @property
     def joints(self) -> dict[str, tuple[float, float] | None]:
-        """The limits [rad or m] of each joint, by its names in the model and in the scene, or None if it has no limits."""
+        """The limits [rad or m] of each joint, by its names in the model and in the scene. None means no limits."""
         if self.read is None:
             return {}
         model, prefix = self.read.model, self.read.prefix
