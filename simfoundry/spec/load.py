@@ -11,13 +11,13 @@ from typing import TypeVar
 from simfoundry.spec.check.documents import check, sift
 from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.compose.compose import REUSE, compose
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest, similar_fixes
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
-from simfoundry.spec.yaml.text import Document, parse, read
+from simfoundry.spec.yaml.text import Document, Mark, parse, read
 
 # Documents read so far, keyed by resolved path and requested kind, so that each is read only once.
 Known = dict[tuple[str, str], Loaded | None]
@@ -52,7 +52,7 @@ def load(
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding), document)
     composed = compose(document, kind, root, parameters)
-    findings = composed.findings
+    findings = tuple(map(composed.document.completed, composed.findings))
     read_in_full = Loaded(path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse)
     if composed.reuse is None and any(d.code not in ("SF003", "SF201") for d in findings):
         return read_in_full  # a base is missing, and so is most of the content
@@ -159,4 +159,5 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     else:
         message = "the `simfoundry` key is missing"
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
-    return None, document.finding("SF006", ("simfoundry",), message, hint)
+    fixes = similar_fixes(str(value), KINDS) if value is not None else ()
+    return None, document.finding("SF006", ("simfoundry",), message, hint, mark=Mark(fixes=fixes))
