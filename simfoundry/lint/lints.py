@@ -130,7 +130,9 @@ LINTS = Registry(
 )
 
 
-def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
+def lint(
+    loaded: Loaded, seen: set[Path] | None = None, checkpoint: Callable[[], None] = lambda: None
+) -> tuple[Diagnostic, ...]:
     """Run the lints once on a document and on each document that it uses.
 
     Findings that are suppressed by a document's ``allow`` are omitted. An ``allow`` entry that does not suppress
@@ -139,6 +141,7 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     Args:
         loaded: The document. If it has errors, it is not linted.
         seen: Paths of documents to skip. Documents that are linted are added to this set.
+        checkpoint: Function that is called before each step. It can raise an exception to stop.
 
     Returns:
         The findings.
@@ -150,8 +153,8 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     if path in seen:
         return ()
     seen.add(path)
-    findings = [d for used in loaded.uses.values() for d in lint(used, seen)]
-    kept, silenced = sift(with_sources(_lints(loaded), loaded.reuse), loaded.spec.allow)
+    findings = [d for used in loaded.uses.values() for d in lint(used, seen, checkpoint)]
+    kept, silenced = sift(with_sources(_lints(loaded, checkpoint), loaded.reuse), loaded.spec.allow)
     findings += collapsed(kept, loaded.reuse)
     # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
@@ -159,11 +162,12 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     return tuple(findings)
 
 
-def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
+def _lints(loaded: Loaded, checkpoint: Callable[[], None]) -> Iterator[Diagnostic]:
     """Yield the findings for one document: the errors from lowering or, if there are no errors, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
         return
+    checkpoint()
     subject, errors = _subject(loaded, kind)
     yield from errors
     if subject is None:
@@ -172,6 +176,7 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
     for name, cause in unusable.items():  # reported at the plug-in, because no document is at fault
         yield Diagnostic(name, Severity.WARNING, str(cause), plugins(LINTS.group)[name].value)
     for name, one in lints.items():
+        checkpoint()
         try:
             if kind in one.kinds:
                 with LINTS.running(name):
