@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 from simfoundry.language_server.positions import Lines
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import Known, load
+from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.yaml.text import Document
 
 if TYPE_CHECKING:
@@ -47,29 +48,33 @@ class Analysis:
         return self.loaded.spec is None or bool(self.loaded.errors)
 
 
-def analyzed(path: Path, lines: Lines, version: int | None, root: Path, known: Known) -> Analysis:
-    """Read a text and check its structure: types, names, and files, but not its geometry.
+def analyzed(path: Path, lines: Lines, version: int | None, documents: OpenDocuments) -> Analysis:
+    """Check the structure of a document: types, names, and files, but not its geometry.
 
     Args:
         path: The file, as a normalized absolute path.
         lines: The text.
         version: The editor's version of the text, or None if the file is not open.
-        root: Folder of the project.
-        known: Documents that have already been read; documents that this one uses are added.
+        documents: The documents of the editor, with the same text.
     """
-    loaded = load(path, root, known, text=lines.text)
+    loaded = documents.load(path)
     return Analysis(path, lines, version, loaded, tuple(loaded.all_findings()))
 
 
-def linted(analysis: Analysis) -> Analysis:
+def linted(analysis: Analysis, checkpoint: Callable[[], None]) -> Analysis:
     """Return an analysis with its lowered scene and the findings of the lints.
 
     The documents that it uses are not linted: their findings are shown where they are written.
+
+    Args:
+        analysis: The analysis.
+        checkpoint: Function that is called before each step. It can raise an exception to stop.
     """
     if analysis.has_errors:
         return analysis
     from simfoundry.lint.lints import lint_subject, subject_of  # numpy is loaded after the first findings are shown
 
+    checkpoint()
     subject, errors = subject_of(analysis.loaded)
-    findings = (*analysis.findings, *lint_subject(analysis.loaded, subject, errors))
+    findings = (*analysis.findings, *lint_subject(analysis.loaded, subject, errors, checkpoint))
     return replace(analysis, findings=findings, draft=subject.draft if subject is not None else None)

@@ -22,7 +22,6 @@ from simfoundry import __version__
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
 from simfoundry.language_server.workspace import Workspace, is_ours, path_of
-from simfoundry.spec.project import project_root
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,6 +29,10 @@ T = TypeVar("T")
 # Interval [s] after which a thread passes on the interpreter; the default of 5 ms would delay each answer several times
 # while a document is checked.
 SWITCH_INTERVAL = 0.0005
+
+
+class _NewerTextError(Exception):
+    """Raised to stop a check because the editor has sent a newer text."""
 
 
 class Server(LanguageServer):
@@ -77,16 +80,24 @@ class Server(LanguageServer):
         if analysis is None:
             self.withdraw(path)
             return
-        if not analysis.has_errors and path not in self._queue:
-            analysis = await self.run(linted, analysis)
+        if not analysis.has_errors:
+            try:
+                analysis = await self.run(linted, analysis, partial(self._stop_if_queued, path))
+            except _NewerTextError:
+                return
             self.documents.store(analysis)
-        if path in self._queue:  # its text has changed meanwhile
+        if path in self._queue:
             return
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
         if changed:
             for other in self.documents.dependents(path):
                 self.check(other, changed=False)
+
+    def _stop_if_queued(self, path: Path) -> None:
+        """Stop the check of a document whose text has changed meanwhile. Called on the thread that checks documents."""
+        if path in self._queue:
+            raise _NewerTextError
 
     async def _analyzed(self, path: Path) -> Analysis | None:
         """Analyze the structure of a document, or return None if it is neither open nor can be read."""
@@ -95,7 +106,7 @@ class Server(LanguageServer):
         if lines is None:
             return None
         version = buffer.version if buffer is not None else None
-        analysis = await self.run(analyzed, path, lines, version, project_root(path), {})
+        analysis = await self.run(analyzed, path, lines, version, self.documents.texts)
         self.documents.store(analysis)
         return analysis
 
@@ -149,6 +160,7 @@ def _add_synchronization(server: Server) -> None:
 
     @server.feature(types.TEXT_DOCUMENT_DID_SAVE)
     async def did_save(ls: Server, params: types.DidSaveTextDocumentParams) -> None:
+        documents.texts.forget()
         for path in documents.dependents(path_of(params.text_document.uri)):
             ls.check(path, changed=False)
 
@@ -164,6 +176,7 @@ def _add_synchronization(server: Server) -> None:
 
     @server.feature(types.WORKSPACE_DID_CHANGE_WATCHED_FILES)
     async def did_change_files(ls: Server, _: types.DidChangeWatchedFilesParams) -> None:
+        documents.texts.forget()
         for buffer in documents.buffers.values():
             if is_ours(buffer):
                 ls.check(buffer.path, changed=False)

@@ -14,6 +14,7 @@ from simfoundry.language_server.positions import Lines
 from simfoundry.spec.check.report import absolute
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
@@ -49,10 +50,14 @@ class _Known:
 
 @dataclass
 class Workspace:
-    """Open documents by URI, and analyses by file."""
+    """Open documents by URI, and analyses by file.
+
+    ``texts`` loads documents with the texts of the open ones in place of their files.
+    """
 
     encoding: str = types.PositionEncodingKind.Utf16
     buffers: dict[str, Buffer] = field(default_factory=dict)
+    texts: OpenDocuments = field(default_factory=OpenDocuments)
     _known: dict[Path, _Known] = field(default_factory=dict)
     _findings: dict[Path, dict[Path, list[Diagnostic]]] = field(default_factory=dict)
 
@@ -60,8 +65,7 @@ class Workspace:
 
     def open(self, uri: str, text: str, version: int) -> Buffer:
         """Add a document that the editor has opened."""
-        buffer = self.buffers[uri] = Buffer(uri, path_of(uri), version, Lines(text, self.encoding))
-        return buffer
+        return self._show(Buffer(uri, path_of(uri), version, Lines(text, self.encoding)))
 
     def change(self, uri: str, changes: Iterable[types.TextDocumentContentChangeEvent], version: int) -> Buffer | None:
         """Apply the changes of the editor to an open document, and return it, or None if it is not open."""
@@ -75,12 +79,19 @@ class Workspace:
                 start, end = lines.span(change.range)
                 text = lines.text[:start] + text + lines.text[end:]
             lines = Lines(text, self.encoding)
-        changed = self.buffers[uri] = Buffer(uri, buffer.path, version, lines)
-        return changed
+        return self._show(Buffer(uri, buffer.path, version, lines))
 
     def close(self, uri: str) -> Buffer | None:
         """Remove a document that the editor has closed, and return it, or None if it was not open."""
-        return self.buffers.pop(uri, None)
+        buffer = self.buffers.pop(uri, None)
+        if buffer is not None:
+            self.texts.edit(buffer.path, None)
+        return buffer
+
+    def _show(self, buffer: Buffer) -> Buffer:
+        self.buffers[buffer.uri] = buffer
+        self.texts.edit(buffer.path, buffer.lines.text)
+        return buffer
 
     def buffer_of(self, path: Path) -> Buffer | None:
         """Return the open document of a file."""

@@ -31,7 +31,7 @@ def test_each_offset_has_its_position(text: str, encoding: str) -> None:
         assert lines.offset(lines.position(offset)) == offset
 
 
-@given(TEXTS, ENCODINGS, st.integers(-2, 40), st.integers(-2, 40))
+@given(TEXTS, ENCODINGS, st.integers(0, 40), st.integers(0, 40))
 def test_any_position_is_in_the_text(text: str, encoding: str, line: int, character: int) -> None:
     lines = Lines(text, encoding)
     offset = lines.offset(types.Position(line, character))
