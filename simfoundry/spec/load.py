@@ -52,6 +52,7 @@ def load(
     kind, finding = kind_of(document)
     if kind is None:
         assert finding is not None
+        return Loaded(path, root, None, (*document.duplicates, finding), document, source=document)
     composed = compose(document, kind, root, parameters, reader)
     findings = composed.findings
     read_in_full = Loaded(
