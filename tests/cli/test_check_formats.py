@@ -85,7 +85,8 @@ def test_annotations_stand_at_their_lines() -> None:
     assert (done.code, done.err) == (1, "")
     assert done.out.splitlines() == [
         "::error file=bad.scene.yaml,line=3,col=40,endColumn=43,title=SF101::unknown key `mas`%0Adid you mean `mass`?",
-        "::warning file=warned.scene.yaml,line=4,col=3,endColumn=7,title=SF401::the `wood` material is not used%0Aremove it",
+        "::warning file=warned.scene.yaml,line=4,col=3,endColumn=7,title=SF401::"
+        "the `wood` material is not used%0Aremove it",
         "1 error and 1 warning in 2 of 3 documents",
     ]
     assert run("check", "good.scene.yaml", "--format", "github").out == "no findings in 1 document\n"
@@ -319,6 +320,8 @@ def test_long_lists_are_shown_whole_and_every_run_is_alike(tree: Path, form: str
     done = run("check", "--format", form)
     assert done.code == 1
     shown = done.out + done.err
+    if form == "sarif":  # each fix names the file once more
+        shown = "".join(json.dumps(result["locations"]) for result in sarif(done)["results"])
     assert [shown.count(f"many_{k:02}.scene.yaml") - (form == "json") for k in range(12)] == [40] * 12
     assert run("check", "--format", form) == done
     if form in ("text", "github"):
