@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -154,21 +154,39 @@ def lint(
         return ()
     seen.add(path)
     findings = [d for used in loaded.uses.values() for d in lint(used, seen, checkpoint)]
-    kept, silenced = sift(with_sources(_lints(loaded, checkpoint), loaded.reuse), loaded.spec.allow)
-    findings += collapsed(kept, loaded.reuse)
+    checkpoint()
+    subject, errors = subject_of(loaded)
+    return tuple(findings) + lint_subject(loaded, subject, errors, checkpoint)
+
+
+def lint_subject(
+    loaded: Loaded,
+    subject: Subject | None,
+    errors: Sequence[Diagnostic],
+    checkpoint: Callable[[], None] = lambda: None,
+) -> tuple[Diagnostic, ...]:
+    """Run the lints on one document, without the documents that it uses.
+
+    Args:
+        loaded: The document, which has no errors.
+        subject: Its drafts.
+        errors: The errors from lowering it. See :func:`subject_of`.
+        checkpoint: Function that is called before each step. It can raise an exception to stop.
+    """
+    assert loaded.spec is not None and loaded.document is not None
+    kept, silenced = sift(with_sources(_lints(loaded, subject, errors, checkpoint), loaded.reuse), loaded.spec.allow)
+    findings = collapsed(kept, loaded.reuse)
     # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
     findings += [d for d in idle if d.file == loaded.document.file]
     return tuple(findings)
 
 
-def _lints(loaded: Loaded, checkpoint: Callable[[], None]) -> Iterator[Diagnostic]:
+def _lints(
+    loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic], checkpoint: Callable[[], None]
+) -> Iterator[Diagnostic]:
     """Yield the findings for one document: the errors from lowering or, if there are no errors, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
-    if kind not in ("scene/1", "asset/1", "task/1"):
-        return
-    checkpoint()
-    subject, errors = _subject(loaded, kind)
     yield from errors
     if subject is None:
         return
@@ -185,8 +203,15 @@ def _lints(loaded: Loaded, checkpoint: Callable[[], None]) -> Iterator[Diagnosti
             yield warning(loaded, one.code, (), str(error), "")
 
 
-def _subject(loaded: Loaded, kind: str) -> tuple[Subject | None, list[Diagnostic]]:
-    """Return the drafts of a document, or None if its scene cannot be lowered; and the errors from lowering them."""
+def subject_of(loaded: Loaded) -> tuple[Subject | None, list[Diagnostic]]:
+    """Return the drafts of a document, or None if it has none or cannot be lowered; and the errors from lowering.
+
+    Args:
+        loaded: The document, which has no errors.
+    """
+    kind = getattr(loaded.spec, "simfoundry", "")
+    if kind not in ("scene/1", "asset/1", "task/1"):
+        return None, []
     from simfoundry.lint import draft
 
     if kind == "asset/1":

@@ -52,10 +52,16 @@ def load(
     kind, finding = kind_of(document)
     if kind is None:
         assert finding is not None
-        return Loaded(path, root, None, (*document.duplicates, finding), document)
+        return Loaded(path, root, None, (*document.duplicates, finding), document, source=document)
     composed = compose(document, kind, root, parameters, reader)
     findings = composed.findings
-    read_in_full = Loaded(path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse)
+    read_in_full = Loaded(
+        path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
+    )
+    findings = composed.findings
+    read_in_full = Loaded(
+        path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
+    )
     if composed.reuse is None and any(d.code not in ("SF003", "SF201") for d in findings):
         return read_in_full  # a base is missing, and so is most of the content
     return checked(read_in_full, kind, known, reader)
