@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from simfoundry.spec.names.mentions import DocumentNames, Mention, Sections, document_names
 from simfoundry.spec.names.lookup import Meaning, NameLookup, Symbol
+from simfoundry.spec.names.mentions import DocumentNames, Mention, Sections, document_names
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, Read, read
 
