@@ -16,6 +16,16 @@ const DISTANCE = { min: 0.02, max: 1000 };
 
 const within = (value: number, min: number, max: number): number => Math.min(Math.max(value, min), max);
 
+/** What a server answers that does not know a request, by the JSON-RPC specification. */
+const METHOD_NOT_FOUND = -32601;
+
+function explanation(error: unknown): string {
+  if ((error as { code?: unknown }).code === METHOD_NOT_FOUND) {
+    return 'This version of SimFoundry has no preview. Update it with pip install --upgrade "simfoundry[editor]".';
+  }
+  return `There is no picture: ${error instanceof Error ? error.message : String(error)}`;
+}
+
 export type Ask = (params: PreviewParams) => Promise<PreviewResult>;
 
 export class Preview {
@@ -115,8 +125,7 @@ export class Preview {
         this.shownDistance = result.distance ?? this.shownDistance;
         shown = { name: this.name, message: result.message, ...(result.png === null ? {} : { png: result.png }) };
       } catch (error) {
-        const reason = error instanceof Error ? error.message : String(error);
-        shown = { name: this.name, message: `There is no picture: ${reason}` };
+        shown = { name: this.name, message: explanation(error) };
       }
       if (uri !== this.uri || this.closed) continue;
       this.last = { ...this.last, ...shown };

@@ -5,7 +5,7 @@ import { test } from "node:test";
 
 import { type Places, findServer } from "../src/findServer";
 
-const PLACES: Places = { setting: "", folders: ["/p"], python: undefined, env: { PATH: "/usr/bin:bin:/opt/bin" }, home: "/home/me", platform: "linux" };
+const PLACES: Places = { setting: "", folders: ["/p"], python: undefined, env: { PATH: "/usr/bin:bin:/opt/bin" }, home: "/users/me", platform: "linux" };
 
 const found = (places: Partial<Places>, ...programs: string[]) => findServer({ ...PLACES, ...places }, (path) => programs.includes(path));
 
@@ -30,8 +30,8 @@ test("on Windows, programs are in Scripts", () => {
 });
 
 test("the setting wins, with ~ and ${workspaceFolder}", () => {
-  const programs = ["/p/.venv/bin/simfoundry", "/home/me/a/simfoundry", "/p/tools/simfoundry", "/q/tools/simfoundry"];
-  assert.deepEqual(found({ setting: "~/a/simfoundry" }, ...programs), { command: "/home/me/a/simfoundry" });
+  const programs = ["/p/.venv/bin/simfoundry", "/users/me/a/simfoundry", "/p/tools/simfoundry", "/q/tools/simfoundry"];
+  assert.deepEqual(found({ setting: "~/a/simfoundry" }, ...programs), { command: "/users/me/a/simfoundry" });
   assert.deepEqual(found({ setting: "${workspaceFolder}/tools/simfoundry" }, ...programs), { command: "/p/tools/simfoundry" });
   assert.deepEqual(found({ setting: "tools/simfoundry", folders: ["/x", "/q"] }, ...programs), { command: "/q/tools/simfoundry" });
 });

@@ -80,6 +80,13 @@ test("an error is shown, and the next change asks again", async () => {
   assert.equal(server.shown[1]!.message, "");
 });
 
+test("a server without a preview is to be updated", async () => {
+  const server = new Answers();
+  server.preview.follow("file:///a", "a");
+  await server.answer(Object.assign(new Error("Method Not Found"), { code: -32601 }));
+  assert.match(server.shown[0]!.message, /has no preview\. Update it/);
+});
+
 test("the answer for a document that is no longer shown is dropped", async () => {
   const server = new Answers();
   server.preview.follow("file:///a", "a");
