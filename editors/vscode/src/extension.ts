@@ -75,7 +75,7 @@ class Server {
   }
 
   /** Return the picture of a document. */
-  preview(params: PreviewParams): Promise<PreviewResult> {
+  preview(params: PreviewParams): Promise<PreviewResult | null> {
     if (this.client?.state !== State.Running) {
       return Promise.reject(new Error("the language server is not running. Run SimFoundry: Restart server."));
     }
@@ -154,6 +154,10 @@ class Panel {
   ) {
     server.onPreview((uri) => (uri ? this.preview?.changed(uri) : this.preview?.refresh()));
     vscode.window.onDidChangeActiveTextEditor((editor) => this.follow(editor));
+    vscode.languages.onDidChangeDiagnostics(({ uris }) => {
+      // The server tells of new pictures only; while there are errors, the sentence below the picture changes.
+      if (uris.some((uri) => uri.toString() === this.preview?.document && firstError(uri))) this.preview?.refresh();
+    });
   }
 
   /** Show the document of the active editor. */
@@ -179,7 +183,11 @@ class Panel {
     const column = { viewColumn: vscode.ViewColumn.Beside, preserveFocus: true };
     const options = { enableScripts: true, localResourceRoots: [this.extension], retainContextWhenHidden: true };
     const panel = vscode.window.createWebviewPanel("simfoundry.scene", "Scene", column, options);
-    const preview = new Preview((params) => this.server.preview(params), (shown) => void panel.webview.postMessage(shown));
+    const preview = new Preview(
+      (params) => this.server.preview(params),
+      (shown) => void panel.webview.postMessage(shown),
+      (uri) => firstError(vscode.Uri.parse(uri)),
+    );
     panel.webview.onDidReceiveMessage((data: unknown) => {
       const message = pageMessage(data);
       if (message) preview.receive(message);
@@ -192,6 +200,13 @@ class Panel {
     panel.webview.html = page(script.toString(), randomBytes(18).toString("base64url"));
     [this.panel, this.preview] = [panel, preview];
   }
+}
+
+/** Return the first error of a document as a sentence, or an empty string. */
+function firstError(uri: vscode.Uri): string {
+  const errors = vscode.languages.getDiagnostics(uri).filter((each) => each.severity === vscode.DiagnosticSeverity.Error);
+  const first = errors.sort((a, b) => a.range.start.compareTo(b.range.start))[0];
+  return first ? `Line ${first.range.start.line + 1}: ${first.message}` : "";
 }
 
 /** Return the task that checks a folder; its findings in files that are not open go to the list of problems. */

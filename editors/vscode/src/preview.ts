@@ -2,9 +2,6 @@
 
 import type { PageMessage, PreviewParams, PreviewResult, Shown } from "./protocol";
 
-/** From here a table of one meter is seen as a person sees who stands at its corner. */
-export const START = { azimuth_deg: 35, elevation_deg: 30 };
-
 /** Steeper, a camera that looks along its own up direction has no defined roll. */
 const STEEPEST_DEG = 89;
 
@@ -26,24 +23,37 @@ function explanation(error: unknown): string {
   return `There is no picture: ${error instanceof Error ? error.message : String(error)}`;
 }
 
-export type Ask = (params: PreviewParams) => Promise<PreviewResult>;
+export type Ask = (params: PreviewParams) => Promise<PreviewResult | null>;
+
+/** Where the camera is: what a person has chosen, and else what the server chose. */
+interface View {
+  azimuth_deg?: number;
+  elevation_deg?: number;
+  distance?: number;
+}
 
 export class Preview {
   private uri = "";
   private name = "";
-  private view: { azimuth_deg: number; elevation_deg: number; distance?: number } = { ...START };
-  /** Distance of the picture that is shown, from which the wheel zooms. */
-  private shownDistance: number | undefined;
-  private zoom = 1;
+  private chosen: View = {};
+  private shown: View = {};
+  /** What a person has done since the last picture, while it was not known where the camera is. */
+  private pending = { azimuth_deg: 0, elevation_deg: 0, factor: 1 };
   private size: { width: number; height: number } | undefined;
   private asking = false;
   private again = false;
   private closed = false;
   private last: Shown | undefined;
 
+  /**
+   * @param ask Asks the server for a picture.
+   * @param show Shows a picture, or the sentence without one.
+   * @param finding Returns the first error of a document as a sentence, or an empty string.
+   */
   constructor(
     private readonly ask: Ask,
     private readonly show: (shown: Shown) => void,
+    private readonly finding: (uri: string) => string = () => "",
   ) {}
 
   /** The document that is shown, or an empty string. */
@@ -71,12 +81,13 @@ export class Preview {
         if (this.last) this.show(this.last);
         break;
       case "orbit":
-        this.view.azimuth_deg = (this.view.azimuth_deg + message.azimuth_deg) % 360;
-        this.view.elevation_deg = within(this.view.elevation_deg + message.elevation_deg, -STEEPEST_DEG, STEEPEST_DEG);
+        this.pending.azimuth_deg += message.azimuth_deg;
+        this.pending.elevation_deg += message.elevation_deg;
+        this.move();
         break;
       case "zoom":
-        this.zoom *= message.factor;
-        this.applyZoom();
+        this.pending.factor *= message.factor;
+        this.move();
         break;
       case "reset":
         this.resetView();
@@ -103,15 +114,23 @@ export class Preview {
   }
 
   private resetView(): void {
-    this.view = { ...START };
-    [this.zoom, this.shownDistance] = [1, undefined];
+    [this.chosen, this.shown] = [{}, {}];
+    this.pending = { azimuth_deg: 0, elevation_deg: 0, factor: 1 };
   }
 
-  private applyZoom(): void {
-    if (this.shownDistance === undefined || this.zoom === 1) return;
-    const from = this.view.distance ?? this.shownDistance;
-    this.view.distance = within(from * this.zoom, DISTANCE.min, DISTANCE.max);
-    this.zoom = 1;
+  /** Move the camera as a person has asked, from where it is. Returns whether it moved. */
+  private move(): boolean {
+    const { azimuth_deg, elevation_deg, distance } = { ...this.shown, ...this.chosen };
+    const { pending } = this;
+    if (azimuth_deg === undefined || elevation_deg === undefined || distance === undefined) return false;
+    if (!pending.azimuth_deg && !pending.elevation_deg && pending.factor === 1) return false;
+    this.chosen = {
+      azimuth_deg: (azimuth_deg + pending.azimuth_deg) % 360,
+      elevation_deg: within(elevation_deg + pending.elevation_deg, -STEEPEST_DEG, STEEPEST_DEG),
+      distance: within(distance * pending.factor, DISTANCE.min, DISTANCE.max),
+    };
+    this.pending = { azimuth_deg: 0, elevation_deg: 0, factor: 1 };
+    return true;
   }
 
   private async work(): Promise<void> {
@@ -121,20 +140,25 @@ export class Preview {
       const uri = this.uri;
       let shown: Shown;
       try {
-        const result = await this.ask({ uri, ...this.view, ...this.size });
-        this.shownDistance = result.distance ?? this.shownDistance;
-        shown = { name: this.name, message: result.message, ...(result.png === null ? {} : { png: result.png }) };
+        const result = await this.ask({ uri, ...this.chosen, ...this.size });
+        if (uri !== this.uri) continue;
+        shown = { name: this.name, message: this.sentence(result) };
+        if (result?.png) shown.png = result.png;
+        const { azimuth_deg, elevation_deg, distance } = result ?? {};
+        if (azimuth_deg !== undefined) this.shown = { azimuth_deg, elevation_deg, distance };
       } catch (error) {
         shown = { name: this.name, message: explanation(error) };
       }
       if (uri !== this.uri || this.closed) continue;
       this.last = { ...this.last, ...shown };
       this.show(shown);
-      if (this.zoom !== 1 && this.shownDistance !== undefined) {
-        this.applyZoom();
-        this.again = true;
-      }
+      this.again = this.move() || this.again;
     }
     this.asking = false;
+  }
+
+  private sentence(result: PreviewResult | null): string {
+    const message = result?.message ?? (result?.png ? "" : "There is no picture of this document.");
+    return message && [message, this.finding(this.uri)].filter(Boolean).join("\n");
   }
 }

@@ -2,9 +2,10 @@
 
 import { NotificationType, RequestType } from "vscode-languageserver-protocol";
 
-/** The picture that is asked for. What is missing is chosen by the server, so that the whole scene is in view. */
+/** The picture that is asked for. What is missing is chosen by the server. */
 export interface PreviewParams {
   uri: string;
+  /** Direction to the camera from the middle of the scene, counterclockwise from x [deg], and its angle above the horizon. */
   azimuth_deg?: number;
   elevation_deg?: number;
   /** Distance from the camera to the middle of the scene [m]. */
@@ -16,20 +17,20 @@ export interface PreviewParams {
 
 export interface PreviewResult {
   /** Version of the text that the picture shows. */
-  version: number;
+  version: number | null;
   /** A PNG file as base64, or null if there is no picture. */
   png: string | null;
   width: number;
   height: number;
-  /** A sentence if the picture does not show the current text, and else empty. */
-  message: string;
-  /** The view that the picture was taken from, as far as the server tells. */
+  /** A sentence if the picture does not show the current text, and else empty or null. */
+  message: string | null;
+  /** Where the camera of the picture is. */
   azimuth_deg?: number;
   elevation_deg?: number;
   distance?: number;
 }
 
-export const previewRequest = new RequestType<PreviewParams, PreviewResult, void>("simfoundry/preview");
+export const previewRequest = new RequestType<PreviewParams, PreviewResult | null, void>("simfoundry/preview");
 
 export const previewChanged = new NotificationType<{ uri: string; version: number }>("simfoundry/previewChanged");
 

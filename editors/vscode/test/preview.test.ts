@@ -3,16 +3,17 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Preview, START } from "../src/preview";
+import { Preview } from "../src/preview";
 import { type PreviewParams, type PreviewResult, type Shown, pageMessage } from "../src/protocol";
 
-const RESULT: PreviewResult = { version: 1, png: "aGk=", width: 640, height: 480, message: "", distance: 2 };
+const RESULT: PreviewResult = { version: 1, png: "aGk=", width: 640, height: 480, message: null, azimuth_deg: 40, elevation_deg: 30, distance: 2 };
 const turn = (): Promise<void> => new Promise((resolve) => setImmediate(resolve));
 
 /** A server that answers when it is told to. */
 class Answers {
   readonly asked: PreviewParams[] = [];
   readonly shown: Shown[] = [];
+  readonly findings: Record<string, string> = {};
   private readonly waiting: { resolve(result: PreviewResult): void; reject(error: Error): void }[] = [];
   readonly preview = new Preview(
     (params) => {
@@ -20,6 +21,7 @@ class Answers {
       return new Promise((resolve, reject) => this.waiting.push({ resolve, reject }));
     },
     (shown) => this.shown.push(shown),
+    (uri) => this.findings[uri] ?? "",
   );
 
   async answer(result: Partial<PreviewResult> | Error = {}): Promise<void> {
@@ -34,7 +36,7 @@ test("a document is asked for once, from the start", async () => {
   const server = new Answers();
   server.preview.follow("file:///a", "a");
   server.preview.follow("file:///a", "a");
-  assert.deepEqual(server.asked, [{ uri: "file:///a", ...START }]);
+  assert.deepEqual(server.asked, [{ uri: "file:///a" }]);
   await server.answer();
   assert.deepEqual(server.shown, [{ name: "a", message: "", png: "aGk=" }]);
   assert.equal(server.asked.length, 1);
@@ -64,10 +66,12 @@ test("an invalid text keeps the picture and shows the finding", async () => {
   server.preview.follow("file:///a", "a");
   await server.answer();
   server.preview.changed("file:///a");
-  await server.answer({ png: null, message: "Line 3: unknown key." });
-  assert.deepEqual(server.shown[1], { name: "a", message: "Line 3: unknown key." });
+  server.findings["file:///a"] = "Line 3: unknown key `mas`";
+  await server.answer({ png: null, message: "The text has errors." });
+  const message = "The text has errors.\nLine 3: unknown key `mas`";
+  assert.deepEqual(server.shown[1], { name: "a", message });
   server.preview.receive({ type: "ready" }); // a page that loads anew gets both
-  assert.deepEqual(server.shown[2], { name: "a", message: "Line 3: unknown key.", png: "aGk=" });
+  assert.deepEqual(server.shown[2], { name: "a", message, png: "aGk=" });
 });
 
 test("an error is shown, and the next change asks again", async () => {
@@ -97,37 +101,47 @@ test("the answer for a document that is no longer shown is dropped", async () =>
   assert.deepEqual(server.shown.map((shown) => shown.message), ["of b"]);
 });
 
-test("a drag orbits, and no camera goes over the top", async () => {
+test("a drag orbits from where the camera is, and no camera goes over the top", async () => {
   const server = new Answers();
   server.preview.follow("file:///a", "a");
-  server.preview.receive({ type: "orbit", azimuth_deg: 400, elevation_deg: 500 });
+  server.preview.receive({ type: "orbit", azimuth_deg: 300, elevation_deg: 0 }); // before it is known where it is
+  server.preview.receive({ type: "orbit", azimuth_deg: 100, elevation_deg: 500 });
   await server.answer();
-  assert.deepEqual([server.asked[1]!.azimuth_deg, server.asked[1]!.elevation_deg], [(START.azimuth_deg + 400) % 360, 89]);
+  assert.deepEqual(server.asked[1], { uri: "file:///a", azimuth_deg: 80, elevation_deg: 89, distance: 2 });
+  await server.answer();
+  assert.equal(server.asked.length, 2);
 });
 
-test("the wheel zooms from the distance of the picture, and a reset returns", async () => {
+test("the wheel zooms within bounds, and a reset returns to the view of the server", async () => {
   const server = new Answers();
   server.preview.follow("file:///a", "a");
-  server.preview.receive({ type: "zoom", factor: 0.5 }); // before the distance is known
   await server.answer();
-  await server.answer();
-  assert.equal(server.asked.at(-1)!.distance, 1);
   server.preview.receive({ type: "zoom", factor: 0.5 });
-  await server.answer({ distance: 0.5 });
-  assert.equal(server.asked.at(-1)!.distance, 0.5);
+  server.preview.receive({ type: "zoom", factor: 0.5 });
+  await server.answer();
+  assert.deepEqual([server.asked[1]!.distance, server.asked[2]!.distance], [1, 0.5]);
+  await server.answer();
   server.preview.receive({ type: "zoom", factor: 1e9 });
   await server.answer();
   assert.equal(server.asked.at(-1)!.distance, 1000);
   server.preview.receive({ type: "reset" });
-  assert.deepEqual(server.asked.at(-1), { uri: "file:///a", ...START });
+  assert.deepEqual(server.asked.at(-1), { uri: "file:///a" });
 });
 
-test("a server that tells no distance is not asked forever", async () => {
+test("a server that does not tell where the camera is, is not asked forever", async () => {
   const server = new Answers();
   server.preview.follow("file:///a", "a");
   server.preview.receive({ type: "zoom", factor: 0.5 });
-  for (let k = 0; k < 2; k++) await server.answer({ distance: undefined });
+  for (let k = 0; k < 2; k++) await server.answer({ distance: undefined, azimuth_deg: undefined });
   assert.equal(server.asked.length, 2);
+});
+
+test("an answer of nothing is a sentence", async () => {
+  const preview = new Preview(() => Promise.resolve(null), (shown) => said.push(shown.message));
+  const said: string[] = [];
+  preview.follow("file:///a", "a");
+  await turn();
+  assert.deepEqual(said, ["There is no picture of this document."]);
 });
 
 test("the size of the panel is asked for, within bounds", async () => {
