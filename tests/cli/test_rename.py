@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 from pathlib import Path
 
 import pytest
 
 from tests.cli.command import run
+from tests.conftest import REPOSITORY
+from tests.docs.test_pages import blocks
 from tests.spec.names.projects import FILES, write_project
 
 
@@ -36,7 +40,7 @@ def test_a_rename_and_its_reverse_give_the_same_bytes(project: Path) -> None:
     (project / "evening.scene.yaml").chmod(0o600)
     before = _texts(project)
     done = run("rename", "evening.scene.yaml", "mug", "beaker")
-    assert done.out.startswith("renamed object `mug` to `beaker`: 23 places in 7 documents\n  desk.scene.yaml: 7\n")
+    assert done.out.startswith("renamed object `mug` to `beaker`: 22 places in 7 documents\n  desk.scene.yaml: 7\n")
     assert "note: these lines still contain the word `mug`:\n" in done.out
     assert run("check", "--no-lints", ".").out == "no findings in 10 documents\n"
     assert (project / "evening.scene.yaml").stat().st_mode & 0o777 == 0o600
@@ -45,10 +49,11 @@ def test_a_rename_and_its_reverse_give_the_same_bytes(project: Path) -> None:
     assert _texts(project) == before
 
 
-def test_json_lists_places_diffs_and_notes(project: Path) -> None:
+@pytest.mark.usefixtures("project")
+def test_json_lists_places_diffs_and_notes() -> None:
     data = run("rename", "pi.policy.yaml", "portrait", "face", "--json", "--dry-run").json
     assert (data["kind"], data["old"], data["new"], data["written"]) == ("camera", "portrait", "face", False)
-    assert data["files"]["pi.policy.yaml"] == [{"line": 8, "column": 31, "start": 155, "end": 163}]
+    assert data["files"]["pi.policy.yaml"] == [{"line": 8, "column": 31, "start": 150, "end": 158}]
     assert set(data["diffs"]) == {"desk.scene.yaml", "pi.policy.yaml"}
     assert data["notes"] == []
 
@@ -78,8 +83,6 @@ def test_what_is_ambiguous_or_unknown_is_said(project: Path) -> None:
 
 
 def test_a_read_only_folder_changes_nothing(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import os
-
     real, count = os.replace, iter(range(100))
 
     def failing(source: str, target: str) -> None:
@@ -91,3 +94,17 @@ def test_a_read_only_folder_changes_nothing(project: Path, monkeypatch: pytest.M
     done = run("rename", "desk.scene.yaml", "mug", "beaker")
     assert done.code == 2 and "No space left" in done.err
     assert _texts(project) == FILES
+
+
+def test_the_page_about_editors_shows_a_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = list(blocks(REPOSITORY / "docs/editors.md"))
+    here = next(k for k, block in enumerate(page) if block.note == "run in: tests/cli/test_rename.py")
+    scene, command, output = (block.text for block in page[here - 1 : here + 2])
+    overlay = "simfoundry: scene/1\nextends: desk.scene.yaml\nname: evening\nobjects: {mug: {mass: 0.4}}\n"
+    task = "simfoundry: task/1\nname: lift\nscene: desk.scene.yaml\ninstruction: Lift the mug.\ngoal: Lifted(mug)\n"
+    for name, text in (("desk.scene", scene), ("evening.scene", overlay), ("lift.task", task)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    (tmp_path / "simfoundry.yaml").touch()
+    program, *arguments = shlex.split(command)
+    assert program == "simfoundry" and run(*arguments).out == output

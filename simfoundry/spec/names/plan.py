@@ -167,9 +167,7 @@ def _notes(
             f"to keep the old one, add `category: {symbol.name}`"
         )
     edited = {str(edit.file) for edit in edits}
-    affected = edited | {user for file in edited for user in names.dependents(file)}
-    texts = {file: names.documents[file].index.text for file in affected if file in names.documents}
-    if lines := remaining_lines(texts, names, symbol.name):
+    if lines := remaining_lines(names, edits, symbol.name):
         yield f"these lines still contain the word `{symbol.name}`:{_list(lines)}"
     word = re.compile(rb"(?<![A-Za-z0-9_])" + re.escape(symbol.name.encode()) + rb"(?![A-Za-z0-9_])")
     skipped = [shown_path(file) for file, data in project.excluded.items() if file not in edited and word.search(data)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,9 @@ MAX_NAME = 64
 
 # Maximum number of reasons, or of lines that still contain the old name, which are shown.
 MAX_SHOWN = 12
+
+# Maximum length of such a line [characters], which fits beside its place.
+MAX_EXCERPT = 120
 
 
 class RenameError(SimfoundryError):
@@ -318,20 +321,25 @@ def _shift(edit: DocumentEdit | None) -> Callable[[int], int]:
     return shifted
 
 
-def remaining_lines(texts: Mapping[str, str], names: ProjectNames, old: str) -> list[str]:
-    """Return the lines that contain a word but do not name anything with it, such as comments and instructions.
+def remaining_lines(names: ProjectNames, edits: tuple[DocumentEdit, ...], old: str) -> list[str]:
+    """Return the lines that contain the old name as a word after the edits, such as comments and instructions.
 
-    Args:
-        texts: The texts of the documents to search, by path.
-        names: The names of the project.
-        old: The word.
+    Lines in which the word is the name of something else are omitted. The documents are those that are edited, and those
+    that use them.
     """
     word = re.compile(rf"(?<![A-Za-z0-9_]){re.escape(old)}(?![A-Za-z0-9_])")
-    named = {(o.file, o.start) for file in texts for o in names.occurrences(file)}
+    after = {str(edit.file): edit.after for edit in edits}
+    affected = after.keys() | {user for file in after for user in names.dependents(file)}
     found: list[str] = []
-    for file, text in sorted(texts.items()):
-        starts = [m.start() for m in word.finditer(text) if (file, m.start()) not in named]
-        lines = dict.fromkeys(text.count("\n", 0, start) + 1 for start in starts)
-        rows = text.split("\n")
-        found += [f"{shown_path(file)}:{line}: {rows[line - 1].strip()[:80]}" for line in lines]
+    for file in sorted(affected & names.documents.keys()):
+        text = names.documents[file].index.text
+        named = {o.start for o in names.occurrences(file)}
+        lines = (text.count("\n", 0, m.start()) for m in word.finditer(text) if m.start() not in named)
+        rows = after.get(file, text).split("\n")  # a rename does not change the number of lines
+        found += [f"{shown_path(file)}:{line + 1}: {_excerpt(rows[line])}" for line in dict.fromkeys(lines)]
     return found
+
+
+def _excerpt(row: str) -> str:
+    """Return a line for display, without indentation and a byte order mark."""
+    return row.lstrip("\ufeff").strip()[:MAX_EXCERPT]
