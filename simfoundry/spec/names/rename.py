@@ -324,8 +324,8 @@ def _shift(edit: DocumentEdit | None) -> Callable[[int], int]:
 def remaining_lines(names: ProjectNames, edits: tuple[DocumentEdit, ...], old: str) -> list[str]:
     """Return the lines that contain the old name as a word after the edits, such as comments and instructions.
 
-    Lines in which the word is the name of something else are omitted. The documents are those that are edited, and those
-    that use them.
+    Lines in which the word is the name of something else are omitted. The documents are the edited ones and those that
+    use them.
     """
     word = re.compile(rf"(?<![A-Za-z0-9_]){re.escape(old)}(?![A-Za-z0-9_])")
     after = {str(edit.file): edit.after for edit in edits}
