@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from simfoundry.language_server.scan import (
-    Found,
+    TokenPlace,
     find_in_value,
     is_empty,
     line_end,
@@ -98,6 +98,12 @@ def _at_column(column: int, dash: bool) -> re.Pattern[str]:
     """Return a pattern for a line whose first character, at a column, is a dash or belongs to a key."""
     first = r"-(?:[ \t\n]|\Z)" if dash else r"[^\s#-]|-\S"
     return re.compile(rf"\n {{{column}}}(?={first})")
+
+
+@lru_cache(maxsize=64)
+def _key_at(column: int) -> re.Pattern[str]:
+    """Return a pattern for a line whose first character, at a column, belongs to a key, which may be a plain word."""
+    return re.compile(rf"\n {{{column}}}(?:(?P<word>\w+):(?=\s|\Z)|(?=[^\s#-]|-\S))")
 
 
 def line_start(text: str, position: int) -> int:
@@ -202,7 +208,7 @@ def _ancestors(text: str, line: int, column: int, in_list: bool) -> list[_Ancest
     return found[::-1]
 
 
-def find_block(text: str, line: int, column: int, in_list: bool, offset: int) -> Block | tuple[Path_, Found]:
+def find_block(text: str, line: int, column: int, in_list: bool, offset: int) -> Block | tuple[Path_, TokenPlace]:
     """Return the mapping or list that contains a line, or the place of ``offset`` if it is inside a value above.
 
     Args:
@@ -277,7 +283,10 @@ def keys_of(text: str, block: Block, position: int) -> Iterator[tuple[str, int]]
     start = block.owner.line if block.owner is not None else 0
     after = _shallower(block.column, False).search(text, max(line_end(text, position), start))
     end = len(text) if after is None else after.start()
-    for found in _at_column(block.column, False).finditer(text, start, end):
+    for found in _key_at(block.column).finditer(text, start, end):
+        if found["word"]:
+            yield found["word"], found.start("word")
+            continue
         for head in heads_at(text, found.start() + 1):
             yield str(head.key), head.start
 

@@ -30,7 +30,7 @@ Style = Literal["plain", "quoted", "block", "alias"]
 
 
 @dataclass(frozen=True)
-class Found:
+class TokenPlace:
     """A place inside a value.
 
     Attributes:
@@ -106,7 +106,7 @@ def line_end(text: str, position: int) -> int:
     return len(text) if end < 0 else end
 
 
-def find_in_value(text: str, start: int, offset: int, indent: int) -> Found | None:
+def find_in_value(text: str, start: int, offset: int, indent: int) -> TokenPlace | None:
     """Return the place of an offset inside the value that starts at ``start``, or None if the value ends before it.
 
     Args:
@@ -117,21 +117,21 @@ def find_in_value(text: str, start: int, offset: int, indent: int) -> Found | No
     """
     char = text[start]
     if offset < start:
-        return Found(Slot.NONE, (), offset, offset)
+        return TokenPlace(Slot.NONE, (), offset, offset)
     if char in "[{":
         return _in_flow(text, start, offset)
     if char in "\"'":
         end = quoted_end(text, start)
-        return Found(Slot.VALUE, (), start, end, "quoted") if offset <= end else None
+        return TokenPlace(Slot.VALUE, (), start, end, "quoted") if offset <= end else None
     if char in "|>" and (header := _BLOCK_HEADER.match(text, start)) is not None:
         end = _block_end(text, header.end(), indent)
-        return Found(Slot.VALUE, (), start, end, "block") if offset <= end else None
+        return TokenPlace(Slot.VALUE, (), start, end, "block") if offset <= end else None
     end = _plain_end(text, start, indent)
     goes_on = _is_open(text[start:end]) or text[end - 1] in "+*/-"
     if offset > end and goes_on and not text[end:offset].strip(" \t"):
         end = offset
     style: Style = "alias" if char == "*" else "plain"
-    return Found(Slot.VALUE, (), start, end, style) if offset <= end else None
+    return TokenPlace(Slot.VALUE, (), start, end, style) if offset <= end else None
 
 
 def quoted_end(text: str, start: int) -> int:
@@ -278,10 +278,10 @@ class _Flow:
         return end
 
 
-def _in_flow(text: str, start: int, offset: int) -> Found | None:
+def _in_flow(text: str, start: int, offset: int) -> TokenPlace | None:
     """Return the place of an offset in a value in brackets or braces, or None if the value ends before it."""
     if offset == start:
-        return Found(Slot.NONE, (), offset, offset)
+        return TokenPlace(Slot.NONE, (), offset, offset)
     flow = _Flow(text, start)
     for kind, first, end in flow.tokens():
         scalar = kind in ("plain", "quoted", "alias")
@@ -291,22 +291,22 @@ def _in_flow(text: str, start: int, offset: int) -> Found | None:
             style: Style = "alias" if kind == "alias" else "quoted" if kind == "quoted" else "plain"
             return _found(flow, first, end, style)
         if kind in ("comment", "property") and offset <= end:
-            return Found(Slot.NONE, _path(flow), offset, offset, opening=flow.stack[-1].opening)
+            return TokenPlace(Slot.NONE, _path(flow), offset, offset, opening=flow.stack[-1].opening)
         flow.read(kind, first, end)
         if not flow.stack:
-            return None if offset > end else Found(Slot.NONE, (), offset, offset)
+            return None if offset > end else TokenPlace(Slot.NONE, (), offset, offset)
     return _found(flow, offset, offset)
 
 
-def _found(flow: _Flow, start: int, end: int, style: Style = "plain") -> Found:
+def _found(flow: _Flow, start: int, end: int, style: Style = "plain") -> TokenPlace:
     """Return the place of a token, or of the empty place in which one may be inserted."""
     top = flow.stack[-1]
     path = _path(flow)
     if top.state == "start" and not top.in_list:
         name = unquoted(flow.text[start:end])
-        return Found(Slot.KEY, (*path[:-1], name), start, end, style, top.opening)
+        return TokenPlace(Slot.KEY, (*path[:-1], name), start, end, style, top.opening)
     slot = Slot.VALUE if top.state == "value" or (top.in_list and top.state == "start") else Slot.NONE
-    return Found(slot, path, start, end, style, top.opening)
+    return TokenPlace(slot, path, start, end, style, top.opening)
 
 
 def _path(flow: _Flow) -> Path_:
