@@ -21,9 +21,9 @@ from simfoundry.language_server.blocks import (
     siblings_follow,
 )
 from simfoundry.language_server.scan import (
-    TokenPlace,
     Slot,
     Style,
+    TokenPlace,
     find_in_value,
     flow_keys,
     is_empty,
@@ -35,7 +35,7 @@ from simfoundry.spec.yaml.text import Path_
 
 
 @dataclass(frozen=True)
-class TextSpan:
+class Word:
     """A part of a text."""
 
     start: int
@@ -52,7 +52,7 @@ class PredicateCall:
 
     name: str
     index: int
-    argument: TextSpan
+    argument: Word
     arguments: tuple[str, ...]
 
 
@@ -125,11 +125,11 @@ class Cursor:
             start += 1
         while end > max(at, start) and self.text[end - 1].isspace():
             end -= 1
-        argument = TextSpan(self.start + start, self.start + end, self.text[start:end])
+        argument = Word(self.start + start, self.start + end, self.text[start:end])
         return PredicateCall(opening["name"], index, argument, tuple(text.strip() for text in arguments))
 
     @cached_property
-    def word(self) -> TextSpan:
+    def word(self) -> Word:
         """Return the part of the token to which the cursor belongs.
 
         This is an argument or the name of a predicate, a parameter such as ``$gap`` in an expression, or else the whole
@@ -141,17 +141,17 @@ class Cursor:
         if "$" in self.text and self.slot is Slot.VALUE:
             for found in _PARAMETER.finditer(self.text):
                 if found.start() <= at <= found.end():
-                    return TextSpan(self.start + found.start(), self.start + found.end(), found.group())
-            return TextSpan(self.offset, self.offset, "")
+                    return Word(self.start + found.start(), self.start + found.end(), found.group())
+            return Word(self.offset, self.offset, "")
         name = _CALL.match(self.text)
         if name is not None and self.slot is Slot.VALUE and name.start("name") <= at <= name.end("name"):
             start, end = name.span("name")
-            return TextSpan(self.start + start, self.start + end, name["name"])
+            return Word(self.start + start, self.start + end, name["name"])
         if self.style != "quoted" or at == 0:
-            return TextSpan(self.start, self.end, self.text)
+            return Word(self.start, self.end, self.text)
         closed = len(self.text) > 1 and self.text[-1] == self.text[0]
         inner = self.text[1:-1] if closed else self.text[1:]
-        return TextSpan(self.start + 1, self.start + 1 + len(inner), inner)
+        return Word(self.start + 1, self.start + 1 + len(inner), inner)
 
     @property
     def typed(self) -> str:
