@@ -45,7 +45,8 @@ class Server:
     process: subprocess.Popen[bytes]
     folder: Path
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
-    published: dict[str, queue.Queue[list[Message]]] = field(default_factory=dict)
+    published: dict[str, queue.Queue[Message]] = field(default_factory=dict)
+    logged: list[Message] = field(default_factory=list)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
 
@@ -96,14 +97,27 @@ class Server:
 
     def diagnostics(self, path: Path) -> list[Message]:
         """What the server says of a document that was opened, once it does."""
-        return self.published[path.as_uri()].get(timeout=PATIENCE)
+        found: list[Message] = self.published[path.as_uri()].get(timeout=PATIENCE)["diagnostics"]
+        return found
 
-    def change(self, path: Path, text: str, **range_: Message) -> None:
-        """Replace the text of a document, or the part between the positions ``start`` and ``end``."""
+    def diagnostics_of(self, path: Path, version: int) -> list[Message]:
+        """What the server says of a version of a document, once it does."""
+        while True:
+            message = self.published[path.as_uri()].get(timeout=PATIENCE)
+            if message.get("version") == version:
+                found: list[Message] = message["diagnostics"]
+                return found
+
+    def change(self, path: Path, text: str, **range_: Message) -> int:
+        """Replace the text of a document, or the part between the positions ``start`` and ``end``.
+
+        Returns the new version.
+        """
         self.count += 1
         changes = [{"text": text, **({"range": range_} if range_ else {})}]
         document = {"uri": path.as_uri(), "version": self.count}
         self.tell("textDocument/didChange", textDocument=document, contentChanges=changes)
+        return self.count
 
     def close(self, path: Path) -> None:
         """Close a document."""
@@ -143,8 +157,10 @@ class Server:
                     self._send({"id": number, "result": _settings(method, message.get("params"))})
                 case {"id": number}:
                     self.answers.pop(number).put(message)
-                case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri, "diagnostics": found}}:
-                    self.published.setdefault(uri, queue.Queue()).put(found)
+                case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri} as params}:
+                    self.published.setdefault(uri, queue.Queue()).put(params)
+                case {"method": "window/logMessage" | "window/showMessage", "params": params}:
+                    self.logged.append(params)
 
 
 def _place(path: Path, line: int, character: int) -> Message:
