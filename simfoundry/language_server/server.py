@@ -23,6 +23,7 @@ from pygls.lsp.server import LanguageServer
 from simfoundry import __version__
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
+from simfoundry.language_server.protocol import Protocol, is_fault_of_client
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
 from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
 
@@ -45,7 +46,7 @@ class Server(LanguageServer):
     """A language server for SimFoundry documents."""
 
     def __init__(self) -> None:
-        super().__init__("simfoundry", __version__)
+        super().__init__("simfoundry", __version__, protocol_cls=Protocol)
         self.documents = Workspace()
         self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
         self._checking: asyncio.Task[None] | None = None
@@ -53,7 +54,8 @@ class Server(LanguageServer):
 
     def report_server_error(self, error: Exception, source: object) -> None:
         """Log an error. Editors interrupt the user with messages that are shown instead."""
-        self.window_log_message(types.LogMessageParams(types.MessageType.Error, f"{type(error).__name__}: {error}"))
+        kind = types.MessageType.Warning if is_fault_of_client(error, source) else types.MessageType.Error
+        self.window_log_message(types.LogMessageParams(kind, f"{type(error).__name__}: {error}"))
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a function on the thread that checks documents, after what is already waiting there."""

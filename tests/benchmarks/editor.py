@@ -17,7 +17,8 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,14 +157,10 @@ def main() -> int:
                 print(path.name)
                 server.open(path, text)
                 server.diagnostics(path)
-                steps: list[Callable[[], Iterator[Waits]]] = [
-                    lambda: typed(server, path, text, arguments.strokes, bar),
-                    lambda: asked(server, path, text, arguments.strokes),
-                ]
-                for step in steps:
-                    for waits in step():
-                        print(waits, flush=True)
-                        is_late |= waits.is_late
+                waits = typed(server, path, text, arguments.strokes, bar)
+                for one in chain(waits, asked(server, path, text, arguments.strokes)):
+                    print(one, flush=True)
+                    is_late |= one.is_late
                 print(f"  {'memory':34} {memory(server.process.pid):14.0f} MiB   errors {len(server.logged)}")
     return int(is_late)
 

@@ -56,14 +56,13 @@ def instances(count: int = COUNT) -> str:
     return "\n".join([*lines, "relations:", *(f"  - OnTop(item_{k}, ground)" for k in range(0, count, 10)), ""])
 
 
-REPEATED = f"""\
-{HEADER.format(name="repeated").rstrip()}
-  parcel:
-    shape: {{box: [0.3, 0.2, 0.15]}}
-    material: card
-    place: {{on: ground}}
-    repeat: {{count: [25, {COUNT // 25}], step: [0.6, 0.4]}}
-"""
+def repeated(count: int = COUNT) -> str:
+    """A scene that repeats one object."""
+    lines = [HEADER.format(name="repeated").rstrip()]
+    lines += ["  parcel:", "    shape: {box: [0.3, 0.2, 0.15]}", "    material: card", "    place: {on: ground}"]
+    lines += [f"    repeat: {{count: [5, {count // 5}], step: [0.6, 0.1]}}"]
+    return "\n".join([*lines, ""])
+
 
 TASK = """\
 simfoundry: task/1
@@ -103,7 +102,7 @@ def write_project(folder: Path, count: int = COUNT) -> list[Path]:
         width = round(0.2 + 0.004 * k, 3)
         (folder / f"item_{k}.asset.yaml").write_text(ASSET.format(width=width))
         (folder / f"mesh_{k}.obj").write_text(_box_mesh(0.3, width, 0.1))
-    texts = dict(zip(SCENES, (boxes(count), instances(count), REPEATED, OVERLAY), strict=True))
+    texts = dict(zip(SCENES, (boxes(count), instances(count), repeated(count), OVERLAY), strict=True))
     files = [(folder / f"{name}.scene.yaml", text) for name, text in texts.items()]
     files.append((folder / "move_box.task.yaml", TASK))
     for file, text in files:

@@ -142,11 +142,14 @@ class Server:
         return _markdown(answer["contents"]) if answer else ""
 
     def _send(self, message: Message) -> None:
-        data = json.dumps({"jsonrpc": "2.0", **message}).encode()
+        self.send_bytes(framed(json.dumps({"jsonrpc": "2.0", **message}).encode()))
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes as they are, whether they are a message or not."""
         pipe = self.process.stdin
         assert pipe is not None
         with self.writing:
-            pipe.write(b"Content-Length: %d\r\n\r\n%s" % (len(data), data))
+            pipe.write(data)
             pipe.flush()
 
     def _listen(self) -> None:
@@ -156,11 +159,16 @@ class Server:
                 case {"id": number, "method": method}:
                     self._send({"id": number, "result": _settings(method, message.get("params"))})
                 case {"id": number}:
-                    self.answers.pop(number).put(message)
+                    self.answers.pop(number, queue.Queue()).put(message)
                 case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri} as params}:
                     self.published.setdefault(uri, queue.Queue()).put(params)
                 case {"method": "window/logMessage" | "window/showMessage", "params": params}:
                     self.logged.append(params)
+
+
+def framed(body: bytes) -> bytes:
+    """The bytes of a message, after a header with their number."""
+    return b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
 
 
 def _place(path: Path, line: int, character: int) -> Message:
@@ -191,12 +199,10 @@ def _messages(stream: IO[bytes]) -> Iterator[Message]:
 
 
 @contextmanager
-def started(command: Sequence[str], folder: Path) -> Iterator[Server]:
-    """A server that has a folder open."""
+def started(command: Sequence[str], folder: Path, errors: int | IO[bytes] = subprocess.DEVNULL) -> Iterator[Server]:
+    """A server that has a folder open, and that writes its standard error to ``errors``."""
     with (
-        subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        ) as process,
+        subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as process,
         Server(process, folder) as server,
     ):
         yield server
