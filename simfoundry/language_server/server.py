@@ -7,6 +7,7 @@ and the geometry, and stops in between if the editor has sent a newer text.
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -33,6 +34,10 @@ T = TypeVar("T")
 # Interval [s] after which a thread passes on the interpreter; the default of 5 ms would delay each answer several times
 # while a document is checked.
 SWITCH_INTERVAL = 0.0005
+
+# Number of new objects after which Python searches for unreachable ones. Checking 1,000 objects makes some 100,000,
+# which are freed without a search. With the default of 700, searches took a third of the time.
+GC_THRESHOLD = 50_000
 
 # Suffixes of the files that documents refer to. The editor tells when such a file changes on disk.
 WATCHED = (".yaml", *MESH_SUFFIXES, *TEXTURE_SUFFIXES, *PANORAMA_SUFFIXES, *PICTURE_SUFFIXES)
@@ -212,6 +217,7 @@ def _add_synchronization(server: Server) -> None:
 def serve() -> None:
     """Serve one editor over standard input and output until it ends the connection."""
     sys.setswitchinterval(SWITCH_INTERVAL)
+    gc.set_threshold(GC_THRESHOLD)
     make_server().start_io(sys.stdin.buffer, _protocol_output())
 
 

@@ -10,6 +10,7 @@ with :class:`simfoundry.spec.open_documents.OpenDocuments` as an editor does, an
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import re
 import statistics
@@ -17,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from simfoundry.language_server.server import GC_THRESHOLD
 from simfoundry.lint.lints import lint
 from simfoundry.spec.open_documents import OpenDocuments
 from tests.conftest import REPOSITORY
@@ -60,7 +62,7 @@ def repeated(count: int = COUNT) -> str:
     """A scene that repeats one object."""
     lines = [HEADER.format(name="repeated").rstrip()]
     lines += ["  parcel:", "    shape: {box: [0.3, 0.2, 0.15]}", "    material: card", "    place: {on: ground}"]
-    lines += [f"    repeat: {{count: [5, {count // 5}], step: [0.6, 0.1]}}"]
+    lines += [f"    repeat: {{count: [{max(1, count // 40)}, 40], step: [0.6, 0.4]}}"]
     return "\n".join([*lines, ""])
 
 
@@ -132,6 +134,7 @@ def edited(text: str, turn: int) -> str:
 
 def measured(path: Path, runs: int) -> tuple[float, float]:
     """Median milliseconds of processor time for loading and of linting after an edit."""
+    gc.set_threshold(GC_THRESHOLD)  # as in the server
     documents, text = OpenDocuments(), path.read_text(encoding="utf-8")
     times = list[tuple[float, float]]()
     for turn in range(runs + 1):
