@@ -157,6 +157,7 @@ def make_server() -> Server:
     """Return a server with all features."""
     server = Server()
     _add_synchronization(server)
+    _add_actions(server)
     return server
 
 
@@ -212,6 +213,20 @@ def _add_synchronization(server: Server) -> None:
         for buffer in documents.buffers.values():
             if is_ours(buffer):
                 ls.check(buffer.path, changed=False)
+
+
+def _add_actions(server: Server) -> None:
+    """Register the corrections of findings, and the rewrites of values."""
+    from simfoundry.language_server.actions import KINDS, code_actions
+
+    @server.feature(types.TEXT_DOCUMENT_CODE_ACTION, types.CodeActionOptions(code_action_kinds=KINDS))
+    async def code_action(ls: Server, params: types.CodeActionParams) -> list[types.CodeAction]:
+        analysis = await ls.current(params.text_document.uri)
+        if analysis is None:
+            return []
+        findings = [*analysis.findings, *ls.documents.findings(analysis.path)]
+        uri, only = params.text_document.uri, params.context.only
+        return await ls.run(code_actions, analysis, findings, uri, params.range, only)
 
 
 def serve() -> None:

@@ -6,9 +6,11 @@ unused material; the latter is applied by :mod:`simfoundry.spec.change.edit_text
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
@@ -16,11 +18,13 @@ from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.format import migrated
 from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, SpecError
 from simfoundry.spec.editor.snippets import lookup
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import kind_of
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.names.positions import TextIndex
+from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse
 
@@ -194,3 +198,66 @@ def first_value(model: type[Model], path: Path_) -> Any:
         return parse(re.sub(r"\$\{\d+[:|]([^{},|]*)[^{}]*\}", r"\1", body)).data
     except YamlError:
         return None
+
+
+# Number of rounds; a correction can make other findings appear, such as those in a text that can be parsed again.
+MAX_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class FixedDocuments:
+    """Documents in which the certain corrections have been applied.
+
+    Attributes:
+        texts: The text of each changed document before and after.
+        done: The corrected findings, in the order in which they were corrected.
+    """
+
+    texts: Mapping[Path, tuple[str, str]]
+    done: tuple[Diagnostic, ...]
+
+
+def fix_documents(files: Collection[Path]) -> FixedDocuments:
+    """Apply the certain corrections of structural findings to documents, without writing them.
+
+    The corrections of a document are dropped if the findings remain, or if the document can no longer be parsed. Other
+    documents that these documents use are left as they are.
+    """
+    documents = OpenDocuments()
+    places = {os.path.realpath(file): file for file in files}
+    before: dict[Path, str] = {}
+    after: dict[Path, str] = {}
+    done: list[Diagnostic] = []
+    rejected: set[Diagnostic] = set()
+    for _ in range(MAX_ROUNDS):
+        own: dict[Path, list[Diagnostic]] = {}
+        for finding in dict.fromkeys(d for file in files for d in documents.load(file).all_findings()):
+            place = places.get(os.path.realpath(finding.document))
+            if place is not None and finding not in rejected and certain_fix(finding) is not None:
+                own.setdefault(place, []).append(finding)
+        for file, mine in own.items():
+            text = after[file] if file in after else _text(file)
+            new, corrected = apply_certain_fixes(text, mine)
+            documents.edit(file, new)
+            if corrected and _resolves(documents.load(file), corrected):
+                before.setdefault(file, text)
+                after[file] = new
+                done += corrected
+            else:
+                documents.edit(file, after.get(file))
+                rejected.update(mine)
+        if not own:
+            break
+    return FixedDocuments({file: (before[file], new) for file, new in after.items()}, tuple(done))
+
+
+def _text(file: Path) -> str:
+    return file.read_bytes().decode("utf-8", errors="replace")
+
+
+def _resolves(loaded: Loaded, corrected: Collection[Diagnostic]) -> bool:
+    """Return True if none of the corrected findings is left, and if the document is still a valid mapping."""
+    left = {(d.code, d.message) for d in loaded.findings}
+    broken = loaded.document is None or any(d.code == "SF003" for d in loaded.findings)
+    syntax = any(d.code == "SF002" for d in corrected)
+    return (syntax or not broken) and not any((d.code, d.message) in left for d in corrected)
