@@ -12,6 +12,8 @@ from simfoundry.language_server.positions import Lines
 from simfoundry.spec.change.fixes import apply_certain_fixes, corrections
 from simfoundry.spec.check.report import absolute
 from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.load import load
+from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document, Path_
 
@@ -67,12 +69,34 @@ def _quick_fixes(analysis: Analysis, finding: Diagnostic, uri: str) -> Iterator[
     shown = published([finding], lines)
     first = True
     for each in corrections(lines.text, analysis.source, finding):
-        if each.text == lines.text:
+        if each.text == lines.text or not _is_sound(analysis, each.text, finding):
             continue
         action = _action(each.title, types.CodeActionKind.QuickFix, lines, uri, each.text, shown)
         action.is_preferred = first and not each.blank
         first = False
         yield action
+
+
+# Size of a text [characters] up to which a correction is verified; a scene of 100 objects has about 10,000.
+MOST_VERIFIED = 20_000
+
+
+def _is_sound(analysis: Analysis, text: str, finding: Diagnostic) -> bool:
+    """Return True if a corrected text has no new finding on the corrected line. Large texts are not checked again."""
+    if len(text) > MOST_VERIFIED or not finding.fixes:
+        return True
+    root = project_root(analysis.path)
+    loaded = load(analysis.path, root, text=text)
+    found = [*loaded.all_findings()]
+    if loaded.spec is not None and not loaded.errors:
+        from simfoundry.lint.lints import lint_subject, subject_of  # loads numpy
+
+        found += lint_subject(loaded, *subject_of(loaded))
+    known = {(d.code, d.message) for d in analysis.findings}
+    return not any(
+        d.line == finding.line and absolute(d.document) == analysis.path and (d.code, d.message) not in known
+        for d in found
+    )
 
 
 def _refactorings(analysis: Analysis, uri: str, within: types.Range) -> Iterator[types.CodeAction]:

@@ -37,6 +37,8 @@ _JOINED = {"all", "any", "not"}
 _ALTERNATIVES = _JOINED.union(SHAPE_KEYS)
 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+# Name, number, file or predicate.
+_WHOLE = re.compile(r"[\w./-]+|[A-Za-z]\w*\([\w., ]*\)")
 # Number with a unit.
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
 
@@ -169,8 +171,8 @@ def _other_type(model: type[Model], loc: tuple[Any, ...], error: Any, descriptio
     if kind == "string_type" and isinstance(given, int | float):
         return "put it in double quotes", (Fix(f'"{given}"'),) if not isinstance(given, bool) else ()
     if kind == "model_type" and (key := _only_key(model, loc)):
-        scalar = isinstance(given, str | int | float)
-        return f"write `{{{key}: {given}}}`", (Fix(f"{{{key}: {given}}}", certain=True),) if scalar else ()
+        is_whole = _WHOLE.fullmatch(str(given)) is not None  # and not the rest of a line with another slip
+        return f"write `{{{key}: {given}}}`", (Fix(f"{{{key}: {given}}}", certain=True),) if is_whole else ()
     if kind == "dict_type" and isinstance(given, tuple | list) and description:
         return f"{description} Write `name: ...` for each, without `-`.", ()
     return description, ()

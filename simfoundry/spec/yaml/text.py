@@ -93,7 +93,10 @@ class Document:
         dotted, file = ".".join(map(str, path)), self.source(path)
         plain = "" if of_key else next((node.plain for *_, node in reversed([*self._walk(path)])), "")
         found = Diagnostic(code, severity, message, file, line, column, dotted, hint)
-        return self.marked(found, mark or Mark(), plain)
+        mark = mark or Mark()
+        if of_key and mark.fixes and not mark.word:  # they replace the key, and not a part of it
+            mark = replace(mark, word=next((str(part) for part in reversed(self.known(path))), ""))
+        return self.marked(found, mark, plain)
 
     def marked(self, finding: Diagnostic, mark: Mark, plain: str = "") -> Diagnostic:
         """Return a finding with the wrong word at its place and the fixes of a mark, if they apply to the text.
