@@ -21,8 +21,9 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Estimate
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.names.positions import TextIndex
 from simfoundry.spec.yaml.spelling import rounded
-from simfoundry.spec.yaml.text import Path_
+from simfoundry.spec.yaml.text import Document, Path_
 
 # Largest change of a position [m] and of a rotation [rad] by a rewrite; 0.01 deg moves the rim of a 0.5 m object by
 # less than 0.1 mm.
@@ -56,11 +57,12 @@ def rewrites(analysis: Analysis, path: Path_) -> Iterator[Rewrite]:
         return
     model = model_of(str(getattr(spec, "simfoundry")))  # noqa: B009
 
-    def edited(data: Any) -> str:
-        return edit_text(analysis.lines.text, data, model)
+    def edited(data: Any, old: Path_ = (), new: str = "") -> str:
+        text = _renamed(document, old, new) if old else analysis.lines.text
+        return edit_text(text, data, model)
 
-    for title, data in _rotations(document.data, path):
-        yield Rewrite(title, edited(data))
+    for title, data, old, new in _rotations(document.data, path):
+        yield Rewrite(title, edited(data, old, new))
     if isinstance(spec, SceneSpec) and path[:1] == ("objects",) and len(path) > 1:
         work = _ObjectRewrite(analysis, spec, str(path[1]), edited)
         if work.is_plain:
@@ -68,10 +70,23 @@ def rewrites(analysis: Analysis, path: Path_) -> Iterator[Rewrite]:
             yield from work.places()
 
 
+def _renamed(document: Document, path: Path_, new: str) -> str:
+    """Return the text with another name for the key at a path, so that the new value keeps its place and comments."""
+    start = TextIndex(document.text).offset(*document.place(path, of_key=True))
+    old = str(path[-1])
+    if not document.text.startswith(old, start):
+        return document.text
+    return document.text[:start] + new + document.text[start + len(old) :]
+
+
 # -- rotations ------------------------------------------------------------------------------------------------------
 
 
-def _rotations(data: Any, path: Path_) -> Iterator[tuple[str, Any]]:
+# A rewrite of a rotation: its title, the new data, the path of the key that is renamed, and its new name.
+_Rotation = tuple[str, Any, Path_, str]
+
+
+def _rotations(data: Any, path: Path_) -> Iterator[_Rotation]:
     """Yield the other forms of the rotation in the mapping at a path or around it."""
     for end in range(len(path), 0, -1):
         pose = at(data, path[:end])
@@ -86,7 +101,7 @@ def _rotations(data: Any, path: Path_) -> Iterator[tuple[str, Any]]:
             return
         if abs(length - 1) > 1e-6:  # six decimals, as in documents
             numbers = tuple(rounded(float(v)) for v in q / length)
-            yield "normalize the quaternion", with_value(data, (*here, "quat_wxyz"), numbers)
+            yield "normalize the quaternion", with_value(data, (*here, "quat_wxyz"), numbers), (), ""
         if "cameras" not in here[:1]:  # their poses have no angles
             yield from _angles(data, here, q / length)
         return
@@ -95,24 +110,26 @@ def _rotations(data: Any, path: Path_) -> Iterator[tuple[str, Any]]:
         return  # places have no quaternion
     q = quat_from_rpy(*map(math.radians, angles))
     numbers = tuple(rounded(float(v)) + 0.0 for v in q)
-    yield "write the rotation as a quaternion", _replaced(data, here, "quat_wxyz", numbers)
+    yield "write the rotation as a quaternion", *_replaced(data, here, "quat_wxyz", numbers)
 
 
-def _angles(data: Any, here: Path_, q: Any) -> Iterator[tuple[str, Any]]:
+def _angles(data: Any, here: Path_, q: Any) -> Iterator[_Rotation]:
     roll, pitch, yaw = (rounded(math.degrees(v)) + 0.0 for v in rpy_from_quat(q))
     new = quat_from_rpy(*map(math.radians, (roll, pitch, yaw)))
     if Pose.of(q=q).angle_to(Pose.of(q=new)) > SAME_ROTATION:
         return
     if not roll and not pitch:
-        yield "write the rotation as `yaw_deg`", _replaced(data, here, "yaw_deg", yaw)
-    yield "write the rotation as `rpy_deg`", _replaced(data, here, "rpy_deg", (roll, pitch, yaw))
+        yield "write the rotation as `yaw_deg`", *_replaced(data, here, "yaw_deg", yaw)
+    yield "write the rotation as `rpy_deg`", *_replaced(data, here, "rpy_deg", (roll, pitch, yaw))
 
 
-def _replaced(data: Any, here: Path_, key: str, value: Any) -> Any:
-    """Return data in which a key replaces the rotation of a pose."""
+def _replaced(data: Any, here: Path_, key: str, value: Any) -> tuple[Any, Path_, str]:
+    """Return data in which a key replaces the rotation of a pose, the path of the old key, and the new key."""
     rotations = ("quat_wxyz", "rpy_deg", "yaw_deg")
-    pose = {name: old for name, old in at(data, here).items() if name not in rotations}
-    return with_value(data, here, {**pose, key: value})
+    pose = at(data, here)
+    old = next(name for name in rotations if name in pose)
+    new = {(key if name == old else name): inner for name, inner in pose.items()}
+    return with_value(data, here, {**new, key: value}), (*here, old), key
 
 
 # -- objects of a scene -----------------------------------------------------------------------------------------------
@@ -125,7 +142,7 @@ class _ObjectRewrite:
     analysis: Analysis
     spec: SceneSpec
     name: str
-    edited: Callable[[Any], str]
+    edited: Callable[[Any, Path_, str], str]
 
     @property
     def is_plain(self) -> bool:
@@ -153,11 +170,13 @@ class _ObjectRewrite:
         assert self.analysis.draft is not None
         return self.analysis.draft
 
-    def _with(self, remove: tuple[str, ...], **keys: Any) -> str:
-        """Return the text in which keys of the object are removed and others are set."""
+    def _with(self, old: str, new: str, value: Any) -> str:
+        """Return the text in which a key of the object replaces another one, if the object has it."""
         assert self.analysis.source is not None
-        kept = {key: value for key, value in self._own.items() if key not in remove}
-        return self.edited(with_value(self.analysis.source.data, ("objects", self.name), {**kept, **keys}))
+        path = ("objects", self.name)
+        kept = {key: inner for key, inner in self._own.items() if key != old}
+        renamed: Path_ = (*path, old) if old in self._own else ()
+        return self.edited(with_value(self.analysis.source.data, path, {**kept, new: value}), renamed, new)
 
     def _lowered(self, **update: Any) -> DraftScene | None:
         """Return the scene with other values of this object, or None if it cannot be lowered."""
@@ -182,13 +201,13 @@ class _ObjectRewrite:
         if not math.isfinite(mass) or mass <= 0 or (item.asset or "").endswith(".asset.yaml"):
             return
         if item.mass is None:
-            yield Rewrite(f"write the mass, {mass:.4g} kg", self._with(("density",), mass=rounded(float(mass))))
+            yield Rewrite(f"write the mass, {mass:.4g} kg", self._with("density", "mass", rounded(float(mass))))
         elif "mass" in self._own:
             trial = self._lowered(mass=None, density=TRIAL_DENSITY)
             whole = sum(link.mass for link in trial.scene.by_name[self.name].links) if trial is not None else 0.0
             if whole > 0:
                 density = float(f"{mass / whole * TRIAL_DENSITY:.6g}")
-                yield Rewrite(f"write the density, {density:.4g} kg/m^3", self._with(("mass",), density=density))
+                yield Rewrite(f"write the density, {density:.4g} kg/m^3", self._with("mass", "density", density))
 
     # -- places -----------------------------------------------------------------------------------------------------
 
@@ -198,13 +217,13 @@ class _ObjectRewrite:
         if "place" in self._own:
             pose = _pose_data(X_WO)
             if self._is_same(self._lowered(place=None, pose=pose)):
-                yield Rewrite("write the pose instead of the place", self._with(("place",), pose=pose))
+                yield Rewrite("write the pose instead of the place", self._with("place", "pose", pose))
         elif isinstance(self._own.get("pose"), dict) and "frame" not in self._own["pose"]:
             for support in self._supports():
                 place = {"on": support, **_turn(X_WO), "xy": tuple(rounded(float(v)) + 0.0 for v in X_WO.p[:2])}
                 if self._is_same(self._lowered(pose=None, place=place)):
                     title = f"place it on `{support}` instead of a pose"
-                    yield Rewrite(title, self._with(("pose",), place=place))
+                    yield Rewrite(title, self._with("pose", "place", place))
                     return
 
     def _supports(self) -> list[str]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.spec.check.checker import Checker, Path_, volume
-from simfoundry.spec.check.plausible import dimensions
+from simfoundry.spec.check.plausible import LARGEST, dimensions
 from simfoundry.spec.models.base import BodySpec, Material, quantity_value
 from simfoundry.spec.models.shapes import Shape, shape_parts
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 # Distance [m] from which something in a scene may be an outlier, and its least ratio to the extent of all others. A
 # length in millimeters is 1000 times too large; 10 leaves room for a scene in which one thing is really far away.
 FAR, FAR_RATIO = 10.0, 10.0
+
+# The same distance for a camera, which may have a long lens.
+FAR_CAMERA = 50.0
 
 # Extent [m] of a scene that is assumed at least, so that things at a single point have none.
 LEAST_EXTENT = 0.5
@@ -56,8 +59,8 @@ def check_scene_outliers(c: Checker, spec: SceneSpec) -> None:
         center = [statistics.median(point[k] for _, point in points) for k in range(3)]
         distances = sorted(((math.dist(point, center), k) for k, (_, point) in enumerate(points)), reverse=True)
         (far, k), (rest, _) = distances[:2]
-        if far > FAR and far > FAR_RATIO * max(rest, LEAST_EXTENT):
-            path = points[k][0]
+        path = points[k][0]
+        if far > (FAR_CAMERA if path[0] == "cameras" else FAR) and far > FAR_RATIO * max(rest, LEAST_EXTENT):
             c.warn("SF439", path, f"`{path[1]}` is {far:.4g} m from everything else", _HINT)
     for name, camera in spec.cameras.items():
         distance = math.hypot(*camera.pose.xyz)
@@ -109,17 +112,26 @@ def check_asset_outliers(c: Checker, spec: AssetSpec) -> None:
 
 
 def _lengths(spec: AssetSpec) -> Iterator[_Length]:
-    """Yield the largest dimension and the offset of each part, and the offset of each joint."""
+    """Yield the largest dimension and the offset of each part, and the offset of each joint.
+
+    The base of a mechanism may be a long rail, so that its size is not compared with that of the carriage.
+    """
     for link_name, link in spec.links.items():
         for name, part in link.parts.items():
             path: Path_ = ("links", link_name, "parts", name)
             sizes = [*dimensions(part.shape, (*path, "shape"))] if part.shape is not None else []
-            if sizes:
+            is_rail = len(link.parts) == 1 and len(spec.links) > 1 and link_name == next(iter(spec.links))
+            if sizes and not is_rail:
                 at, value = max(sizes, key=lambda each: each[1])
                 yield _Length(name, at, value, True)
             yield _Length(name, (*path, "pose", "xyz"), math.hypot(*part.pose.xyz), False)
     for name, joint in spec.joints.items():
         yield _Length(name, ("joints", name, "pose", "xyz"), math.hypot(*joint.pose.xyz), False)
+
+
+def _is_reported(shape: Shape) -> bool:
+    """Return True if a shape is so large that its size is reported by itself, such as a ground plane in an asset."""
+    return any(length > LARGEST for _, length in dimensions(shape, ()))
 
 
 def _check_weight(
@@ -130,7 +142,7 @@ def _check_weight(
     materials: Mapping[str, Material],
 ) -> None:
     """Check the mass that follows from the density of a movable body."""
-    if body.mass is not None or not shapes:
+    if body.mass is not None or not shapes or any(_is_reported(shape) for _, shape, _ in shapes):
         return
     given = quantity_value(body.density)
     masses: list[tuple[float, Path_]] = []
