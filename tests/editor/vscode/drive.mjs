@@ -4,7 +4,7 @@ import { join } from "node:path";
 import { chromium } from "playwright-core";
 
 const [address, executablePath, pictures] = process.argv.slice(2);
-const PATIENCE = 60_000;
+const PATIENCE = 30_000;
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
 const page = await browser.newPage({ viewport: { width: 1400, height: 800 } });
 page.setDefaultTimeout(PATIENCE);
