@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
@@ -25,7 +26,6 @@ from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import Execution, check_cameras, check_rate, pictures
 from simfoundry.evaluate.rollouts.rollout import Progress
 from simfoundry.evaluate.task import Task, load_task, need_robots
-from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.signals import ActionSpace, ImageKind
@@ -132,7 +132,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._begin(self._now.starts(self._count, self._seed, self._cache)[k])
         return self._observation(), self._info(False)
 
-    def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Apply one action.
 
         Raises:

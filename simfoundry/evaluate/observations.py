@@ -127,8 +127,8 @@ def checked_observation(key: str, value: object, shape: tuple[int, ...]) -> NDAr
     """
     signal = signal_of(key)
     if not isinstance(value, np.ndarray) or value.dtype != np.dtype(signal.dtype):
-        what = f"of `{value.dtype}`" if isinstance(value, np.ndarray) else f"but a `{type(value).__name__}`"
-        raise InvalidAnswerError(f"observation `{key}` must be an array of `{signal.dtype}`, not {what}")
+        what = f"not of `{value.dtype}`" if isinstance(value, np.ndarray) else f"but it is a `{type(value).__name__}`"
+        raise InvalidAnswerError(f"observation `{key}` must be an array of `{signal.dtype}`, {what}")
     if value.shape != shape:
         raise InvalidAnswerError(f"observation `{key}` must have shape {shape}; got {value.shape}")
     if value.dtype.kind == "f" and not np.isfinite(value).all():

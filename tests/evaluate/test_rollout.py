@@ -135,7 +135,10 @@ def test_pictures_are_drawn_only_when_a_policy_looks_and_change_nothing(
             r"actions must have shape \(horizon, 3\), for 2 joints and the gripper of `arm`; got \(4, 2\)",
         ),
         (np.zeros((0, 3)), r"got \(0, 3\)"),
-        (np.array([[0, 0, 0], [0, np.nan, 0]]), r"actions must be finite; number 1 of action 1 \(joint 2 of `arm`\) is nan"),
+        (
+            np.array([[0, 0, 0], [0, np.nan, 0]]),
+            r"actions must be finite; number 1 of action 1 \(joint 2 of `arm`\) is nan",
+        ),
         ("open the gripper", r"actions must be an array of numbers, got str"),
         (np.zeros((1, 3), complex), r"an array of `complex128`"),
         ([["0", "0", "0"]], r"an array of `<U1`"),
