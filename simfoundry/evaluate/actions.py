@@ -17,7 +17,7 @@ from simfoundry.spec.models.signals import (
     MAX_VELOCITY,
     ActionKind,
     ActionSpace,
-    ReferenceFrame,
+    HandFrame,
     RotationForm,
 )
 
@@ -172,7 +172,7 @@ def action_limits(space: ActionSpace, scene: Scene, robots: Mapping[str, WorldRo
             case ActionKind.HAND_POSE:
                 known = scene.robot(name)
                 reach = known.reach or UNKNOWN_REACH
-                middle = known.X_WB.p if space.frame is ReferenceFrame.WORLD else np.zeros(3)
+                middle = known.X_WB.p if space.frame is HandFrame.WORLD else np.zeros(3)
                 rows += [(float(at) - reach, float(at) + reach) for at in middle] + space.rotation_limits()
             case ActionKind.HAND_DELTA:
                 rows += [(-MAX_TRANSLATION, MAX_TRANSLATION)] * 3 + space.rotation_limits()

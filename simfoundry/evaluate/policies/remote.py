@@ -28,7 +28,7 @@ from simfoundry.evaluate.policies.codec import Codec, CodecError
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.policy import PROTOCOLS, GripperConvention, PolicySpec, address_uri
-from simfoundry.spec.models.signals import HAND_READINGS, ImageKind, ReferenceFrame
+from simfoundry.spec.models.signals import HAND_READINGS, HandFrame, ImageKind
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
@@ -124,7 +124,7 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
 def hand_numbers(robot: RobotReading, what: str) -> Array:
     """Return a hand pose as position [m] and rotation, for a name in :data:`HAND_READINGS`."""
     frame, form = HAND_READINGS[what]
-    pose = robot.X_WH if frame is ReferenceFrame.WORLD else robot.X_BH
+    pose = robot.X_WH if frame is HandFrame.WORLD else robot.X_BH
     return np.concatenate([pose.p, rotation_numbers(pose.q, form)])
 
 

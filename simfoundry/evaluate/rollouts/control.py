@@ -24,8 +24,8 @@ from simfoundry.spec.models.signals import (
     MAX_TRANSLATION,
     ActionKind,
     ActionSpace,
+    HandFrame,
     ImageKind,
-    ReferenceFrame,
     RotationForm,
 )
 from simfoundry.worlds.base import World, WorldRobot
@@ -190,7 +190,7 @@ class Controller:
         X_WB, turn = arm.robot.X_WB, rotation_quat(values[3:], self._space.rotation)
         if self._space.kind is ActionKind.HAND_POSE:
             X_FT = Pose.of(values[:3], turn)
-            X_WT = X_WB @ X_FT if given is ReferenceFrame.BASE else X_FT
+            X_WT = X_WB @ X_FT if given is HandFrame.BASE else X_FT
         else:
             X_WT = self._shifted(name, values[:3], turn)
         self._hands[name] = X_WT
@@ -202,9 +202,9 @@ class Controller:
         """Return the next target of a hand in the world, close enough to the hand."""
         before, now = self._hands[name], self.robots[name].frame("hand")
         axes = {
-            ReferenceFrame.BASE: self._arms[name].robot.X_WB,
-            ReferenceFrame.WORLD: Pose.of(),
-            ReferenceFrame.HAND: before,
+            HandFrame.BASE: self._arms[name].robot.X_WB,
+            HandFrame.WORLD: Pose.of(),
+            HandFrame.HAND: before,
         }[self._space.frame]
         R_WF = Pose.of(q=axes.q)
         R_WT = R_WF @ Pose.of(q=turn) @ R_WF.inverse() @ Pose.of(q=before.q)

@@ -25,7 +25,7 @@ class ActionKind(StrEnum):
     HAND_DELTA = "hand_delta"
 
 
-class ReferenceFrame(StrEnum):
+class HandFrame(StrEnum):
     """The frame in which a hand pose or its change is expressed."""
 
     BASE = "base"
@@ -180,7 +180,7 @@ class ActionSpace:
     """
 
     kind: ActionKind
-    frame: ReferenceFrame = ReferenceFrame.BASE
+    frame: HandFrame = HandFrame.BASE
     rotation: RotationForm = RotationForm.QUAT_WXYZ
     normalized: bool = False
 
@@ -218,14 +218,14 @@ class ActionSpace:
             return replace(self, normalized=True)
         if word in list(RotationForm):
             return replace(self, rotation=RotationForm(word))
-        return replace(self, frame=ReferenceFrame(word))
+        return replace(self, frame=HandFrame(word))
 
     @property
-    def _frames(self) -> tuple[ReferenceFrame, ...]:
+    def _frames(self) -> tuple[HandFrame, ...]:
         if not self.of_hand:
             return ()
-        both = (ReferenceFrame.BASE, ReferenceFrame.WORLD)
-        return both if self.kind is ActionKind.HAND_POSE else (*both, ReferenceFrame.HAND)
+        both = (HandFrame.BASE, HandFrame.WORLD)
+        return both if self.kind is ActionKind.HAND_POSE else (*both, HandFrame.HAND)
 
     @property
     def of_hand(self) -> bool:
@@ -259,7 +259,7 @@ class ActionSpace:
 
     def __str__(self) -> str:
         words = [str(self.kind)]
-        if self.frame is not ReferenceFrame.BASE:
+        if self.frame is not HandFrame.BASE:
             words.append(self.frame)
         if self.of_hand and self.rotation is not _DEFAULT_ROTATION[self.kind]:
             words.append(self.rotation)
@@ -278,14 +278,14 @@ ActionSpace.JOINT_DELTA = ActionSpace(ActionKind.JOINT_DELTA)
 
 def _role(word: str) -> str:
     """Return the property that a word specifies."""
-    return "rotation" if word in list(RotationForm) else "frame" if word in list(ReferenceFrame) else word
+    return "rotation" if word in list(RotationForm) else "frame" if word in list(HandFrame) else word
 
 
 # The poses of the hand that a policy server may receive, by the name of the reading in a policy document.
-HAND_READINGS: Mapping[str, tuple[ReferenceFrame, RotationForm]] = {
-    "hand": (ReferenceFrame.BASE, RotationForm.RPY),
-    "hand_quat": (ReferenceFrame.BASE, RotationForm.QUAT_WXYZ),
-    "hand_rotvec": (ReferenceFrame.BASE, RotationForm.ROTVEC),
-    "hand_rot6d": (ReferenceFrame.BASE, RotationForm.ROT6D),
-    "hand_world": (ReferenceFrame.WORLD, RotationForm.QUAT_WXYZ),
+HAND_READINGS: Mapping[str, tuple[HandFrame, RotationForm]] = {
+    "hand": (HandFrame.BASE, RotationForm.RPY),
+    "hand_quat": (HandFrame.BASE, RotationForm.QUAT_WXYZ),
+    "hand_rotvec": (HandFrame.BASE, RotationForm.ROTVEC),
+    "hand_rot6d": (HandFrame.BASE, RotationForm.ROT6D),
+    "hand_world": (HandFrame.WORLD, RotationForm.QUAT_WXYZ),
 }
