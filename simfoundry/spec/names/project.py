@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from simfoundry.spec.names.lookup import Meaning, NameLookup, Symbol
 from simfoundry.spec.names.mentions import DocumentNames, Mention, Sections, document_names
-from simfoundry.spec.names.scopes import Found, Scopes, Symbol
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, Read, read
 
@@ -66,12 +66,12 @@ class ProjectNames:
     """Errors of the documents that could not be parsed, by resolved path."""
 
     def __post_init__(self) -> None:
-        self.scopes = Scopes(self.root.resolve(), self._read)
+        self._lookup = NameLookup(self.root.resolve(), self._read)
         todo = [os.path.realpath(file) for file in self.files]
         while todo:
             file = todo.pop()
-            if file not in self.scopes.read and self.scopes.document(file) is not None:
-                todo += self.scopes.references(file)
+            if file not in self._lookup.read and self._lookup.document(file) is not None:
+                todo += self._lookup.references(file)
 
     def _read(self, file: str) -> DocumentNames | None:
         try:
@@ -87,7 +87,7 @@ class ProjectNames:
     @property
     def documents(self) -> dict[str, DocumentNames]:
         """Return the documents that could be parsed, by resolved path."""
-        return {file: names for file, names in self.scopes.read.items() if names is not None}
+        return {file: names for file, names in self._lookup.read.items() if names is not None}
 
     def occurrences(self, file: Path | str) -> tuple[Occurrence, ...]:
         """Return the occurrences of names in a document, in the order of its text."""
@@ -111,17 +111,17 @@ class ProjectNames:
 
     def symbols(self, file: Path | str, name: str, sections: Sections) -> list[Symbol]:
         """Return what a name means in a document, by section, without duplicates."""
-        found = (self.scopes.lookup(os.path.realpath(file), section, name) for section in sections)
+        found = (self._lookup.find(os.path.realpath(file), section, name) for section in sections)
         return list(dict.fromkeys(self.same(each.symbol) for each in found if each is not None))
 
     def same(self, symbol: Symbol) -> Symbol:
         """Return the symbol that stands for all symbols that must have the same name as this one."""
         assert self._occurrences is not None  # which finds them
-        return self.scopes.same(symbol)
+        return self._lookup.same(symbol)
 
     def dependencies(self, file: Path | str) -> frozenset[str]:
         """Return the documents that a document refers to, directly."""
-        return frozenset(self.scopes.references(os.path.realpath(file)))
+        return frozenset(self._lookup.references(os.path.realpath(file)))
 
     def dependents(self, file: Path | str) -> frozenset[str]:
         """Return the documents that a change of a document can affect, directly or by other documents."""
@@ -137,7 +137,7 @@ class ProjectNames:
     def _users(self) -> dict[str, set[str]]:
         users: dict[str, set[str]] = {}
         for file in self.documents:
-            for used in self.scopes.references(file):
+            for used in self._lookup.references(file):
                 users.setdefault(used, set()).add(file)
         return users
 
@@ -145,7 +145,7 @@ class ProjectNames:
     def _occurrences(self) -> dict[str, tuple[Occurrence, ...]]:
         documents = dict(self.documents)
         found = {file: [(m, self._resolve(names, m)) for m in names.mentions] for file, names in documents.items()}
-        self.scopes.join_alternatives()
+        self._lookup.join_alternatives()
         return {
             file: tuple(
                 occurrence
@@ -156,17 +156,17 @@ class ProjectNames:
             for file, pairs in found.items()
         }
 
-    def _resolve(self, names: DocumentNames, mention: Mention) -> Found | None:
+    def _resolve(self, names: DocumentNames, mention: Mention) -> Meaning | None:
         """Return what a mention means, in its own document or in one that extends it."""
         todo, seen = [names.file], set[str]()
         while todo:
             file = todo.pop(0)
             seen.add(file)
-            found = self.scopes.resolve(file, mention)
+            found = self._lookup.resolve(file, mention)
             if found is not None:
                 return found
             users = self._users.get(file, set())
-            todo += sorted(u for u in users - seen if file in self.scopes.chain(u)[1:])
+            todo += sorted(u for u in users - seen if file in self._lookup.chain(u)[1:])
         return None
 
     def _is_foreign(self, names: DocumentNames, mention: Mention) -> bool:
@@ -174,10 +174,10 @@ class ProjectNames:
         owner = mention.owner
         if owner is None:
             return False
-        head = self.scopes.head(names.file, owner)
+        head = self._lookup.head(names.file, owner)
         return head is None or head.symbol.kind == "robot"
 
-    def _placed(self, names: DocumentNames, mention: Mention, meaning: Found | None) -> Iterator[Occurrence]:
+    def _placed(self, names: DocumentNames, mention: Mention, meaning: Meaning | None) -> Iterator[Occurrence]:
         """Yield the occurrences in a mention: several for a name with the prefix of an include."""
         whole = mention.end - mention.start == len(mention.name)  # else it is written with escapes
         segments = meaning.segments if meaning is not None else ((None, 0, len(mention.name)),)
@@ -190,7 +190,7 @@ class ProjectNames:
                 and mention.path == (*symbol.section, symbol.name)
             )
             yield Occurrence(
-                None if symbol is None else self.scopes.same(symbol),
+                None if symbol is None else self._lookup.same(symbol),
                 mention.name[first:last],
                 names.file,
                 start,

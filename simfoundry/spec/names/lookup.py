@@ -71,7 +71,7 @@ _Layer = tuple[str, Path_]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Meaning:
     """What a name means.
 
     Attributes:
@@ -85,11 +85,11 @@ class Found:
     layers: tuple[_Layer, ...]
 
 
-def _found(symbol: Symbol, name: str, layers: tuple[_Layer, ...]) -> Found:
-    return Found(symbol, ((symbol, 0, len(name)),), layers)
+def _meaning(symbol: Symbol, name: str, layers: tuple[_Layer, ...]) -> Meaning:
+    return Meaning(symbol, ((symbol, 0, len(name)),), layers)
 
 
-class Scopes:
+class NameLookup:
     """The names that are visible in each document.
 
     Args:
@@ -101,7 +101,7 @@ class Scopes:
         self.root = root
         self.read: dict[str, DocumentNames | None] = {}
         self._names_of = names_of
-        self._looked_up: dict[tuple[str, str, str], Found | None] = {}
+        self._looked_up: dict[tuple[str, str, str], Meaning | None] = {}
         self._located: dict[tuple[str, str], str | None] = {}
         self._chains: dict[str, tuple[str, ...]] = {}
         self._alternatives: dict[Symbol, dict[str, None]] = {}
@@ -181,10 +181,10 @@ class Scopes:
 
     # -- names ------------------------------------------------------------------------------------------------------
 
-    def resolve(self, file: str, mention: Mention) -> Found | None:
+    def resolve(self, file: str, mention: Mention) -> Meaning | None:
         """Return what a mention in a document means, or None if there is nothing with this name."""
         if mention.owner is None:
-            found = (self.lookup(file, section, mention.name) for section in mention.sections)
+            found = (self.find(file, section, mention.name) for section in mention.sections)
             first = next((each for each in found if each is not None), None)
             if first is not None and mention.is_key:
                 self._alternatives.setdefault(first.symbol, {}).update(dict.fromkeys(self._assets(first)))
@@ -199,20 +199,20 @@ class Scopes:
                 return inner
         return None
 
-    def head(self, file: str, owner: Owner) -> Found | None:
+    def head(self, file: str, owner: Owner) -> Meaning | None:
         """Return the member whose own names are meant."""
-        found = (self.lookup(file, section, owner.name) for section in owner.sections)
+        found = (self.find(file, section, owner.name) for section in owner.sections)
         return next((each for each in found if each is not None), None)
 
-    def lookup(self, file: str, section: str, name: str) -> Found | None:
+    def find(self, file: str, section: str, name: str) -> Meaning | None:
         """Return the member of a section that a name means in a document."""
         key = (file, section, name)
         if key not in self._looked_up:
             self._looked_up[key] = None  # until it is found, for cycles
-            self._looked_up[key] = self._lookup(file, section, name)
+            self._looked_up[key] = self._found(file, section, name)
         return self._looked_up[key]
 
-    def _lookup(self, file: str, section: str, name: str) -> Found | None:
+    def _found(self, file: str, section: str, name: str) -> Meaning | None:
         names = self.document(file)
         if names is not None and names.kind == "policy":
             return self._only(section, name)
@@ -220,7 +220,7 @@ class Scopes:
         if home is None:
             return None
         if home != file:
-            return self.lookup(home, section, name)
+            return self.find(home, section, name)
         chain = [names for each in self.chain(file) if (names := self.document(each)) is not None]
         own = tuple((each.file, (section, name)) for each in chain if name in each.section(section))
         if section in SECTIONS and (included := self._included(chain, section, name)) is not None:
@@ -228,42 +228,42 @@ class Scopes:
         if section == "objects" and (copied := self._copied(file, name, own)) is not None:
             return replace(copied, layers=(*own, *copied.layers))
         if own:
-            return _found(Symbol(KINDS[section], name, own[-1][0], (section,)), name, own)
+            return _meaning(Symbol(KINDS[section], name, own[-1][0], (section,)), name, own)
         if section in ("joints", "axes"):
             return self._axis(chain, name)
         return None
 
-    def _only(self, section: str, name: str) -> Found | None:
+    def _only(self, section: str, name: str) -> Meaning | None:
         """Return the only member of any scene with a name, for documents that can be used with every scene."""
         scenes = [file for file, names in self.read.items() if names is not None and names.kind == "scene"]
-        found = [each for file in scenes if (each := self.lookup(file, section, name)) is not None]
+        found = [each for file in scenes if (each := self.find(file, section, name)) is not None]
         return found[0] if len({each.symbol for each in found}) == 1 else None
 
-    def _included(self, chain: list[DocumentNames], section: str, name: str) -> Found | None:
+    def _included(self, chain: list[DocumentNames], section: str, name: str) -> Meaning | None:
         """Return the member of an included scene that a name with the prefix of the include means."""
         for prefix in dict.fromkeys(key for names in chain for key in names.section("include")):
             layers = tuple((names.file, ("include", prefix)) for names in chain if prefix in names.section("include"))
             include = Symbol(KINDS["include"], prefix, layers[-1][0], ("include",))
             entries = [self._data(layer) for layer in layers]
             if name == prefix and section == "frames" and any("pose" in entry for entry in entries):
-                return _found(include, name, layers)
+                return _meaning(include, name, layers)
             if not name.startswith(f"{prefix}_"):
                 continue
             scene = self._stated(chain[0].file, ("include", prefix, "scene"))
             rest = len(prefix) + 1
-            inner = self.lookup(scene, section, name[rest:]) if scene is not None else None
+            inner = self.find(scene, section, name[rest:]) if scene is not None else None
             if inner is not None:
                 shifted = tuple((symbol, start + rest, end + rest) for symbol, start, end in inner.segments)
-                return Found(inner.symbol, ((include, 0, rest - 1), *shifted), inner.layers)
+                return Meaning(inner.symbol, ((include, 0, rest - 1), *shifted), inner.layers)
         return None
 
-    def _copied(self, file: str, name: str, own: tuple[_Layer, ...]) -> Found | None:
+    def _copied(self, file: str, name: str, own: tuple[_Layer, ...]) -> Meaning | None:
         """Return the repeated object of which a name means a copy."""
         ending = INDICES.search(name)
         stem = name
         while ending is not None and len(stem) > ending.start():
             stem, _, _ = stem.rpartition("_")
-            found = self.lookup(file, "objects", stem) if stem else None
+            found = self.find(file, "objects", stem) if stem else None
             if found is None or not self._is_repeated(file, found):
                 continue
             complete = any(key in self._data(layer) for layer in own for key in ("shape", "asset"))
@@ -271,15 +271,15 @@ class Scopes:
                 return found
         return None
 
-    def _is_repeated(self, file: str, found: Found) -> bool:
+    def _is_repeated(self, file: str, found: Meaning) -> bool:
         return any("repeat" in self._data(layer) for layer in self._with_templates(found.layers))
 
-    def _has_copy(self, file: str, found: Found, indices: str) -> bool:
+    def _has_copy(self, file: str, found: Meaning, indices: str) -> bool:
         """Return True if a repeated object has a copy with these indices, as far as its counts are numbers."""
         layers, seen = self._with_templates(found.layers), set[str]()
         while True:
             repeat = next((entry["repeat"] for layer in layers if "repeat" in (entry := self._data(layer))), None)
-            leader = self.lookup(file, "objects", repeat) if isinstance(repeat, str) and repeat not in seen else None
+            leader = self.find(file, "objects", repeat) if isinstance(repeat, str) and repeat not in seen else None
             if leader is None:
                 break
             seen.add(str(repeat))
@@ -293,26 +293,26 @@ class Scopes:
             not isinstance(most, int) or 1 <= int(index) <= most for index, most in zip(given, counts, strict=True)
         )
 
-    def _axis(self, chain: list[DocumentNames], name: str) -> Found | None:
+    def _axis(self, chain: list[DocumentNames], name: str) -> Meaning | None:
         """Return the axis of a joint with several axes."""
         for names in reversed(chain):
             for joint, entry in names.section("joints").items():
                 axes = entry.get("axes") if isinstance(entry, dict) else None
                 if isinstance(axes, dict) and name in axes:
                     path: Path_ = ("joints", joint, "axes")
-                    return _found(Symbol("joint", name, names.file, path), name, ((names.file, (*path, name)),))
+                    return _meaning(Symbol("joint", name, names.file, path), name, ((names.file, (*path, name)),))
         return None
 
     # -- members of members -----------------------------------------------------------------------------------------
 
-    def _member(self, file: str, head: Found, section: str, name: str) -> Found | None:
+    def _member(self, file: str, head: Meaning, section: str, name: str) -> Meaning | None:
         """Return what a name of a member means, such as ``drawer`` of a cabinet."""
         kind = head.symbol.kind
         if kind == "include":
             scene = self._stated(file, ("include", head.symbol.name, "scene"))
-            return self.lookup(scene, section, name) if scene is not None and section == "parameters" else None
+            return self.find(scene, section, name) if scene is not None and section == "parameters" else None
         if kind == "joint":
-            return self.lookup(file, "axes", name)
+            return self.find(file, "axes", name)
         layers = self._with_templates(head.layers)
         if section == "variants" or kind == "link":
             return self._stated_in(section, name, [(each, (*path, section)) for each, path in layers])
@@ -325,13 +325,13 @@ class Scopes:
                 return inner
         return None
 
-    def _stated_in(self, section: str, name: str, places: list[_Layer]) -> Found | None:
+    def _stated_in(self, section: str, name: str, places: list[_Layer]) -> Meaning | None:
         """Return the member with a name in the last of several mappings that contains it."""
         layers = tuple((file, (*path, name)) for file, path in places if name in self._data((file, path)))
         if not layers:
             return None
         file, path = layers[-1]
-        return _found(Symbol(KINDS[section], name, file, path[:-1]), name, layers)
+        return _meaning(Symbol(KINDS[section], name, file, path[:-1]), name, layers)
 
     def _compounds(self, layers: tuple[_Layer, ...]) -> Iterator[_Layer]:
         """Yield the mappings that contain the parts of an object's shape and of those of its variants."""
@@ -340,10 +340,10 @@ class Scopes:
             for inner in ((), *(("variants", variant) for variant in variants)):
                 yield file, (*path, *inner, "shape", "compound")
 
-    def _of_asset(self, asset: str, section: str, name: str) -> Found | None:
+    def _of_asset(self, asset: str, section: str, name: str) -> Meaning | None:
         """Return what a name means among the links, joints or parts of an asset."""
         if section in _OF_ASSETS:
-            return self.lookup(asset, section, name)
+            return self.find(asset, section, name)
         places: list[_Layer] = []
         for file in self.chain(asset) if section == "parts" else ():
             names = self.document(file)
@@ -359,13 +359,13 @@ class Scopes:
         while todo:
             layer = todo.pop(0)
             like = self._data(layer).get("like")
-            template = self.lookup(layer[0], "templates", like) if isinstance(like, str) else None
+            template = self.find(layer[0], "templates", like) if isinstance(like, str) else None
             new = [each for each in template.layers if each not in found] if template is not None else []
             found |= dict.fromkeys(new)
             todo += new
         return tuple(found)
 
-    def _assets(self, head: Found) -> dict[str, None]:
+    def _assets(self, head: Meaning) -> dict[str, None]:
         """Return the asset documents of an object and of its variants."""
         found: dict[str, None] = {}
         for layer in self._with_templates(head.layers) if head.symbol.kind in ("object", "template") else ():
