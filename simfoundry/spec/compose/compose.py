@@ -98,7 +98,8 @@ def _composed(
         findings += joining.findings
         added |= joining.added
     if bases:
-        document = replace(document, data=whole.value, root=whole, added=added)
+        texts = {each.file: each.text for each in chained[1:]}
+        document = replace(document, data=whole.value, root=whole, added=added, texts=texts)
     if not reuses:
         return Composed(document, tuple(findings), tuple(bases))
     from simfoundry.spec.compose.expand import expand  # only documents that reuse something need it

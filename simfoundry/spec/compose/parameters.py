@@ -8,11 +8,11 @@ import operator
 import re
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, nearest, similar_fixes
 from simfoundry.spec.yaml.nodes import Node
 
 # Reference to a parameter.
@@ -40,12 +40,13 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
 class ParameterError(Exception):
     """Raised if an expression cannot be evaluated.
 
-    ``hint`` suggests a fix, and ``name`` is the parameter without a value, if that is the reason.
+    ``hint`` suggests a fix, and ``name`` is the parameter without a value, if that is the reason. ``fixes`` contains
+    the names that can be written instead.
     """
 
-    def __init__(self, code: str, message: str, hint: str = "", name: str = "") -> None:
+    def __init__(self, code: str, message: str, hint: str = "", name: str = "", fixes: tuple[Fix, ...] = ()) -> None:
         super().__init__(message)
-        self.code, self.message, self.hint, self.name = code, message, hint, name
+        self.code, self.message, self.hint, self.name, self.fixes = code, message, hint, name, fixes
 
 
 def is_expression(text: str) -> bool:
@@ -106,7 +107,8 @@ def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
         case ast.Name(id=name):
             if name not in values:
                 hint = nearest(name, values) if values else "define it under `parameters`"
-                raise ParameterError("SF201", f"no parameter is called `{name}`", hint, name)
+                message, fixes = f"no parameter is called `{name}`", similar_fixes(name, values)
+                raise ParameterError("SF201", message, hint, name, fixes)
             return values[name]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as prefix, operand=operand):
             inner = _value(operand, values)
@@ -175,7 +177,8 @@ class Substitution:
                 self.unresolved.append(place)
             else:
                 dotted = ".".join(map(str, path))
-                self.findings.append(Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place, dotted, wrong.hint))
+                found = Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place, dotted, wrong.hint)
+                self.findings.append(replace(found, word=wrong.name, fixes=wrong.fixes))
         return node if value is None else Node(value, node.line, node.column, file=node.file)
 
 

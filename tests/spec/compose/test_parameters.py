@@ -81,7 +81,7 @@ def test_parameters_refer_to_each_other_and_are_set_from_outside(tmp_path: Path)
 
 def test_errors_stand_at_the_expression(tmp_path: Path) -> None:
     assert messages(tmp_path, f"parameters: {{gap: 0.1, r: 0.05}}\n{CUP.replace('2 * $gap', '2 * $gpa')}") == [
-        "5:54 SF201 no parameter is called `gpa`"
+        "5:59 SF201 no parameter is called `gpa`"
     ]
     assert messages(tmp_path, f"parameters: {{gap: 0.1, r: 0.05}}\n{CUP}", parameters={"gpa": 1.0}) == [
         "3:13 SF201 no parameter is called `gpa`"
