@@ -12,7 +12,7 @@ from pygls import uris
 
 from simfoundry.language_server.analysis import Analysis
 from simfoundry.language_server.positions import Lines
-from simfoundry.language_server.project import Project
+from simfoundry.language_server.project_index import ProjectIndex
 from simfoundry.spec.check.report import absolute
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.kinds import is_document
@@ -62,7 +62,7 @@ class Workspace:
     encoding: str = types.PositionEncodingKind.Utf16
     buffers: dict[str, Buffer] = field(default_factory=dict)
     texts: OpenDocuments = field(default_factory=OpenDocuments)
-    _projects: dict[Path, Project] = field(default_factory=dict)
+    _projects: dict[Path, ProjectIndex] = field(default_factory=dict)
     _known: dict[Path, _Known] = field(default_factory=dict)
     _findings: dict[Path, dict[Path, list[Diagnostic]]] = field(default_factory=dict)
 
@@ -157,11 +157,11 @@ class Workspace:
         """Return the names of the project that contains a document. Called on the thread that checks documents."""
         return self.project(path).names()
 
-    def project(self, path: Path) -> Project:
+    def project(self, path: Path) -> ProjectIndex:
         """Return the project that contains a document."""
         root = project_root(path)
         if root not in self._projects:
-            self._projects[root] = Project(root, self.texts)
+            self._projects[root] = ProjectIndex(root, self.texts)
         return self._projects[root]
 
     def folders(self) -> set[Path]:

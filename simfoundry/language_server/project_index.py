@@ -15,7 +15,7 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document
 
 
-class Project:
+class ProjectIndex:
     """The documents of one project folder.
 
     A document that cannot be parsed at the moment keeps the names that it had before; ``broken`` lists such documents.
