@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -206,13 +207,25 @@ class Workspace:
             yield from found.get(file, ())
 
 
+# Maximum length of a path [characters]; Linux allows 4096 bytes, and 255 for one name. Longer ones name no file.
+MAX_NAME = 1000
+
+# Maximum length of the name of a document that was never saved [characters]; one takes up to four bytes.
+MAX_UNSAVED = 60
+
+# Characters that no file name can contain.
+_NO_FILE = re.compile("[\0\ud800-\udfff]")
+
+
 def path_of(uri: str) -> Path:
     """Return the file of a URI, as a normalized absolute path.
 
     A URI that does not name a file, as that of a document that was never saved, stands for one in the working folder.
     """
     name = uris.to_fs_path(uri) if uri.startswith("file:") else None
-    return absolute(name if name else Path(uri.rpartition("/")[2].rpartition(":")[2] or "untitled").name)
+    if not name or len(name) > MAX_NAME:
+        name = Path(uri.rpartition("/")[2].rpartition(":")[2][-MAX_UNSAVED:] or "untitled").name
+    return absolute(_NO_FILE.sub("\ufffd", name))
 
 
 def is_ours(buffer: Buffer) -> bool:

@@ -53,6 +53,11 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
     return found and (found[1], found[2], found[3])
 
 
+def resolved(path: Path) -> Path:
+    """Return a path without symbolic links. Unlike :meth:`Path.resolve`, this also works if the links form a cycle."""
+    return Path(os.path.realpath(path))
+
+
 def located(reference: str, document: Path) -> Path:
     """Return the file that ``reference`` in ``document`` refers to: a relative path, or ``pkg:package/path``.
 
@@ -137,7 +142,7 @@ def _or_mark(target: Path, root: Path) -> str:
 def shown(reference: str, document: Path) -> Path:
     """Return the path of a file for display. The path is relative if the document's own path is relative."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
-    return plain if plain.resolve() == target else target
+    return plain if resolved(plain) == target else target
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from simfoundry.spec.check.documents import check, sift
 from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.compose.compose import REUSE, compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest, similar_fixes
-from simfoundry.spec.files import Loaded
+from simfoundry.spec.files import Loaded, resolved
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
@@ -44,7 +44,7 @@ def load(
     if text is None and path.suffix.lower() in _USD:
         compiled: Loaded = import_module("simfoundry.frontends.usd.compiled.loading").load_usd(path, known)
         return compiled
-    root = (root or project_root(path)).resolve()
+    root = resolved(root or project_root(path))
     try:
         document = reader(path) if text is None else parse(text, str(path))
     except YamlError as error:
@@ -146,7 +146,7 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known, reader: R
 
     To avoid cycles, returns None if the kind of the document is not in ``kinds``.
     """
-    key = (str(path.resolve()), kinds[0])
+    key = (str(resolved(path)), kinds[0])
     if key not in known:
         try:
             kind = kind_of(reader(path))[0]

@@ -82,6 +82,6 @@ def test_documents_that_are_not_open_follow_too(server: Server, project: Path) -
     task.write_text(TASK)
     server.open(scene, DESK.replace("mug:", "cup:"))
     assert server.diagnostics(scene) == []
-    assert server.last_diagnostics(task, "SF201")[0]["range"]["start"] == {"line": 4, "character": 6}
+    assert server.last_diagnostics(task, "SF201")[0]["range"]["start"] == {"line": 4, "character": 13}
     server.close(scene)
     assert server.last_diagnostics(task) == []
