@@ -8,8 +8,8 @@ from pathlib import Path
 
 from lsprotocol import types
 
-from simfoundry.spec.names.lookup import Symbol
 from simfoundry.spec.names.project import Occurrence, ProjectNames
+from simfoundry.spec.names.symbols import Symbol
 
 # Returns the location of the characters between two offsets of a document, which is given by its resolved path.
 Locate = Callable[[str, int, int], types.Location]
