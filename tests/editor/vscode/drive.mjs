@@ -82,7 +82,7 @@ await step("trust", async () => {
   await page.getByText("Yes, I trust the authors").click();
   await page.getByText("desk.scene.yaml").first().click();
   await page.waitForSelector(".view-line");
-  return page.locator("#status\\.editor\\.mode").textContent();
+  return until(() => page.locator("#status\\.editor\\.mode").textContent(), (text) => text === "SimFoundry");
 });
 
 await step("missing", async () => {
