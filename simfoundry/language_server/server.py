@@ -106,7 +106,9 @@ class Server(LanguageServer):
             return
         if not analysis.has_errors:
             try:
-                analysis = await self.run(linted, analysis, partial(self._stop_if_queued, path))
+                lowered = self.documents.lowered(path)
+                earlier = lowered.draft if lowered is not None else None
+                analysis = await self.run(linted, analysis, partial(self._stop_if_queued, path), earlier)
             except _NewerTextError:
                 return
             self.documents.store(analysis)
