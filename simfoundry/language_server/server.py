@@ -113,7 +113,9 @@ class Server(LanguageServer):
             return
         if not analysis.has_errors:
             try:
-                analysis = await self.run(linted, analysis, partial(self._stop_for_newer_text, path))
+                lowered = self.documents.lowered(path)
+                earlier = lowered.draft if lowered is not None else None
+                analysis = await self.run(linted, analysis, partial(self._stop_for_newer_text, path), earlier)
             except _NewerTextError:
                 self._queue.setdefault(path, changed)
                 return
