@@ -1,7 +1,7 @@
 """The server: it receives what the editor tells and asks, and passes it on to the modules beside it.
 
-Messages are handled on one thread, documents are checked on another, and names are looked up on a third. A check consists of two parts, the structure
-and the geometry, and stops in between if the editor has sent a newer text.
+Messages are handled on one thread, documents are checked on another, and names are looked up on a third. A check
+consists of two parts, the structure and the geometry, and stops if the editor has sent a newer text.
 """
 
 from __future__ import annotations

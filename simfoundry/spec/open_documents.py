@@ -29,7 +29,7 @@ class OpenDocuments:
     """The texts that an editor shows in place of files, and the documents that were loaded with them.
 
     A document is kept until a file that it was read from changes, in the editor or on disk. Documents with errors are
-    not kept, because files may be missing that are created later. Other threads may edit and read texts while one loads.
+    not kept, because files may be missing that are created later. Other threads may edit and read texts meanwhile.
     """
 
     def __init__(self) -> None:
