@@ -99,6 +99,21 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
     return New(path, format_text(text, str(path), line), schemas, markers(project))
 
 
+def starter(kind: str, path: Path) -> str:
+    """Return the text with which an editor fills the empty file ``path``, without the line that names its schema.
+
+    ``kind`` is one of :data:`WORDS`. If the folder contains no scene for a task or recipe, the text is the example.
+    """
+    from simfoundry.spec.editor.reference import example  # generates schemas, which is slow
+
+    try:
+        text = make(kind, path, None, None, None).text
+    except (NewError, SpecError):
+        text = example(f"{kind}/1")
+    first, _, rest = text.partition("\n")
+    return rest if first.startswith("# yaml-language-server") else text
+
+
 def _name(path: Path, name: str | None) -> str:
     """Return the document name, which is derived from the file name (for a capture, the folder name) by default."""
     if name is not None:
