@@ -17,7 +17,6 @@ from simfoundry.language_server.positions import Lines
 from simfoundry.language_server.scan import Slot
 from simfoundry.language_server.value_offers import argument_kinds, value_offers
 from simfoundry.spec.editor import snippets
-from simfoundry.spec.editor.new import NewError, starter
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.predicate import PREDICATES, canonical
 from simfoundry.spec.models.types import kinds_at
@@ -100,7 +99,9 @@ def _as_item(cursor: Cursor) -> Cursor:
 
 
 def _starters(context: CompletionContext) -> Iterator[Offer]:
-    """Yield whole documents for an empty file, that of its own kind first."""
+    """Yield whole documents for an empty file, of the kind that its name states."""
+    from simfoundry.spec.editor.new import NewError, starter  # only an empty file needs it
+
     own = kind_of_file(context.path)
     for kind in (kind.partition("/")[0] for kind in KINDS):
         if own and kind != own:

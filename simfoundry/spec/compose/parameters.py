@@ -22,7 +22,7 @@ PARAMETER = re.compile(r"\$([a-z][a-z0-9_]*)")
 _EXPRESSION = re.compile(r"(?:\$[A-Za-z0-9_]*|[0-9.]+(?:[eE][-+]?[0-9]+)?|[-+*/() ])+\Z")
 
 # Keys below which every value is a text.
-TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
+_TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
 
 # Maximum length of an expression [characters], which bounds the nesting depth.
 MAX_LENGTH = 200
@@ -47,6 +47,14 @@ class ParameterError(Exception):
     def __init__(self, code: str, message: str, hint: str = "", name: str = "", fixes: tuple[Fix, ...] = ()) -> None:
         super().__init__(message)
         self.code, self.message, self.hint, self.name, self.fixes = code, message, hint, name, fixes
+
+
+def holds_text(path: tuple[str | int, ...]) -> bool:
+    """Return True if a value in a scene is a text. A member can be called like a key, such as an object `source`."""
+    from simfoundry.spec.models.types import NAMES  # reads a file, which only documents with parameters need
+
+    mappings = {pattern.rpartition(".")[2] for pattern in NAMES["scene"]} if _TEXTS.intersection(path) else ()
+    return any(part in _TEXTS and not (k and path[k - 1] in mappings) for k, part in enumerate(path))
 
 
 def is_expression(text: str) -> bool:
@@ -162,7 +170,7 @@ class Substitution:
                 self.unresolved.append((node.file or self.file, node.line, node.column))
             if any(a is not b for a, b in zip(items, node.children, strict=True)):
                 new = node.with_members(items)
-        elif isinstance(node.value, str) and is_expression(node.value) and not TEXTS.intersection(path):
+        elif isinstance(node.value, str) and is_expression(node.value) and not holds_text(path):
             new = self._evaluated(node, path)
         self._done[id(node)] = new
         return new

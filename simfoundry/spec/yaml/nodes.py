@@ -31,6 +31,12 @@ _WORDS: dict[str, Any] = {
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
 
+
+def is_word(text: str) -> bool:
+    """Return True if YAML reads an unquoted text as null, a truth value or a number that is not finite."""
+    return text in _WORDS
+
+
 # Characters that can start a number.
 _NUMERIC = frozenset("0123456789+-.")
 
