@@ -104,19 +104,28 @@ def record(plan: RecordPlan, seen: Seen = lambda attempt, kept, of: None, worker
     with _writing(plan.folder):
         store = _Store(plan, task)
         carried_out = _in_workers(store, workers) if workers > 1 else _in_this_process(store)
-        silent = 0
-        with closing(carried_out):
-            for attempt in carried_out:
-                silent = 0 if is_answered(attempt) else silent + 1
-                if silent >= GIVE_UP:
-                    raise SimfoundryError(
-                        f"policy `{plan.contender.label}` does not respond: {attempt.about['reason']}"
-                    )
-                if is_answered(attempt):
-                    store.add(attempt)
-                    seen(attempt, store.kept, len(store.done))
+        try:
+            with closing(carried_out):
+                _collect(store, carried_out, seen)
+        except BaseException:
+            with suppress(OSError):  # what was recorded so far can be read, also if the rest never follows
+                store.finish()
+            raise
         store.finish()
         return store.summary()
+
+
+def _collect(store: _Store, attempts: Iterator[Attempt], seen: Seen) -> None:
+    """Store attempts as they finish."""
+    silent = 0
+    for attempt in attempts:
+        silent = 0 if is_answered(attempt) else silent + 1
+        if silent >= GIVE_UP:
+            reason = attempt.about["reason"]
+            raise SimfoundryError(f"policy `{store.plan.contender.label}` does not respond: {reason}")
+        if is_answered(attempt):
+            store.add(attempt)
+            seen(attempt, store.kept, len(store.done))
 
 
 @contextmanager
@@ -153,9 +162,8 @@ class _Store:
         for number, path in enumerate(shards):
             attempts = read_shard(path)
             indices = [attempt.index for attempt in attempts]
-            if path.name != _shard_name(number) or indices != list(
-                range(len(self.done), len(self.done) + len(indices))
-            ):
+            first = len(self.done)
+            if path.name != _shard_name(number) or indices != list(range(first, first + len(indices))):
                 raise OutputError(f"{path} does not continue the shards before it; move {folder}, and record again")
             self.done |= {attempt.index: _without_arrays(attempt) for attempt in attempts}
             self._written[number] = tuple(indices)
@@ -257,15 +265,14 @@ def _check_index(plan: RecordPlan, task: Task) -> None:
     Raises:
         OutputError: If the folder contains other files, or demonstrations of another task, policy or version.
     """
-    path = plan.folder / INDEX
-    wanted = _index(plan, task)
-    if not path.exists():
-        others = [entry.name for entry in plan.folder.iterdir() if not entry.name.startswith(f".{INDEX}.")]
-        if others:
-            raise OutputError(f"{plan.folder} contains other files, such as {min(others)}; choose another folder")
+    path, wanted = plan.folder / INDEX, _index(plan, task)
+    others = [one.name for one in plan.folder.iterdir() if one.name != INDEX and not one.name.startswith(f".{INDEX}.")]
+    if others and not path.exists():
+        raise OutputError(f"{plan.folder} contains other files, such as {min(others)}; choose another folder")
+    there = read_index(path) if path.exists() else {}
+    if not any(any((plan.folder / name).glob("*.npz")) for name in (SHARDS, UNFINISHED)):
         write_atomically(path, (json.dumps(wanted, indent=1, ensure_ascii=False) + "\n").encode())
         return
-    there = read_index(path)
     for key, value in wanted.items():
         if there.get(key) != json.loads(json.dumps(value)):
             raise OutputError(
