@@ -1,4 +1,4 @@
-"""Record demonstrations of the expert while the recording is killed: ``python -m tests.corpora.record [COUNT] [KILLS]``.
+"""Record the expert while the recording is killed: ``python -m tests.corpora.record [COUNT] [KILLS]``.
 
 An arm that the package contains stacks a cube. The recording is killed with SIGKILL at random times, resumed, and its
 bytes are compared with those of an undisturbed recording. Every demonstration is then replayed in a process of its own.
