@@ -6,6 +6,7 @@ import json
 import queue
 import subprocess
 import threading
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -45,7 +46,7 @@ class Server:
     process: subprocess.Popen[bytes]
     folder: Path
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
-    published: dict[str, queue.Queue[Message]] = field(default_factory=dict)
+    published: defaultdict[str, queue.Queue[Message]] = field(default_factory=lambda: defaultdict(queue.Queue))
     logged: list[Message] = field(default_factory=list)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
@@ -161,7 +162,7 @@ class Server:
                 case {"id": number}:
                     self.answers.pop(number, queue.Queue()).put(message)
                 case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri} as params}:
-                    self.published.setdefault(uri, queue.Queue()).put(params)
+                    self.published[uri].put(params)
                 case {"method": "window/logMessage" | "window/showMessage", "params": params}:
                     self.logged.append(params)
 
