@@ -1,7 +1,7 @@
 """The server: it receives what the editor tells and asks, and passes it on to the modules beside it.
 
-Messages are handled on one thread, and documents are checked on another. A check consists of two parts, the structure
-and the geometry, and stops in between if the editor has sent a newer text.
+Messages are handled on one thread, documents are checked on another, and names are looked up on a third. A check
+consists of two parts, the structure and the geometry, and stops if the editor has sent a newer text.
 """
 
 from __future__ import annotations
@@ -64,11 +64,16 @@ class Server(LanguageServer):
         self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
+        self._names_worker = ThreadPoolExecutor(1, "names")
 
     def report_server_error(self, error: Exception, source: object) -> None:
         """Log an error. Editors interrupt the user with messages that are shown instead."""
         kind = types.MessageType.Warning if is_fault_of_client(error, source) else types.MessageType.Error
         self.window_log_message(types.LogMessageParams(kind, f"{type(error).__name__}: {error}"))
+
+    async def look_up(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run a function on the thread that looks up names, which does not wait for documents to be checked."""
+        return await asyncio.get_running_loop().run_in_executor(self._names_worker, partial(function, *args, **kwargs))
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a function on the thread that checks documents, after what is already waiting there."""
@@ -126,7 +131,7 @@ class Server(LanguageServer):
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
         if changed:
-            self.check_dependents(path, await self.run(self.documents.dependents, path))
+            self.check_dependents(path, await self.look_up(self.documents.dependents, path))
 
     def check_dependents(self, path: Path, dependents: Collection[Path]) -> None:
         """Check the documents that depend on one that has changed: those that are open first, then a few others."""
@@ -214,20 +219,20 @@ def _add_synchronization(server: Server) -> None:
         documents.texts.forget()
         documents.rescan()
         path = path_of(params.text_document.uri)
-        ls.check_dependents(path, await ls.run(documents.dependents, path))
+        ls.check_dependents(path, await ls.look_up(documents.dependents, path))
 
     @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
     async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
         buffer = documents.close(params.text_document.uri)
         if buffer is None:
             return
-        dependents = await ls.run(documents.dependents, buffer.path)
+        dependents = await ls.look_up(documents.dependents, buffer.path)
         if documents.buffer_of(buffer.path) is not None:
             return  # it was opened again
         ls.withdraw(buffer.path)
         concerned = {each.path for each in documents.buffers.values()}
         for path in tuple(concerned):
-            concerned |= await ls.run(documents.dependents, path)
+            concerned |= await ls.look_up(documents.dependents, path)
         for path in documents.analyzed_files() - concerned:
             ls.withdraw(path)
         ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
@@ -275,7 +280,7 @@ def _add_navigation(server: Server) -> None:
         buffer = documents.buffers.get(params.text_document.uri)
         if buffer is None:
             return None
-        names = await server.run(documents.names, buffer.path)
+        names = await server.look_up(documents.names, buffer.path)
         return names, buffer.path, buffer.lines.offset(params.position)
 
     @server.feature(types.TEXT_DOCUMENT_DEFINITION)
@@ -308,14 +313,14 @@ def _add_navigation(server: Server) -> None:
             return None
         project, offset = documents.project(buffer.path), buffer.lines.offset(params.position)
         try:
-            edits = await server.run(project.rename, buffer.path, offset, params.new_name)
+            edits = await server.look_up(project.rename, buffer.path, offset, params.new_name)
         except RenameError as error:
             raise RequestFailedError(str(error)) from None
         return navigation.workspace_edit(edits, documents)
 
     @server.feature(types.WORKSPACE_SYMBOL)
     async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
-        projects = [await server.run(documents.names, folder) for folder in documents.folders()]
+        projects = [await server.look_up(documents.names, folder) for folder in documents.folders()]
         return navigation.project_symbols(projects, params.query, documents.location)
 
 
