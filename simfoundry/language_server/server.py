@@ -128,6 +128,8 @@ class Server(LanguageServer):
             self.documents.store(analysis)
         if path in self._queue:
             return
+        if changed:
+            self.documents.drop_outdated(path)
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
         if changed:

@@ -467,7 +467,7 @@ def run(count: int, seed: int) -> dict[str, Tally]:
         with started(COMMAND, work) as server:
             for path in dict.fromkeys(path for path, _ in chosen):
                 server.open(path, path.read_text())
-                before = _known(server.diagnostics(path))
+                before = _known(server.diagnostics_of(path, 1))
                 for other, slip in chosen:
                     if other == path:
                         judge(server, path, slip, before, tallies.setdefault(slip.kind, Tally()))
@@ -517,8 +517,7 @@ def judge(server: Server, path: Path, slip: Slip, before: set[tuple[str, str]], 
 
 
 def _diagnostics(server: Server, path: Path, text: str) -> list[Message]:
-    server.change(path, text)
-    return server.diagnostics(path)
+    return server.diagnostics_of(path, server.change(path, text))
 
 
 def _range(index: TextIndex, found: Message) -> tuple[int, int]:
