@@ -8,8 +8,8 @@ are certain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.cameras import lower_cameras
+from simfoundry.scene.earlier import EarlierLowering
 from simfoundry.scene.lower import OBJECT_PASSES, Lowering
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
@@ -50,12 +51,14 @@ class DraftScene:
         scene: The lowered scene.
         approximate: Names of the objects for which only the convex hulls are known.
         unplaced: Names of the objects whose poses are uncertain.
+        lowered: The objects before they were placed, by name, as far as a later draft can reuse them.
     """
 
     spec: SceneSpec
     scene: Scene
     approximate: frozenset[str]
     unplaced: frozenset[str]
+    lowered: Mapping[str, SceneObject] = field(default_factory=dict)
 
     @cached_property
     def shapes(self) -> dict[str, Hulls]:
@@ -116,7 +119,9 @@ def _is_usable(shape: Hulls) -> bool:
     return bool(np.abs(shape.corners).max() + shape.radius.max() < FARTHEST)
 
 
-def drafted_start(loaded: Loaded) -> DraftScene | None:
+def drafted_start(
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None, earlier: DraftScene | None = None
+) -> DraftScene | None:
     """Return the draft of a scene document or of the initial state of a task.
 
     Returns:
@@ -126,16 +131,28 @@ def drafted_start(loaded: Loaded) -> DraftScene | None:
         SpecError: If lowering fails.
     """
     if isinstance(loaded.spec, SceneSpec):
-        return drafted(loaded)
+        return drafted(loaded, (), checkpoint, earlier)
     from simfoundry.spec.models.task import TaskSpec
 
     assert isinstance(loaded.spec, TaskSpec)
     scene = loaded.used(loaded.spec.scene)
-    return None if scene is None or not isinstance(scene.spec, SceneSpec) else drafted(scene, [loaded.spec.start])
+    return (
+        None
+        if scene is None or not isinstance(scene.spec, SceneSpec)
+        else drafted(scene, [loaded.spec.start], checkpoint, earlier)
+    )
 
 
-def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
+def drafted(
+    loaded: Loaded,
+    starts: Sequence[Start] = (),
+    checkpoint: Callable[[], None] = lambda: None,
+    earlier: DraftScene | None = None,
+) -> DraftScene:
     """Return the draft of a scene document after applying the changes in ``starts``, in order.
+
+    ``checkpoint`` is called before each object is lowered. It can raise an exception to stop. Objects that have not
+    changed are taken from an ``earlier`` draft of the same document.
 
     Raises:
         SpecError: If lowering fails.
@@ -146,9 +163,12 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
         from simfoundry.spec.models.task import with_starts
 
         spec = with_starts(spec, starts)
-    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
+    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), lambda *_: checkpoint(), fetch=False, draft=True)
+    if earlier is not None:
+        lowering.earlier = EarlierLowering(earlier.spec, earlier.scene.viewer, earlier.lowered, earlier.scene.by_name)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))
-    return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
+    lowered = lowering.lowered if loaded.reuse is None else {}  # the category of a copy is that of what it repeats
+    return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced), lowered)
 
 
 def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:
@@ -159,7 +179,9 @@ def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:
     return tuple(links), work.findings
 
 
-def drafted_steps(loaded: Loaded) -> tuple[dict[str, DraftScene], list[Diagnostic]]:
+def drafted_steps(
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None
+) -> tuple[dict[str, DraftScene], list[Diagnostic]]:
     """Return the drafts of the steps of a task that have their own initial state, and the errors of the others."""
     from simfoundry.spec.models.task import TaskSpec
 
@@ -170,7 +192,7 @@ def drafted_steps(loaded: Loaded) -> tuple[dict[str, DraftScene], list[Diagnosti
         if step.start is None or scene is None:
             continue
         try:
-            found[name] = drafted(scene, [loaded.spec.start, step.start])
+            found[name] = drafted(scene, [loaded.spec.start, step.start], checkpoint)
         except SpecError as error:
             starts = {("start",): loaded.spec.start, ("subtasks", name, "start"): step.start}
             errors += own_findings(loaded, error, starts)

@@ -79,7 +79,8 @@ class BodyBuilder:
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
     ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one. ``hidden`` contains the
-    whole meshes of parts with native data that are not shown.
+    whole meshes of parts with native data that are not shown. ``drafts`` contains the mesh bodies of a draft, which are
+    shared by all objects with the same mesh.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -99,6 +100,7 @@ class BodyBuilder:
     hidden: dict[str, Mesh] = field(default_factory=dict)
     report: Callable[[str], object] = lambda said: None
     texture_of: Callable[[str], Texture | None] = lambda material: None
+    drafts: dict[tuple[Path, MeshUse], MeshBody] = field(default_factory=dict)
 
     def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a shape at a pose in the link frame.
@@ -153,7 +155,9 @@ class BodyBuilder:
         from simfoundry.scene import mesh_bodies  # lazy import because most scenes have no meshes
 
         if self.draft:
-            return mesh_bodies.draft_body(path, use, self.cache)
+            if (path, use) not in self.drafts:
+                self.drafts[path, use] = mesh_bodies.draft_body(path, use, self.cache)
+            return self.drafts[path, use]
         return mesh_bodies.read_body(path, use, self.cache, self.report)
 
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:

@@ -10,12 +10,14 @@ from functools import cached_property
 from itertools import product
 from pathlib import Path
 from tempfile import gettempdir
+from typing import NamedTuple
 
 from pydantic import Field
 
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
@@ -101,6 +103,37 @@ def project_root(path: Path) -> Path:
     return project.root if project is not None else Path(os.path.realpath(path)).parent
 
 
+class DocumentFiles(NamedTuple):
+    """The documents below a folder: those that commands read, and those that the project excludes."""
+
+    included: list[Path]
+    excluded: list[Path]
+
+
+def document_files(folder: Path) -> DocumentFiles:
+    """Find the documents below a folder, in alphabetical order.
+
+    Files and folders whose names start with a dot are skipped, and links to folders are not followed. A document is
+    excluded by the project that contains ``folder`` or by its own project.
+
+    Raises:
+        SpecError: If the marker file of a project cannot be read.
+    """
+    found: list[Path] = []
+    for parent, folders, files in os.walk(folder):
+        here = Path(parent)
+        found += (here / name for name in (*files, *folders) if not name.startswith(".") and is_document(here / name))
+        folders[:] = [name for name in folders if not name.startswith(".")]
+    found.sort()
+    projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
+    done = DocumentFiles([], [])
+    for path in found:
+        both = (projects[folder], projects[path.parent])
+        skipped = any(project is not None and project.excludes(path, folder) for project in both)
+        (done.excluded if skipped else done.included).append(path)
+    return done
+
+
 def common_project(*files: Path) -> Project:
     """Return the nearest project that contains all ``files``, which need not exist.
 
@@ -117,7 +150,7 @@ def common_project(*files: Path) -> Project:
     except ValueError:  # on different drives
         raise NoProjectError(f"no folder contains {_listed(files)}; move them into one folder") from None
     here = Path.cwd()
-    below = closest.is_relative_to(here) and not _is_shared(here)
+    below = closest.is_relative_to(here) and not is_shared(here)
     project = find_project(closest) or Project(here if below else closest)
     for file, folder in zip(files, folders, strict=True):
         inner = find_project(folder)
@@ -125,7 +158,7 @@ def common_project(*files: Path) -> Project:
             others = [f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root)]
             message = f"`{file}` belongs to the project {inner.root}, which does not contain {_listed(others)}"
             raise NoProjectError(f"{message}; move all files into {inner.root}, or its {MARKER} to {project.root}")
-    if not project.is_marked and len({*folders}) > 1 and _is_shared(project.root):
+    if not project.is_marked and len({*folders}) > 1 and is_shared(project.root):
         raise NoProjectError(
             f"the closest folder that contains {_listed(files)} is {project.root}, "
             f"which also contains unrelated files; move them into a separate folder"
@@ -142,10 +175,10 @@ def markers(project: Project) -> dict[Path, str]:
 
     The result is empty if the project already has a marker file or if its folder is shared.
     """
-    return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
+    return {} if project.is_marked or is_shared(project.root) else {project.marker: MARKING}
 
 
-def _is_shared(folder: Path) -> bool:
+def is_shared(folder: Path) -> bool:
     """Return True for folders that do not belong to a single project: system, home, and temporary folders."""
     return any(Path(os.path.realpath(owned)).is_relative_to(folder) for owned in (Path.home(), gettempdir()))
 

@@ -22,6 +22,12 @@ EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
 # Sections in which names are looked up, keyed by the field whose value is a name or a list of names.
 REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
 
+# Keys whose values are predicates, or lists of predicates.
+EXPRESSIONS: tuple[str, ...] = _KEYS["expressions"]
+
+# Mappings whose keys are names: for each kind of document, the section of the names by the pattern of the path.
+NAMES: dict[str, dict[str, str]] = _KEYS["names"]
+
 # For each key, the keys that it cannot be combined with.
 RIVALS = {key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in sum(EXCLUSIVE, ())}
 
@@ -42,6 +48,14 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
     return [kind for _, kind in current if isinstance(kind, type) and issubclass(kind, BaseModel)]
 
 
+def kinds_at(root: Any, path: tuple[Any, ...]) -> list[Any]:
+    """Return the possible types at a path in a document of the type ``root``, without unions and constraints."""
+    current = [kind for _, kind in flat(root)]
+    for part in path:
+        current = [each for kind in current for inner in inside(kind, part) for _, each in flat(inner)]
+    return current
+
+
 def inside(kind: Any, part: Any) -> Iterator[Any]:
     """Yield the types that a member of a type can have. ``part`` is the key or index of the member."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -55,6 +69,8 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 def field_type(model: type[BaseModel], name: str) -> Any:
     """Return the type of a field, annotated with its constraints."""
+    if not model.__pydantic_fields_complete__:  # a recursive type, which has not been resolved yet
+        model.model_rebuild()
     info = model.model_fields[name]
     return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
 
