@@ -82,7 +82,7 @@ def test_scores_compose(scene: Scene, judge: Judge) -> None:
 def test_the_score_grows_on_the_way(scene: Scene, judge: Judge, goal: str, speed: float) -> None:
     """A cup that flies to the bowl from afar gets nearer, also while it moves."""
     end = np.array([0.45, 0.0, 0.3]) if goal.startswith("At") else SceneState.initial(scene).poses["bowl"].p
-    way = [end + np.array([-0.6, 0.3, 0.35]) * share for share in np.linspace(1.0, 0.45, 8)]
+    way = [end + np.array([-0.6, 0.3, 0.35]) * share for share in np.linspace(1.0, 0.2, 17)]
     scores = [judge.score(goal, moved(scene, p, speed=speed)) for p in way]
     assert all(a < b < 0 for a, b in pairwise(scores)), scores
 

@@ -189,17 +189,19 @@ class Judge:
         self.scene = scene
         self._context = Context(Bodies(scene), bounds_first)
         self._calls: dict[str, tuple[str, Callable[..., None], list[Any]]] = {}
-        self._single: tuple[SceneState, View] | None = None
+        self._singles: dict[bool, tuple[SceneState, View]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
         """Evaluate a condition in a single state."""
         value, margin, why = self._judged(condition, self._view_of(state))
         return Verdict(bool(value[0]), float(margin[0]), why(0))
 
-    def _view_of(self, state: SceneState) -> View:
-        if self._single is None or self._single[0] is not state:  # conditions often follow on the same state
-            self._single = state, View(self._context.bodies, StateBatch.of(self.scene, [state]))
-        return self._single[1]
+    def _view_of(self, state: SceneState, exact: bool = False) -> View:
+        known = self._singles.get(exact)
+        if known is None or known[0] is not state:  # conditions often follow on the same state
+            known = state, View(self._context.bodies, StateBatch.of(self.scene, [state]), exact)
+            self._singles[exact] = known
+        return known[1]
 
     def score(self, condition: Any, state: SceneState) -> float:
         """Return how well a condition holds in a single state, from -1 to 1. It holds where the score is positive.
@@ -210,7 +212,7 @@ class Judge:
         """
         tag, below = parts(condition)
         if tag == "text":
-            view = self._view_of(state)
+            view = self._view_of(state, exact=True)
             call = parse_call(condition)
             scale = call.declaration.scale or SCORE_SCALES.get(call.declaration.unit, 1.0)
             return float(self._terms(condition, Terms(self._context, view, scale, for_score=True)).score[0])
