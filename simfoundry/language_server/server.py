@@ -1,7 +1,7 @@
 """The server: it receives what the editor tells and asks, and passes it on to the modules beside it.
 
-Messages are handled on one thread, and documents are checked on another. A check consists of two parts, the structure
-and the geometry, and stops in between if the editor has sent a newer text.
+Messages are handled on one thread, documents are checked on another, and names are looked up on a third. A check
+consists of two parts, the structure and the geometry, and stops if the editor has sent a newer text.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from pygls.lsp.server import LanguageServer
 from simfoundry import __version__
 from simfoundry.language_server import navigation
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
+from simfoundry.language_server.completion import SIGNATURE_TRIGGERS, TRIGGERS, complete, has_snippets, signature
 from simfoundry.language_server.diagnostics import published
 from simfoundry.language_server.protocol import Protocol, RequestFailedError, is_fault_of_client
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
@@ -63,11 +64,16 @@ class Server(LanguageServer):
         self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
+        self._names_worker = ThreadPoolExecutor(1, "names")
 
     def report_server_error(self, error: Exception, source: object) -> None:
         """Log an error. Editors interrupt the user with messages that are shown instead."""
         kind = types.MessageType.Warning if is_fault_of_client(error, source) else types.MessageType.Error
         self.window_log_message(types.LogMessageParams(kind, f"{type(error).__name__}: {error}"))
+
+    async def look_up(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run a function on the thread that looks up names, which does not wait for documents to be checked."""
+        return await asyncio.get_running_loop().run_in_executor(self._names_worker, partial(function, *args, **kwargs))
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a function on the thread that checks documents, after what is already waiting there."""
@@ -125,7 +131,7 @@ class Server(LanguageServer):
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
         if changed:
-            self.check_dependents(path, await self.run(self.documents.dependents, path))
+            self.check_dependents(path, await self.look_up(self.documents.dependents, path))
 
     def check_dependents(self, path: Path, dependents: Collection[Path]) -> None:
         """Check the documents that depend on one that has changed: those that are open first, then a few others."""
@@ -173,6 +179,7 @@ def make_server() -> Server:
     """Return a server with all features."""
     server = Server()
     _add_synchronization(server)
+    _add_completion(server)
     _add_navigation(server)
     return server
 
@@ -212,20 +219,20 @@ def _add_synchronization(server: Server) -> None:
         documents.texts.forget()
         documents.rescan()
         path = path_of(params.text_document.uri)
-        ls.check_dependents(path, await ls.run(documents.dependents, path))
+        ls.check_dependents(path, await ls.look_up(documents.dependents, path))
 
     @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
     async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
         buffer = documents.close(params.text_document.uri)
         if buffer is None:
             return
-        dependents = await ls.run(documents.dependents, buffer.path)
+        dependents = await ls.look_up(documents.dependents, buffer.path)
         if documents.buffer_of(buffer.path) is not None:
             return  # it was opened again
         ls.withdraw(buffer.path)
         concerned = {each.path for each in documents.buffers.values()}
         for path in tuple(concerned):
-            concerned |= await ls.run(documents.dependents, path)
+            concerned |= await ls.look_up(documents.dependents, path)
         for path in documents.analyzed_files() - concerned:
             ls.withdraw(path)
         ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
@@ -237,6 +244,26 @@ def _add_synchronization(server: Server) -> None:
         for buffer in documents.buffers.values():
             if is_ours(buffer):
                 ls.check(buffer.path, changed=False)
+
+
+def _add_completion(server: Server) -> None:
+    """Register completion and the signatures of predicates. Both use the current text, without waiting for checks."""
+    documents = server.documents
+
+    @server.feature(types.TEXT_DOCUMENT_COMPLETION, types.CompletionOptions(trigger_characters=list(TRIGGERS)))
+    async def completion(ls: Server, params: types.CompletionParams) -> types.CompletionList | None:
+        buffer = documents.buffers.get(params.text_document.uri)
+        if buffer is None:
+            return None
+        snippets = has_snippets(ls.client_capabilities)
+        return complete(buffer.path, buffer.lines, params.position, documents.parsed(buffer.path), snippets)
+
+    @server.feature(
+        types.TEXT_DOCUMENT_SIGNATURE_HELP, types.SignatureHelpOptions(trigger_characters=list(SIGNATURE_TRIGGERS))
+    )
+    async def signature_help(_: Server, params: types.SignatureHelpParams) -> types.SignatureHelp | None:
+        buffer = documents.buffers.get(params.text_document.uri)
+        return signature(buffer.lines, params.position) if buffer is not None else None
 
 
 _PositionParams = (
@@ -253,7 +280,7 @@ def _add_navigation(server: Server) -> None:
         buffer = documents.buffers.get(params.text_document.uri)
         if buffer is None:
             return None
-        names = await server.run(documents.names, buffer.path)
+        names = await server.look_up(documents.names, buffer.path)
         return names, buffer.path, buffer.lines.offset(params.position)
 
     @server.feature(types.TEXT_DOCUMENT_DEFINITION)
@@ -286,14 +313,14 @@ def _add_navigation(server: Server) -> None:
             return None
         project, offset = documents.project(buffer.path), buffer.lines.offset(params.position)
         try:
-            edits = await server.run(project.rename, buffer.path, offset, params.new_name)
+            edits = await server.look_up(project.rename, buffer.path, offset, params.new_name)
         except RenameError as error:
             raise RequestFailedError(str(error)) from None
         return navigation.workspace_edit(edits, documents)
 
     @server.feature(types.WORKSPACE_SYMBOL)
     async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
-        projects = [await server.run(documents.names, folder) for folder in documents.folders()]
+        projects = [await server.look_up(documents.names, folder) for folder in documents.folders()]
         return navigation.project_symbols(projects, params.query, documents.location)
 
 
