@@ -16,8 +16,8 @@ SETTLED = 0.01
 # turn them by up to 90 deg, so scores between -1 and 1 remain distinguishable over the whole motion.
 SCORE_SCALES = {"m": 0.1, "deg": 30.0, "m or rad": 0.1}
 
-# Excess speed [m/s] at which the score of an object at rest is minus one half. Arms move objects at up to 0.4 m/s, which
-# therefore costs as much as a distance of 4 cm, so that the distance decides on most of the way.
+# Excess speed [m/s] at which the score of an object at rest is minus one half. Arms move objects at up to 0.4 m/s,
+# which therefore costs as much as a distance of 4 cm, so that the distance decides on most of the way.
 SCORE_SPEED = 1.0
 
 # Distance [m] beyond which an object supports another one only if no closer object does. For example, a plank over
