@@ -35,6 +35,7 @@ COMMANDS = {
     "import": ("convert", "Convert URDF, MJCF, USD, BDDL or files from the paper's release to documents."),
     "judge": ("scenes", "Evaluate predicates in a scene, with margins and explanations."),
     "log": ("changes", "Show what each commit changed in a document."),
+    "lsp": ("lsp", "Run the language server for editors."),
     "merge": ("changes", "Merge two edited versions of a document semantically, or resolve conflicts."),
     "migrate": ("documents", "Update documents that were written for older versions."),
     "new": ("language", "Create a document of any kind, with comments that explain its keys."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -130,7 +130,9 @@ LINTS = Registry(
 )
 
 
-def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
+def lint(
+    loaded: Loaded, seen: set[Path] | None = None, checkpoint: Callable[[], None] = lambda: None
+) -> tuple[Diagnostic, ...]:
     """Run the lints once on a document and on each document that it uses.
 
     Findings that are suppressed by a document's ``allow`` are omitted. An ``allow`` entry that does not suppress
@@ -139,6 +141,7 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     Args:
         loaded: The document. If it has errors, it is not linted.
         seen: Paths of documents to skip. Documents that are linted are added to this set.
+        checkpoint: Function that is called before each step. It can raise an exception to stop.
 
     Returns:
         The findings.
@@ -150,21 +153,40 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     if path in seen:
         return ()
     seen.add(path)
-    findings = [d for used in loaded.uses.values() for d in lint(used, seen)]
-    kept, silenced = sift(with_sources(_lints(loaded), loaded.reuse), loaded.spec.allow)
-    findings += collapsed(kept, loaded.reuse)
+    findings = [d for used in loaded.uses.values() for d in lint(used, seen, checkpoint)]
+    checkpoint()
+    subject, errors = subject_of(loaded)
+    return tuple(findings) + lint_subject(loaded, subject, errors, checkpoint)
+
+
+def lint_subject(
+    loaded: Loaded,
+    subject: Subject | None,
+    errors: Sequence[Diagnostic],
+    checkpoint: Callable[[], None] = lambda: None,
+) -> tuple[Diagnostic, ...]:
+    """Run the lints on one document, without the documents that it uses.
+
+    Args:
+        loaded: The document, which has no errors.
+        subject: Its drafts.
+        errors: The errors from lowering it. See :func:`subject_of`.
+        checkpoint: Function that is called before each step. It can raise an exception to stop.
+    """
+    assert loaded.spec is not None and loaded.document is not None
+    kept, silenced = sift(with_sources(_lints(loaded, subject, errors, checkpoint), loaded.reuse), loaded.spec.allow)
+    findings = collapsed(kept, loaded.reuse)
     # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
     findings += [d for d in idle if d.file == loaded.document.file]
     return tuple(findings)
 
 
-def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
+def _lints(
+    loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic], checkpoint: Callable[[], None]
+) -> Iterator[Diagnostic]:
     """Yield the findings for one document: the errors from lowering or, if there are no errors, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
-    if kind not in ("scene/1", "asset/1", "task/1"):
-        return
-    subject, errors = _subject(loaded, kind)
     yield from errors
     if subject is None:
         return
@@ -172,6 +194,7 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
     for name, cause in unusable.items():  # reported at the plug-in, because no document is at fault
         yield Diagnostic(name, Severity.WARNING, str(cause), plugins(LINTS.group)[name].value)
     for name, one in lints.items():
+        checkpoint()
         try:
             if kind in one.kinds:
                 with LINTS.running(name):
@@ -180,8 +203,15 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
             yield warning(loaded, one.code, (), str(error), "")
 
 
-def _subject(loaded: Loaded, kind: str) -> tuple[Subject | None, list[Diagnostic]]:
-    """Return the drafts of a document, or None if its scene cannot be lowered; and the errors from lowering them."""
+def subject_of(loaded: Loaded) -> tuple[Subject | None, list[Diagnostic]]:
+    """Return the drafts of a document, or None if it has none or cannot be lowered; and the errors from lowering.
+
+    Args:
+        loaded: The document, which has no errors.
+    """
+    kind = getattr(loaded.spec, "simfoundry", "")
+    if kind not in ("scene/1", "asset/1", "task/1"):
+        return None, []
     from simfoundry.lint import draft
 
     if kind == "asset/1":

@@ -47,6 +47,7 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
     Extra("policies", "policies served over a network (`eval -p policy.yaml`)",
           {"msgpack": "msgpack", "pyzmq": "zmq", "websockets": "websockets"}),
     Extra("gymnasium", "tasks as Gymnasium environments", {"gymnasium": "gymnasium"}),
+    Extra("editor", "the language server (`lsp`)", {"pygls": "pygls", "lsprotocol": "lsprotocol"}),
     Extra("vlm", "vision-language models that propose tasks and variants", {"pydantic-ai-slim": "pydantic_ai"}),
     Extra("ray", "cousins on a cluster (`cousins --on ray`)", {"ray": "ray"}),
     Extra("drake", "verification of builds in Drake (`verify`)", {"drake": "pydrake"}),

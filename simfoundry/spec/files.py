@@ -132,7 +132,8 @@ class Loaded:
     ``document`` is the underlying text, or None if it could not be read. ``bases`` are the files that the document
     extends. ``uses`` contains, by resolved path, the documents that it refers to: assets, and the scene of a task.
     ``silenced`` contains the warnings suppressed by the document's ``allow``. ``reuse`` records what the document
-    reuses, or is None if it does not reuse anything.
+    reuses, or is None if it does not reuse anything. ``source`` is the text itself, before it was joined with its bases
+    and written out.
     """
 
     path: Path
@@ -144,6 +145,7 @@ class Loaded:
     uses: dict[str, Loaded] = field(default_factory=dict)
     silenced: tuple[Diagnostic, ...] = ()
     reuse: Reuse | None = None
+    source: Document | None = None
 
     @property
     def parameters(self) -> dict[str, Any]:

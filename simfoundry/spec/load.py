@@ -17,7 +17,7 @@ from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
-from simfoundry.spec.yaml.text import Document, parse, read
+from simfoundry.spec.yaml.text import Document, Read, parse, read
 
 # Documents read so far, keyed by resolved path and requested kind, so that each is read only once.
 Known = dict[tuple[str, str], Loaded | None]
@@ -32,11 +32,13 @@ def load(
     known: Known | None = None,
     text: str | None = None,
     parameters: Mapping[str, float] | None = None,
+    reader: Read = read,
 ) -> Loaded:
     """Read and check one document. Errors are returned as findings instead of being raised.
 
     Documents that this document uses are looked up in ``known`` and added to it. If ``text`` is given, it is used
-    instead of the content of the file. A USD file is read as the scene from which it was compiled.
+    instead of the content of the file. All other documents are read with ``reader``. A USD file is read as the scene
+    from which it was compiled.
     """
     known = {} if known is None else known
     if text is None and path.suffix.lower() in _USD:
@@ -44,41 +46,51 @@ def load(
         return compiled
     root = (root or project_root(path)).resolve()
     try:
-        document = read(path) if text is None else parse(text, str(path))
+        document = reader(path) if text is None else parse(text, str(path))
     except YamlError as error:
         return Loaded(path, root, None, (error.diagnostic(str(path)),))
     kind, finding = kind_of(document)
     if kind is None:
         assert finding is not None
-        return Loaded(path, root, None, (*document.duplicates, finding), document)
-    composed = compose(document, kind, root, parameters)
+        return Loaded(path, root, None, (*document.duplicates, finding), document, source=document)
+    composed = compose(document, kind, root, parameters, reader)
     findings = composed.findings
-    read_in_full = Loaded(path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse)
+    read_in_full = Loaded(
+        path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
+    )
+    findings = composed.findings
+    read_in_full = Loaded(
+        path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
+    )
     if composed.reuse is None and any(d.code not in ("SF003", "SF201") for d in findings):
         return read_in_full  # a base is missing, and so is most of the content
-    return checked(read_in_full, kind, known)
+    return checked(read_in_full, kind, known, reader)
 
 
-def checked(read: Loaded, kind: str, known: Known) -> Loaded:
+def checked(joined: Loaded, kind: str, known: Known, reader: Read = read) -> Loaded:
     """Check the types, names, and files of a document that has already been read and joined with its bases."""
-    assert read.document is not None
+    assert joined.document is not None
     model = model_of(kind)
-    spec, wrong = validate(model, read.document)
-    sound = spec if spec is not None else sound_part(model, read.document)
-    if read.reuse is not None:
+    spec, wrong = validate(model, joined.document)
+    sound = spec if spec is not None else sound_part(model, joined.document)
+    if joined.reuse is not None:
         from simfoundry.spec.compose.findings import Causes  # only documents that reuse something
 
         spec, sound = _expanded(spec), _expanded(sound)
-        causes = Causes(read.findings, read.document.data, read.reuse)
+        causes = Causes(joined.findings, joined.document.data, joined.reuse)
         wrong = causes.unrelated(wrong)
-    loaded = replace(read, spec=None if read.findings else spec)
-    found = check(loaded, sound, spec is not None, lambda target, kinds: _use(target, kinds, read.root, known))
-    findings = [*read.findings, *wrong, *found]
-    if read.reuse is not None:
+    loaded = replace(joined, spec=None if joined.findings else spec)
+
+    def use(target: Path, kinds: tuple[str, ...]) -> Loaded | None:
+        return _use(target, kinds, joined.root, known, reader)
+
+    found = check(loaded, sound, spec is not None, use)
+    findings = [*joined.findings, *wrong, *found]
+    if joined.reuse is not None:
         from simfoundry.spec.compose.findings import collapsed, with_sources
 
         findings = [*causes.findings, *wrong, *causes.unrelated(found)]
-        findings = collapsed(with_sources(findings, read.reuse), read.reuse)
+        findings = collapsed(with_sources(findings, joined.reuse), joined.reuse)
     kept, silenced = sift(findings, spec.allow if spec is not None else {})
     return replace(loaded, findings=tuple(kept), silenced=tuple(silenced))
 
@@ -131,7 +143,7 @@ def load_kind(path: Path, *kinds: str, parameters: Mapping[str, float] | None = 
     return loaded
 
 
-def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
+def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known, reader: Read) -> Loaded | None:
     """Load a document that another document uses.
 
     To avoid cycles, returns None if the kind of the document is not in ``kinds``.
@@ -139,10 +151,10 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:
-            kind = kind_of(read(path))[0]
+            kind = kind_of(reader(path))[0]
         except YamlError:
             kind = None
-        known[key] = load(path, root, known) if kind is None or kind in kinds else None
+        known[key] = load(path, root, known, reader=reader) if kind is None or kind in kinds else None
     return known[key]
 
 

@@ -98,6 +98,24 @@ class Server:
         """What the server says of a document that was opened, once it does."""
         return self.published[path.as_uri()].get(timeout=PATIENCE)
 
+    def change(self, path: Path, text: str, **range_: Message) -> None:
+        """Replace the text of a document, or the part between the positions ``start`` and ``end``."""
+        self.count += 1
+        changes = [{"text": text, **({"range": range_} if range_ else {})}]
+        document = {"uri": path.as_uri(), "version": self.count}
+        self.tell("textDocument/didChange", textDocument=document, contentChanges=changes)
+
+    def close(self, path: Path) -> None:
+        """Close a document."""
+        self.tell("textDocument/didClose", textDocument={"uri": path.as_uri()})
+
+    def last_diagnostics(self, path: Path, code: str = "") -> list[Message]:
+        """What the server says of a document in the end: a finding with a code, or nothing."""
+        while True:
+            found = self.diagnostics(path)
+            if [one["code"] for one in found][:1] == ([code] if code else []):
+                return found
+
     def completions(self, path: Path, line: int, character: int) -> list[Message]:
         """What is offered at a place, counted from 0."""
         answer = self.ask("textDocument/completion", **_place(path, line, character))

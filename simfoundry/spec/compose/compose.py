@@ -15,7 +15,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import FileError, Loaded, reachable
 from simfoundry.spec.models.kinds import model_of, suffix
 from simfoundry.spec.yaml.nodes import Node, YamlError
-from simfoundry.spec.yaml.text import Document, Path_, read
+from simfoundry.spec.yaml.text import Document, Path_, Read, read
 
 if TYPE_CHECKING:
     from simfoundry.spec.compose.expand import Reuse
@@ -41,7 +41,13 @@ class Composed:
     reuse: Reuse | None = None
 
 
-def compose(document: Document, kind: str, root: Path, parameters: Mapping[str, float] | None = None) -> Composed:
+def compose(
+    document: Document,
+    kind: str,
+    root: Path,
+    parameters: Mapping[str, float] | None = None,
+    reader: Read = read,
+) -> Composed:
     """Join a document with the documents that it extends, and write out what it reuses.
 
     If a base cannot be used, the document is returned unchanged, and a finding states the reason.
@@ -51,18 +57,27 @@ def compose(document: Document, kind: str, root: Path, parameters: Mapping[str, 
         kind: The kind of the document.
         root: Folder of the project, which contains all files that the document uses.
         parameters: Values that replace those of the document's parameters.
+        reader: Function that reads the documents that it extends or includes.
     """
-    return _composed(document, kind, root, parameters or {}, ())
+    return _composed(document, kind, _Composition(root, reader), parameters or {}, ())
+
+
+@dataclass(frozen=True)
+class _Composition:
+    """What is the same for all documents that are joined: the folder of the project, and how documents are read."""
+
+    root: Path
+    reader: Read
 
 
 def _composed(
-    document: Document, kind: str, root: Path, parameters: Mapping[str, float], including: tuple[Path, ...]
+    document: Document, kind: str, work: _Composition, parameters: Mapping[str, float], including: tuple[Path, ...]
 ) -> Composed:
     """Compose a document that is included by the given files, outermost first."""
     chained, findings, bases = [document], list[Diagnostic](), list[Path]()
     path = Path(document.file)
     while "extends" in members(chained[-1].root):
-        found = _base(chained[-1], path, kind, root, [Path(document.file), *bases])
+        found = _base(chained[-1], path, kind, work, [Path(document.file), *bases])
         if isinstance(found, Diagnostic):
             return Composed(document, (*findings, found), tuple(bases))
         path = Path(found.file)
@@ -89,7 +104,7 @@ def _composed(
     from simfoundry.spec.compose.expand import expand  # only documents that reuse something need it
 
     files = (*including, Path(document.file))
-    document, faults, reuse = expand(document, removals, replaced, parameters, partial(_included, root, files))
+    document, faults, reuse = expand(document, removals, replaced, parameters, partial(_included, work, files))
     return Composed(document, (*findings, *faults), tuple(bases), reuse)
 
 
@@ -109,7 +124,12 @@ def inherited_data(composed: Composed | Loaded, kind: str, root: Path) -> dict[s
 
 
 def _included(
-    root: Path, including: tuple[Path, ...], include: Node, path: Path_, scene: str, parameters: Mapping[str, float]
+    work: _Composition,
+    including: tuple[Path, ...],
+    include: Node,
+    path: Path_,
+    scene: str,
+    parameters: Mapping[str, float],
 ) -> Composed:
     """Return the composed scene of an include; see :data:`simfoundry.spec.compose.expand.ReadScene`.
 
@@ -124,7 +144,7 @@ def _included(
         return SpecError([Diagnostic(code, Severity.ERROR, message, *place)])
 
     try:
-        target = reachable(scene, outer, root, (suffix(SCENE), ".yaml"))
+        target = reachable(scene, outer, work.root, (suffix(SCENE), ".yaml"))
     except FileError as wrong:
         raise refused(wrong.code, str(wrong), wrong.hint) from None
     if any(target == file.resolve() for file in including):
@@ -134,13 +154,13 @@ def _included(
         raise refused("SF005", f"scenes are included more than {MAX_BASES} levels deep")
     shown = Path(os.path.normpath(outer.parent / scene))
     try:
-        document = read(shown if shown.resolve() == target else target)
+        document = work.reader(shown if shown.resolve() == target else target)
     except YamlError as error:
         raise SpecError([error.diagnostic(str(shown))]) from None
     kind = members(document.root).get("simfoundry")
     if kind is None or kind.value != SCENE:
         raise refused("SF006", f"`{scene}` is not a `{SCENE}` document", "only scenes can be included")
-    composed = _composed(document, SCENE, root, parameters, including)
+    composed = _composed(document, SCENE, work, parameters, including)
     mark_file(composed.document.root, str(shown))
     composed = replace(composed, findings=(*composed.findings, *_misused(composed.document)))
     relocate(composed.document.root, SCENE, str(shown), str(outer))
@@ -180,7 +200,7 @@ def uses_reuse(document: Document) -> bool:
     )
 
 
-def _base(document: Document, path: Path, kind: str, root: Path, before: list[Path]) -> Document | Diagnostic:
+def _base(document: Document, path: Path, kind: str, work: _Composition, before: list[Path]) -> Document | Diagnostic:
     """Return the document that ``document`` extends, or a finding that explains why it cannot be used."""
     written = members(document.root)["extends"].value
     place = ("extends",)
@@ -189,7 +209,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
             "SF103", place, "expected a string, the path of a document", "write `extends: a.scene.yaml`"
         )
     try:
-        target = reachable(written, path, root, (suffix(kind), ".yaml"))
+        target = reachable(written, path, work.root, (suffix(kind), ".yaml"))
     except FileError as wrong:
         return document.finding(wrong.code, place, str(wrong), wrong.hint)
     if any(target == b.resolve() for b in before):
@@ -199,7 +219,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
         return document.finding("SF005", place, f"the chain of `extends` has more than {MAX_BASES} documents")
     shown = Path(os.path.normpath(path.parent / written))
     try:
-        base = read(shown if shown.resolve() == target else target)
+        base = work.reader(shown if shown.resolve() == target else target)
     except YamlError as error:
         return error.diagnostic(str(shown))
     found = members(base.root).get("simfoundry")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -88,6 +88,10 @@ class Document:
             elif isinstance(node.children, list) and isinstance(part, int) and part < len(node.children):
                 node = node.children[part]
                 yield part, node.place, node
+
+
+# Function that reads the document at a path, such as :func:`read`; an editor returns the text of an open file instead.
+Read = Callable[[Path], Document]
 
 
 def read(path: Path) -> Document:

@@ -1,0 +1,1 @@
+"""The language server behind ``simfoundry lsp``: diagnostics, completion, navigation and edits for editors."""

@@ -1,0 +1,195 @@
+"""The server: it receives what the editor tells and asks, and passes it on to the modules beside it.
+
+Messages are handled on one thread, and documents are checked on another. A check consists of two parts, the structure
+and the geometry, and stops in between if the editor has sent a newer text.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO, ParamSpec, TypeVar
+
+from lsprotocol import types
+from pygls.lsp.server import LanguageServer
+
+from simfoundry import __version__
+from simfoundry.language_server.analysis import Analysis, analyzed, linted
+from simfoundry.language_server.diagnostics import published
+from simfoundry.language_server.workspace import Workspace, is_ours, path_of
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# Interval [s] after which a thread passes on the interpreter; the default of 5 ms would delay each answer several times
+# while a document is checked.
+SWITCH_INTERVAL = 0.0005
+
+
+class _NewerTextError(Exception):
+    """Raised to stop a check because the editor has sent a newer text."""
+
+
+class Server(LanguageServer):
+    """A language server for SimFoundry documents."""
+
+    def __init__(self) -> None:
+        super().__init__("simfoundry", __version__)
+        self.documents = Workspace()
+        self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
+        self._checking: asyncio.Task[None] | None = None
+        self._worker = ThreadPoolExecutor(1, "check")
+
+    async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run a function on the thread that checks documents, after what is already waiting there."""
+        return await asyncio.get_running_loop().run_in_executor(self._worker, partial(function, *args, **kwargs))
+
+    def check(self, path: Path, changed: bool = True) -> None:
+        """Check a document soon. If its text has changed, check it first, and then the documents that depend on it."""
+        others = {other: value for other, value in self._queue.items() if other != path}
+        self._queue = {path: True, **others} if changed else {**others, path: self._queue.get(path, False)}
+        if self._checking is None or self._checking.done():
+            self._checking = asyncio.get_running_loop().create_task(self._check_queue())
+
+    async def current(self, uri: str) -> Analysis | None:
+        """Return the analysis of the current text of an open document, or None if it is not open."""
+        buffer = self.documents.buffers.get(uri)
+        if buffer is None:
+            return None
+        latest = self.documents.latest(buffer.path)
+        if latest is None or latest.lines is not buffer.lines:
+            latest = await self._analyzed(buffer.path)
+        return latest
+
+    async def _check_queue(self) -> None:
+        while self._queue:
+            path = next(iter(self._queue))
+            changed = self._queue.pop(path)
+            try:
+                await self._check(path, changed)
+            except Exception as error:  # an error of ours must not end the server
+                self.window_log_message(types.LogMessageParams(types.MessageType.Error, f"{path}: {error!r}"))
+
+    async def _check(self, path: Path, changed: bool) -> None:
+        analysis = await self._analyzed(path)
+        if analysis is None:
+            self.withdraw(path)
+            return
+        if not analysis.has_errors:
+            try:
+                analysis = await self.run(linted, analysis, partial(self._stop_if_queued, path))
+            except _NewerTextError:
+                return
+            self.documents.store(analysis)
+        if path in self._queue:
+            return
+        for file in self.documents.report(path, analysis.findings):
+            self._publish(file)
+        if changed:
+            for other in self.documents.dependents(path):
+                self.check(other, changed=False)
+
+    def _stop_if_queued(self, path: Path) -> None:
+        """Stop the check of a document whose text has changed meanwhile. Called on the thread that checks documents."""
+        if path in self._queue:
+            raise _NewerTextError
+
+    async def _analyzed(self, path: Path) -> Analysis | None:
+        """Analyze the structure of a document, or return None if it is neither open nor can be read."""
+        buffer = self.documents.buffer_of(path)
+        lines = self.documents.lines(path)
+        if lines is None:
+            return None
+        version = buffer.version if buffer is not None else None
+        analysis = await self.run(analyzed, path, lines, version, self.documents.texts)
+        self.documents.store(analysis)
+        return analysis
+
+    def withdraw(self, path: Path) -> None:
+        """Remove the findings of a document that no longer concerns the editor."""
+        self.documents.forget(path)
+        for file in self.documents.report(path, ()):
+            self._publish(file)
+
+    def _publish(self, file: Path) -> None:
+        """Send the findings in a file, unless its text has changed since; they then follow with its own check."""
+        buffer, latest = self.documents.buffer_of(file), self.documents.latest(file)
+        if buffer is not None and (latest is None or latest.lines is not buffer.lines):
+            return
+        lines = self.documents.lines(file)
+        found = published(self.documents.findings(file), lines) if lines is not None else []
+        version = buffer.version if buffer is not None else None
+        self.text_document_publish_diagnostics(
+            types.PublishDiagnosticsParams(self.documents.uri(file), found, version=version)
+        )
+
+
+def make_server() -> Server:
+    """Return a server with all features."""
+    server = Server()
+    _add_synchronization(server)
+    return server
+
+
+def _add_synchronization(server: Server) -> None:
+    """Register what keeps the texts of the server equal to those of the editor."""
+    documents = server.documents
+
+    @server.feature(types.INITIALIZED)
+    def initialized(ls: Server, _: types.InitializedParams) -> None:
+        documents.encoding = str(ls.workspace.position_encoding or types.PositionEncodingKind.Utf16.value)
+
+    @server.feature(types.TEXT_DOCUMENT_DID_OPEN)
+    async def did_open(ls: Server, params: types.DidOpenTextDocumentParams) -> None:
+        item = params.text_document
+        buffer = documents.open(item.uri, item.text, item.version)
+        if is_ours(buffer):
+            ls.check(buffer.path)
+
+    @server.feature(types.TEXT_DOCUMENT_DID_CHANGE)
+    async def did_change(ls: Server, params: types.DidChangeTextDocumentParams) -> None:
+        item = params.text_document
+        buffer = documents.change(item.uri, params.content_changes, item.version)
+        if buffer is not None and is_ours(buffer):
+            ls.check(buffer.path)
+
+    @server.feature(types.TEXT_DOCUMENT_DID_SAVE)
+    async def did_save(ls: Server, params: types.DidSaveTextDocumentParams) -> None:
+        documents.texts.forget()
+        for path in documents.dependents(path_of(params.text_document.uri)):
+            ls.check(path, changed=False)
+
+    @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
+    async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
+        buffer = documents.close(params.text_document.uri)
+        if buffer is None:
+            return
+        used = documents.dependents(buffer.path)
+        ls.withdraw(buffer.path)
+        for path in used:  # they see the text on the disk again
+            ls.check(path, changed=False)
+
+    @server.feature(types.WORKSPACE_DID_CHANGE_WATCHED_FILES)
+    async def did_change_files(ls: Server, _: types.DidChangeWatchedFilesParams) -> None:
+        documents.texts.forget()
+        for buffer in documents.buffers.values():
+            if is_ours(buffer):
+                ls.check(buffer.path, changed=False)
+
+
+def serve() -> None:
+    """Serve one editor over standard input and output until it ends the connection."""
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    make_server().start_io(sys.stdin.buffer, _protocol_output())
+
+
+def _protocol_output() -> BinaryIO:
+    """Return the standard output for the protocol alone. What others print goes to standard error from now on."""
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    return output
