@@ -11,17 +11,20 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, ParamSpec, TypeVar
 
 from lsprotocol import types
+from pygls.exceptions import JsonRpcException
 from pygls.lsp.server import LanguageServer
 
 from simfoundry import __version__
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
-from simfoundry.language_server.workspace import Workspace, is_ours, path_of
+from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
+from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -29,6 +32,9 @@ T = TypeVar("T")
 # Interval [s] after which a thread passes on the interpreter; the default of 5 ms would delay each answer several times
 # while a document is checked.
 SWITCH_INTERVAL = 0.0005
+
+# Suffixes of the files that documents refer to. The editor tells when such a file changes on disk.
+WATCHED = (".yaml", *MESH_SUFFIXES, *TEXTURE_SUFFIXES, *PANORAMA_SUFFIXES, *PICTURE_SUFFIXES)
 
 
 class _NewerTextError(Exception):
@@ -45,6 +51,10 @@ class Server(LanguageServer):
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
 
+    def report_server_error(self, error: Exception, source: object) -> None:
+        """Log an error. Editors interrupt the user with messages that are shown instead."""
+        self.window_log_message(types.LogMessageParams(types.MessageType.Error, f"{type(error).__name__}: {error}"))
+
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a function on the thread that checks documents, after what is already waiting there."""
         return await asyncio.get_running_loop().run_in_executor(self._worker, partial(function, *args, **kwargs))
@@ -55,6 +65,13 @@ class Server(LanguageServer):
         self._queue = {path: True, **others} if changed else {**others, path: self._queue.get(path, False)}
         if self._checking is None or self._checking.done():
             self._checking = asyncio.get_running_loop().create_task(self._check_queue())
+
+    def show(self, buffer: Buffer) -> None:
+        """Check an open document after a change of its text, or withdraw its findings if it is of another kind."""
+        if is_ours(buffer):
+            self.check(buffer.path)
+        elif self.documents.latest(buffer.path) is not None:
+            self.withdraw(buffer.path)
 
     async def current(self, uri: str) -> Analysis | None:
         """Return the analysis of the current text of an open document, or None if it is not open."""
@@ -141,22 +158,30 @@ def _add_synchronization(server: Server) -> None:
     documents = server.documents
 
     @server.feature(types.INITIALIZED)
-    def initialized(ls: Server, _: types.InitializedParams) -> None:
+    async def initialized(ls: Server, _: types.InitializedParams) -> None:
         documents.encoding = str(ls.workspace.position_encoding or types.PositionEncodingKind.Utf16.value)
+        workspace = ls.client_capabilities.workspace
+        watching = workspace.did_change_watched_files if workspace is not None else None
+        if watching is not None and watching.dynamic_registration:
+            watchers = [types.FileSystemWatcher(f"**/*{suffix}") for suffix in dict.fromkeys(WATCHED)]
+            options = types.DidChangeWatchedFilesRegistrationOptions(watchers)
+            method = types.WORKSPACE_DID_CHANGE_WATCHED_FILES
+            with suppress(JsonRpcException):  # an editor that cannot watch files after all
+                await ls.client_register_capability_async(
+                    types.RegistrationParams([types.Registration("files", method, options)])
+                )
 
     @server.feature(types.TEXT_DOCUMENT_DID_OPEN)
     async def did_open(ls: Server, params: types.DidOpenTextDocumentParams) -> None:
         item = params.text_document
-        buffer = documents.open(item.uri, item.text, item.version)
-        if is_ours(buffer):
-            ls.check(buffer.path)
+        ls.show(documents.open(item.uri, item.text, item.version))
 
     @server.feature(types.TEXT_DOCUMENT_DID_CHANGE)
     async def did_change(ls: Server, params: types.DidChangeTextDocumentParams) -> None:
         item = params.text_document
         buffer = documents.change(item.uri, params.content_changes, item.version)
-        if buffer is not None and is_ours(buffer):
-            ls.check(buffer.path)
+        if buffer is not None:
+            ls.show(buffer)
 
     @server.feature(types.TEXT_DOCUMENT_DID_SAVE)
     async def did_save(ls: Server, params: types.DidSaveTextDocumentParams) -> None:
