@@ -21,6 +21,8 @@ def format_edits(path: Path, lines: Lines) -> list[types.TextEdit]:
         after = format_open_text(lines.text, path)
     except SpecError:
         return []
+    if "\r\n" in lines.text:  # which line breaks to save is the editor's choice
+        after = after.replace("\n", "\r\n")
     return text_edits(lines, after)
 
 

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import IDENTITY, Array, frozen_array
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates.judging.bodies import Bodies, NoCavityError, PredicateError
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.cameras import lower_cameras
-from simfoundry.scene.lower import OBJECT_PASSES, Lowering
+from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_surroundings
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering
@@ -149,6 +149,38 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))
     return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
+
+
+def pictured(loaded: Loaded, starts: Sequence[Start] = ()) -> Scene:
+    """Return a draft of a scene document that looks like a build, apart from robots and the background.
+
+    Raises:
+        SpecError: If lowering fails.
+    """
+    assert isinstance(loaded.spec, SceneSpec)
+    spec = loaded.spec
+    if starts:
+        from simfoundry.spec.models.task import with_starts
+
+        spec = with_starts(spec, starts)
+    spec = spec.model_copy(update={"background": None})
+    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True, shown=True)
+    return lowering.run((*OBJECT_PASSES, lower_cameras, lower_surroundings))
+
+
+def pictured_asset(loaded: Loaded) -> Scene:
+    """Return a scene with an asset document's object alone, fixed at the origin, with its joints at zero.
+
+    Raises:
+        SpecError: If lowering fails.
+    """
+    assert isinstance(loaded.spec, AssetSpec)
+    work, name = ObjectLowering(loaded, Cache.default(), draft=True, shown=True), loaded.spec.name
+    links, joints = work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), name)
+    if work.findings:
+        raise SpecError(work.findings)
+    item = SceneObject(name, loaded.spec.category or name, True, IDENTITY, tuple(links), joints)
+    return Scene(name, frozen_array((0.0, 0.0, -9.81)), (item,))
 
 
 def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:

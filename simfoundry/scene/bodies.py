@@ -78,8 +78,9 @@ class BodyBuilder:
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
-    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one. ``hidden`` contains the
-    whole meshes of parts with native data that are not shown.
+    ``is_approximate`` is set. If ``shown`` is set, a draft has the same visuals as a build. ``texture_of`` returns the
+    texture of a material, if it has one. ``hidden`` contains the whole meshes of parts with native data that are not
+    shown.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -91,6 +92,7 @@ class BodyBuilder:
     cache: Cache | None
     weighed: bool = False
     draft: bool = False
+    shown: bool = False
     is_approximate: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
@@ -153,16 +155,17 @@ class BodyBuilder:
         from simfoundry.scene import mesh_bodies  # lazy import because most scenes have no meshes
 
         if self.draft:
-            return mesh_bodies.draft_body(path, use, self.cache)
+            body = mesh_bodies.draft_body(path, use, self.cache)
+            return body._replace(pieces=mesh_bodies.shown_pieces(path, use.scale)) if self.shown else body
         return mesh_bodies.read_body(path, use, self.cache, self.report)
 
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
         for k, piece in enumerate(pieces):
             label = name if len(pieces) == 1 else f"{name}_{k}"
             if piece.texture is None and piece.rgba is None:
-                self._show_surface(label, closed_mesh(piece.vertices, piece.faces, piece.uv), X_LG, part)
+                self._show_surface(label, _piece_mesh(piece), X_LG, part)
                 continue
-            mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
+            mesh = _piece_mesh(piece)
             # Textured meshes are white by default, so that the texture is unchanged.
             own = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
             self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
@@ -170,7 +173,8 @@ class BodyBuilder:
     def _show_surface(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
         """Add a visual without a color of its own, which has the color and the texture of its material."""
         material = self._material_name(part)
-        texture = None if material is None or self.draft else self.texture_of(material)
+        hidden = self.draft and not self.shown
+        texture = None if material is None or hidden else self.texture_of(material)
         if texture is None:
             self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
             return
@@ -244,6 +248,11 @@ class BodyBuilder:
         """
         colors = part.color if part is not None else None, self.body.color, default, self._material(part).color
         return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
+
+
+@lru_cache(maxsize=64)  # pieces that are kept are rendered without being prepared again
+def _piece_mesh(piece: MeshPart) -> Mesh:
+    return closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
 
 
 def _use(part: Part | None) -> str:

@@ -44,7 +44,7 @@ class Lowering:
     If ``fetch`` is set, robot models are downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
     parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
     depends on an approximate object may then fail without an error; ``unplaced`` contains the objects whose poses are
-    uncertain for this reason.
+    uncertain for this reason. A draft that is ``shown`` has the same visuals as a build.
     """
 
     loaded: Loaded
@@ -52,6 +52,7 @@ class Lowering:
     progress: Progress | None = None
     fetch: bool = True
     draft: bool = False
+    shown: bool = False
     approximate: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
 
@@ -156,7 +157,9 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         SpecError: If an object cannot be lowered. The error contains all findings.
     """
     spec = lowering.spec
-    work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
+    work = ObjectLowering(
+        lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft, shown=lowering.shown
+    )
     found: dict[str, SceneObject | None] = {}
     # A viewpoint that looks at an object is unknown until the object is placed.
     is_late = lowering.draft or bool(lowering.frames.viewer_needs(spec.viewpoint))
