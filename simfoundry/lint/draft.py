@@ -280,6 +280,16 @@ class StartJudge:
         decisive = [item for item in below if self.value(item) is (value if tag != "not" else not value)]
         return "; ".join(why for item in decisive if (why := self.explanation(item)))
 
+    def margin(self, text: str) -> float | None:
+        """Return the margin of a predicate in its unit, or None if it is not measured. Its value must be certain."""
+        call = parse_call(text)
+        if call.declaration.before_motion is not None or self._is_apart(call):
+            return None
+        try:
+            return self._measure(str(call), self._state).margin
+        except PredicateError:
+            return None
+
     def missing_cavity(self, call: Call) -> str:
         """Explain that a predicate needs a cavity that its object lacks, or return an empty string."""
         names = {arg.partition(".")[0] for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"}
