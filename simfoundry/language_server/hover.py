@@ -159,10 +159,8 @@ def key_text(kind: str, path: Path_) -> str | None:
     found = key_meaning(kind, path)
     if found is None:
         return None
-    facts = [
-        found.type if found.type != found.key else "",
-        "required" if found.required else f"default: {found.default}" if found.default else "",
-    ]
+    default = f"default: {found.default}" if found.default else ""
+    facts = [found.type if found.type != found.key else "", "required" if found.required else default]
     return f"**{found.key}** · {' · '.join(filter(None, facts))}\n\n{found.text}"
 
 

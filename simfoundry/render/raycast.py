@@ -6,6 +6,7 @@ are shaded in linear light (Lambertian, faint highlights, hemispherical ambient 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -155,17 +156,23 @@ def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hit
     return color
 
 
-def quick_image(scene: Scene, camera: Camera, state: SceneState | None = None) -> NDArray[np.uint8]:
+def quick_image(
+    scene: Scene, camera: Camera, state: SceneState | None = None, checkpoint: Callable[[], None] = lambda: None
+) -> NDArray[np.uint8]:
     """Render an image for an editor in about a quarter of the time that :func:`raycast` takes.
 
     Round shapes have fewer segments, shadows are computed for one pixel of four, and translucent surfaces are opaque.
+    ``checkpoint`` is called before each step. It can raise an exception to stop.
 
     Returns:
         The sRGB color, as a uint8 array of shape (h, w, 3).
     """
+    checkpoint()
     surface = scene_surface(scene, state, FEW_SEGMENTS)
+    checkpoint()
     rays = _pixels(camera, 1)
     hits = _seen(surface, camera, rays)
+    checkpoint()
     directions = _directions(rays, camera)
     met = np.flatnonzero(hits.triangle >= 0)
     missed = np.flatnonzero(hits.triangle < 0)
@@ -185,6 +192,7 @@ def quick_image(scene: Scene, camera: Camera, state: SceneState | None = None) -
 
         def shadow(lamp: Lamp, points: NDArray[np.int64]) -> NDArray[np.bool_]:
             """Return the shadow at the first of the points in each block of four pixels."""
+            checkpoint()
             first = np.full(len(linear), -1, dtype=np.int64)
             first[block[points[::-1]]] = points[::-1]
             tested = first[first >= 0]
@@ -192,7 +200,9 @@ def quick_image(scene: Scene, camera: Camera, state: SceneState | None = None) -
             dark[block[tested]] = in_shadow(surface, lamp, at.p[tested])
             return np.asarray(dark[block[points]])
 
+        checkpoint()
         linear[met] = shade(surface, studio(scene), some, at, camera.fx * camera.fy, shadow)
+    checkpoint()
     linear *= _STEPS
     image = _srgb_table()[np.minimum(linear, _STEPS, out=linear).astype(np.int32)]
     image = image.reshape(camera.height, camera.width, 3)

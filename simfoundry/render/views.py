@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from simfoundry.geometry.frames import Array, look_at
-from simfoundry.render.surface import scene_surface
+from simfoundry.render.surface import FEW_SEGMENTS, scene_surface
 from simfoundry.scene.model import Camera, Scene
 
 VIEW_DEG = 40.0  # Vertical field of view [deg] of the default camera; wider views distort upright objects at the edges
@@ -54,12 +54,15 @@ class Orbit:
         return np.asarray(center + self.distance * away)
 
 
-def framing(scenes: Sequence[Scene]) -> tuple[Array, float]:
-    """Return the center [m] and the radius [m] of the movable objects, or of all objects if none can move."""
+def framing(scenes: Sequence[Scene], least: float = LEAST_RADIUS) -> tuple[Array, float]:
+    """Return the center [m] and the radius [m] of the movable objects, or of all objects if none can move.
+
+    The radius is at least ``least`` [m], and never zero.
+    """
     clouds = (np.concatenate([np.zeros((0, 3)), *(_corners(s, free) for s in scenes)]) for free in (True, False))
     cloud = next((points for points in clouds if len(points)), np.array([[-0.5] * 3, [0.5] * 3]))
     low, high = cloud.min(axis=0), cloud.max(axis=0)
-    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, LEAST_RADIUS)
+    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, least, 1e-6)
 
 
 def default_orbit(radius: float) -> Orbit:
@@ -75,9 +78,9 @@ def orbit_camera(center: Array, orbit: Orbit, width: int, height: int, name: str
     return Camera(name, width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2, X_WC)
 
 
-def overview(scenes: Sequence[Scene], width: int, height: int) -> Camera:
-    """Return a three-quarter view of the movable objects, or of all objects if none can move."""
-    center, radius = framing(scenes)
+def overview(scenes: Sequence[Scene], width: int, height: int, least: float = LEAST_RADIUS) -> Camera:
+    """Return a three-quarter view of the movable objects, or of all objects if none can move; see :func:`framing`."""
+    center, radius = framing(scenes, least)
     return orbit_camera(center, default_orbit(radius), width, height)
 
 
@@ -102,6 +105,6 @@ def _corners(scene: Scene, free: bool) -> Array:
 
     If ``free`` is set, only free objects are included.
     """
-    surface = scene_surface(scene)
+    surface = scene_surface(scene, segments=FEW_SEGMENTS)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
