@@ -30,9 +30,11 @@ _DAE_PICTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<")
 
 def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield the document path and an error message for each unusable texture in a document's visual meshes."""
+    known: dict[str, list[str]] = {}  # many objects may have the same mesh
     for place, reference in _meshes(spec):
-        for fault in texture_faults(loaded.file(reference), loaded.root):
-            yield place, fault
+        if reference not in known:
+            known[reference] = texture_faults(loaded.file(reference), loaded.root)
+        yield from ((place, fault) for fault in known[reference])
 
 
 def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:

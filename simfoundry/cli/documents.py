@@ -15,8 +15,7 @@ from simfoundry.cli.options import option, set_option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.report import FORMATS
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.models.kinds import is_document
-from simfoundry.spec.project import MARKER, find_project
+from simfoundry.spec.project import MARKER, document_files
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.format import Formatted
@@ -35,11 +34,9 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
     excluded = 0
     for path in paths:
         if path.is_dir():
-            found = [p for p in sorted(path.rglob("*.yaml")) if is_document(p)]
-            found = [p for p in found if not any(part.startswith(".") for part in p.relative_to(path).parts)]
-            kept = _included(found, path)
-            excluded += len(found) - len(kept)
-            files |= dict.fromkeys(kept)
+            found = document_files(path)
+            excluded += len(found.excluded)
+            files |= dict.fromkeys(found.included)
         elif path.exists() or path.is_symlink():  # a broken symbolic link is reported when it is read
             files[path] = None
         else:
@@ -48,13 +45,6 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
         but = f" except {excluded} excluded by {MARKER}" if excluded else ""
         raise SimfoundryError(f"could not find any documents below {', '.join(map(str, paths))}{but}")
     return list(files)
-
-
-def _included(found: list[Path], folder: Path) -> list[Path]:
-    """Return the documents that are not excluded by the project that contains ``folder`` or by their own project."""
-    projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
-    both = {path: (projects[folder], projects[path.parent]) for path in found}
-    return [path for path in found if not any(p is not None and p.excludes(path, folder) for p in both[path])]
 
 
 # Minimum number of documents for which a progress bar is shown on a terminal.

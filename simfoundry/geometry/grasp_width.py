@@ -71,14 +71,17 @@ LINES = 5
 ROWS, ROW = (8, 24), 0.004
 
 
-def grasp_width(solid: HalfSpaces) -> float:
+def grasp_width(solid: HalfSpaces, enough: float = 0.0) -> float:
     """Return the smallest gripper opening [m] that can grasp an object from above in its current pose.
 
     The width is measured between the outermost points of the grasped part, along lines that are a few millimeters
-    apart. If no grasp is valid, the result is inf.
+    apart. If no grasp is valid, the result is inf. The search ends at the first direction with a width of at most
+    ``enough`` [m].
     """
     best, first = math.inf, _main_direction(solid)
     for k in range(DIRECTIONS):
+        if best <= enough:
+            break
         best = min(best, _Closing(solid, first + k * math.pi / DIRECTIONS).narrowest(best))
     return best
 

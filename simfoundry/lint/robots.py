@@ -42,7 +42,7 @@ def too_wide(subject: Subject) -> Iterator[Diagnostic]:
             continue
         seen.add(name)
         item = next((item for item in draft.solids if item.name == name), None)
-        width = 0.0 if item is None else grasp_width(solid(item, SceneState.initial(draft.scene)))
+        width = 0.0 if item is None else grasp_width(solid(item, SceneState.initial(draft.scene)), widest + SLACK)
         if width <= widest + SLACK:
             continue
         if math.isfinite(width):

@@ -80,7 +80,7 @@ class BodyBuilder:
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
     ``is_approximate`` is set. If ``shown`` is set, a draft has the same visuals as a build. ``texture_of`` returns the
     texture of a material, if it has one. ``hidden`` contains the whole meshes of parts with native data that are not
-    shown.
+    shown. ``drafts`` contains the mesh bodies of a draft, which are shared by all objects with the same mesh.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -101,6 +101,7 @@ class BodyBuilder:
     hidden: dict[str, Mesh] = field(default_factory=dict)
     report: Callable[[str], object] = lambda said: None
     texture_of: Callable[[str], Texture | None] = lambda material: None
+    drafts: dict[tuple[Path, MeshUse], MeshBody] = field(default_factory=dict)
 
     def add_shape(self, name: str, shape: shapes.Shape, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a shape at a pose in the link frame.
@@ -155,8 +156,11 @@ class BodyBuilder:
         from simfoundry.scene import mesh_bodies  # lazy import because most scenes have no meshes
 
         if self.draft:
-            body = mesh_bodies.draft_body(path, use, self.cache)
-            return body._replace(pieces=mesh_bodies.shown_pieces(path, use.scale)) if self.shown else body
+            if (path, use) not in self.drafts:
+                body = mesh_bodies.draft_body(path, use, self.cache)
+                pieces = mesh_bodies.shown_pieces(path, use.scale) if self.shown else ()
+                self.drafts[path, use] = body._replace(pieces=pieces)
+            return self.drafts[path, use]
         return mesh_bodies.read_body(path, use, self.cache, self.report)
 
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:

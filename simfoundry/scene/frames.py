@@ -36,6 +36,8 @@ class FrameTree:
 
     def carrier(self, reference: str | None) -> str | None:
         """Return the object that a frame moves with, or None if the frame does not move."""
+        if reference is None:
+            return None
         carrier = frame_carrier(self._frames, reference)
         return carrier.partition(".")[0] if carrier is not None else None
 
@@ -49,9 +51,11 @@ class FrameTree:
         Raises:
             PlaceError: If the frame moves with an object that is not placed yet, or depends on itself.
         """
+        if reference is None:
+            return IDENTITY
         chain = frame_chain(self._frames, reference)
         if not chain:
-            return IDENTITY if reference is None else self._object_pose(reference, placed)
+            return self._object_pose(reference, placed)
         X_WF, base = IDENTITY, self._frames[chain[-1]]
         if base.frame in chain:
             raise PlaceError(f"the frame `{reference}` depends on itself", "attach it to the world or to an object")

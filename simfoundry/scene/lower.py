@@ -236,7 +236,7 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
             stood = [place_all(solved | {name: v}, own, scene.viewer, frames) for v in item.variants]
             solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
             errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
-    for name in order(places, frames):
+    for name in order(places, frames) if lowering.approximate or lowering.unplaced else ():
         needed = {*needs(places[name], frames)}
         if lowering.approximate & {name, *needed} or lowering.unplaced & needed:
             lowering.unplaced.add(name)

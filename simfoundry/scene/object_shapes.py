@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from simfoundry.geometry.crossings import HalfSpaces
 
 
-def hulls(*items: SceneObject) -> Hulls:
-    """Return the posed colliders of all links in these objects. For links without colliders, visuals are used."""
+def hulls(*items: SceneObject, X_WO: Pose | None = None) -> Hulls:
+    """Return the posed colliders of all links in these objects. For links without colliders, visuals are used.
+
+    If ``X_WO`` is given, the objects have this pose instead of their own.
+    """
     return hulls_of(
-        (piece.geometry, item.X_WO @ X_OL @ piece.X_LG, number)
+        (piece.geometry, (item.X_WO if X_WO is None else X_WO) @ X_OL @ piece.X_LG, number)
         for item in items
         for number, (link, X_OL) in enumerate(zip(item.links, link_poses(item).values(), strict=True))
         for piece in link.colliders or link.visuals

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,10 @@ from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models import base, scene
 from simfoundry.spec.models.asset import AssetSpec, Inertial
 from simfoundry.spec.models.joint import JointSpec
+
+if TYPE_CHECKING:
+    from simfoundry.scene.bodies import MeshUse
+    from simfoundry.scene.mesh_bodies import MeshBody
 
 # Callback that receives a name, the number of finished objects, and the total number of objects.
 Progress = Callable[[str, int, int], None]
@@ -53,6 +57,8 @@ class ObjectLowering:
     findings: list[Diagnostic] = field(default_factory=list)
     approximate: set[str] = field(default_factory=set)
     _textures: dict[Path, bytes | None] = field(default_factory=dict)
+    _drafts: dict[tuple[Path, MeshUse], MeshBody] = field(default_factory=dict)
+    _drafted_links: dict[Path, tuple[list[Link], bool]] = field(default_factory=dict)
 
     @property
     def _spec(self) -> scene.SceneSpec:
@@ -87,7 +93,7 @@ class ObjectLowering:
         """
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
-        builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft, self.shown)
+        builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft, self.shown, drafts=self._drafts)
         builder.texture_of = lambda material: self._texture(source, material, materials[material])
         for material in materials if self.draft else ():  # a draft shows no meshes, but reports unusable textures
             self._texture(source, material, materials[material])
@@ -163,6 +169,24 @@ class ObjectLowering:
 
         The whole meshes of parts with native data that are not shown are added to ``hidden``.
         """
+        joints = lower_joints(spec, item.joints)
+        if not self.draft:
+            return self._links(asset, spec, owner, hidden), joints
+        before = len(self.findings)
+        if asset.path not in self._drafted_links:  # objects with the same asset share the links of a draft
+            links = self._links(asset, spec, owner, hidden)
+            if len(self.findings) > before:
+                return links, joints
+            self._drafted_links[asset.path] = links, owner in self.approximate
+        links, is_approximate = self._drafted_links[asset.path]
+        if is_approximate:
+            self.approximate.add(owner)
+        return links, joints
+
+    def _links(
+        self, asset: Loaded, spec: AssetSpec, owner: str, hidden: dict[tuple[str, str], Mesh] | None
+    ) -> list[Link]:
+        """Return the links of an asset in topological order; see :meth:`articulated`."""
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -178,7 +202,7 @@ class ObjectLowering:
                 hidden |= {(name, part_name): mesh for part_name, mesh in builder.hidden.items()}
             built = self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
             links += [replace(each, gravity_compensation=link.gravity_compensation) for each in built]
-        return links, lower_joints(spec, item.joints)
+        return links
 
     def _built(
         self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,

@@ -153,7 +153,7 @@ def approach(
     """
     carrier = Carrier.of(_carrier_name(place) or "", placed)
     X_WF = _level_frame(place, placed, frames)
-    shape = hulls(replace(item, X_WO=Pose.of(q=_rotation(place, X_WF))))
+    shape = hulls(item, X_WO=Pose.of(q=_rotation(place, X_WF)))
     if not len(shape.corners):
         raise PlaceError(f"`{item.name}` has no shape to place")
     if place.seen_from is not None:

@@ -146,6 +146,7 @@ class Loaded:
     silenced: tuple[Diagnostic, ...] = ()
     reuse: Reuse | None = None
     source: Document | None = None
+    _located: dict[str, Path] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -174,7 +175,10 @@ class Loaded:
 
     def file(self, reference: str) -> Path:
         """Return the file that a path in this document refers to."""
-        return located(reference, self.path)
+        found = self._located.get(reference)
+        if found is None:
+            found = self._located[reference] = located(reference, self.path)
+        return found
 
     def used(self, reference: str) -> Loaded | None:
         """Return the document that a path in this document refers to, if it was read."""

@@ -35,6 +35,7 @@ class OpenDocuments:
     def __init__(self) -> None:
         self._texts: dict[str, _Text] = {}
         self._edits = 0
+        self._is_outdated = False
         self._known: dict[Path, Known] = {}  # by the folder of the project
         self._read: dict[str, Stamp] = {}  # state in which each file was last read
         self._stamps: dict[
@@ -79,14 +80,12 @@ class OpenDocuments:
 
     def forget(self) -> None:
         """Forget all loaded documents, because files that are not documents, such as meshes, have changed on disk."""
-        self._known.clear()
-        self._stamps.clear()
-        self._read.clear()
+        self._is_outdated = True  # the thread that loads documents may be using them
 
     def _keep(self) -> None:
         """Note the files of the documents that have been loaded, and drop the documents that are not kept."""
         if sum(map(len, self._known.values())) > MAX_KEPT:
-            self.forget()
+            self._drop_all()
         for known in self._known.values():
             for key, loaded in tuple(known.items()):
                 if loaded is None or any(d.severity is Severity.ERROR for d in loaded.all_findings()):
@@ -96,8 +95,16 @@ class OpenDocuments:
                         str(file): self._read.get(os.path.realpath(file), ()) for file in loaded.files()
                     }
 
+    def _drop_all(self) -> None:
+        self._known.clear()
+        self._stamps.clear()
+        self._read.clear()
+
     def _drop_changed(self) -> None:
         """Drop the documents that were read from files that have changed since."""
+        if self._is_outdated:
+            self._is_outdated = False
+            self._drop_all()
         now: dict[str, Stamp] = {}
         stamps: dict[int, dict[str, Stamp]] = {}
         for known in self._known.values():

@@ -10,12 +10,14 @@ from functools import cached_property
 from itertools import product
 from pathlib import Path
 from tempfile import gettempdir
+from typing import NamedTuple
 
 from pydantic import Field
 
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
@@ -99,6 +101,37 @@ def project_root(path: Path) -> Path:
     """Return the folder that must contain a document's files: its project folder, or else its own folder."""
     project = find_project(path)
     return project.root if project is not None else Path(os.path.realpath(path)).parent
+
+
+class DocumentFiles(NamedTuple):
+    """The documents below a folder: those that commands read, and those that the project excludes."""
+
+    included: list[Path]
+    excluded: list[Path]
+
+
+def document_files(folder: Path) -> DocumentFiles:
+    """Find the documents below a folder, in alphabetical order.
+
+    Files and folders whose names start with a dot are skipped, and links to folders are not followed. A document is
+    excluded by the project that contains ``folder`` or by its own project.
+
+    Raises:
+        SpecError: If the marker file of a project cannot be read.
+    """
+    found: list[Path] = []
+    for parent, folders, files in os.walk(folder):
+        here = Path(parent)
+        found += (here / name for name in (*files, *folders) if not name.startswith(".") and is_document(here / name))
+        folders[:] = [name for name in folders if not name.startswith(".")]
+    found.sort()
+    projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
+    done = DocumentFiles([], [])
+    for path in found:
+        both = (projects[folder], projects[path.parent])
+        skipped = any(project is not None and project.excludes(path, folder) for project in both)
+        (done.excluded if skipped else done.included).append(path)
+    return done
 
 
 def common_project(*files: Path) -> Project:

@@ -52,6 +52,7 @@ class Checker:
         self.loaded, self.whole, self._use = loaded, whole, use
         self.findings: list[Diagnostic] = []
         self._counts: Counter[Severity] = Counter()
+        self._faults: dict[tuple[str, tuple[str, ...]], FileError | None] = {}  # by reference and suffixes
 
     def warn(self, code: str, path: Path_, message: str, hint: str = "") -> None:
         """Add a warning."""
@@ -93,12 +94,19 @@ class Checker:
         """Check that ``reference``, if given, is a file in the project or in a package and has one of the suffixes."""
         if reference is None:
             return True
+        key = (reference, suffixes)
+        if key not in self._faults:
+            self._faults[key] = self._file_fault(reference, suffixes)
+        if (wrong := self._faults[key]) is not None:
+            self.add(wrong.code, path, str(wrong), wrong.hint)
+        return wrong is None
+
+    def _file_fault(self, reference: str, suffixes: tuple[str, ...]) -> FileError | None:
         try:
             reachable(reference, self.loaded.path, self.loaded.root, suffixes)
         except FileError as wrong:
-            self.add(wrong.code, path, str(wrong), wrong.hint)
-            return False
-        return True
+            return wrong
+        return None
 
     def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
         """Return the document at ``reference``.

@@ -22,7 +22,7 @@ PARAMETER = re.compile(r"\$([a-z][a-z0-9_]*)")
 _EXPRESSION = re.compile(r"(?:\$[A-Za-z0-9_]*|[0-9.]+(?:[eE][-+]?[0-9]+)?|[-+*/() ])+\Z")
 
 # Keys below which every value is a text.
-_TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
+TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
 
 # Maximum length of an expression [characters], which bounds the nesting depth.
 MAX_LENGTH = 200
@@ -160,7 +160,7 @@ class Substitution:
                 self.unresolved.append((node.file or self.file, node.line, node.column))
             if any(a is not b for a, b in zip(items, node.children, strict=True)):
                 new = node.with_members(items)
-        elif isinstance(node.value, str) and is_expression(node.value) and not _TEXTS.intersection(path):
+        elif isinstance(node.value, str) and is_expression(node.value) and not TEXTS.intersection(path):
             new = self._evaluated(node, path)
         self._done[id(node)] = new
         return new

@@ -22,6 +22,12 @@ EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
 # Sections in which names are looked up, keyed by the field whose value is a name or a list of names.
 REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
 
+# Keys whose values are predicates, or lists of predicates.
+EXPRESSIONS: tuple[str, ...] = _KEYS["expressions"]
+
+# Mappings whose keys are names: for each kind of document, the section of the names by the pattern of the path.
+NAMES: dict[str, dict[str, str]] = _KEYS["names"]
+
 # For each key, the keys that it cannot be combined with.
 RIVALS = {key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in sum(EXCLUSIVE, ())}
 

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from simfoundry.spec.change.diff.generated import generated_names
-from simfoundry.spec.models.types import REFERENCES
+from simfoundry.spec.models.types import EXPRESSIONS, REFERENCES
 
 Path_ = tuple[str, ...]
 
@@ -158,9 +158,6 @@ MAX_PAIRS = 40_000
 
 # Keys whose value names a member, each with the sibling key whose mapping contains that member.
 BESIDE = {"variant": "variants"}
-
-# Keys whose values are expressions, the arguments of which name objects or robots.
-_EXPRESSIONS = (*EXPRESSION_LISTS, "goal", "not")
 
 _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
@@ -318,12 +315,12 @@ def renamed_reference(key: str, value: Any, spaces: Mapping[str, Mapping[str, st
     """
     if key in REFERENCES:
         return _reference(value, REFERENCES[key], spaces)
-    return _expression(value, spaces) if key in _EXPRESSIONS else value
+    return _expression(value, spaces) if key in EXPRESSIONS else value
 
 
 def names_in(key: str, text: str) -> list[str]:
     """Return the names of objects and robots in a scalar, such as ``cup`` and ``desk`` in ``OnTop(cup, desk)``."""
-    if key in _EXPRESSIONS:
+    if key in EXPRESSIONS:
         return [match[2] for match in _ARGUMENT.finditer(text)]
     return [text.partition(".")[0]] if key in REFERENCES else []
 
