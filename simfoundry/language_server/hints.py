@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.hover import HoverContext, scene_document
+from simfoundry.language_server.hover import HoverContext
 from simfoundry.spec.compose.parameters import ParameterError, evaluate, is_expression
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.asset import AssetSpec
@@ -49,9 +49,9 @@ def inlay_hints(context: HoverContext, within: types.Range) -> list[types.InlayH
 def _hints(context: HoverContext, start: int, end: int) -> Iterator[ValueHint]:
     root = context.analysis.spans
     yield from _expressions(context.analysis, root, start, end)
-    scene = scene_document(context.analysis.loaded)
+    scene = context.scene
     if context.draft is not None and scene is not None:
-        if scene is context.analysis.loaded:
+        if scene is context.lowered:
             for name, span in _shown(root.at(("objects",)), start, end):
                 yield from _object_hints(context, scene, name, span)
         for key in ("place", "pose"):

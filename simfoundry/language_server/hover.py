@@ -85,16 +85,17 @@ class HoverContext:
     Attributes:
         analysis: The analysis of the text.
         draft: The lowered scene, which may be that of an older text, or None.
-        scene: The scene document that the names refer to, or None.
+        lowered: The document from which the scene was lowered, or None.
     """
 
     analysis: Analysis
-    draft: DraftScene | None
+    draft: DraftScene | None = None
+    lowered: Loaded | None = None
 
     @property
     def scene(self) -> Loaded | None:
         """Return the scene document whose names the document uses, which may be the document itself."""
-        return scene_document(self.analysis.loaded)
+        return scene_document(self.lowered) if self.lowered is not None else None
 
 
 def scene_document(loaded: Loaded) -> Loaded | None:
@@ -142,7 +143,7 @@ Answer = tuple[str | None, str]
 
 def _answers(context: HoverContext, token: Token, kind: str) -> Iterator[Answer]:
     """Yield possible answers, the most specific one first, each with the name of an object to show."""
-    yield from _named_by_key(context, token) if token.is_key else _named_by_value(context, token, kind)
+    yield from _named_by_key(context, token, kind) if token.is_key else _named_by_value(context, token, kind)
     meaning = key_text(kind, token.path)
     if meaning and not token.is_key and (converted := _converted(token)):
         meaning = f"{converted}\n\n{meaning}"
@@ -167,7 +168,7 @@ def key_text(kind: str, path: Path_) -> str | None:
 # -- keys --------------------------------------------------------------------------------------------------------------
 
 
-def _named_by_key(context: HoverContext, token: Token) -> Iterator[Answer]:
+def _named_by_key(context: HoverContext, token: Token, kind: str) -> Iterator[Answer]:
     path, name = token.path, token.word
     section = path[-2] if len(path) > 1 else ""
     if section == "allow" and _CODE.match(name):
@@ -178,15 +179,8 @@ def _named_by_key(context: HoverContext, token: Token) -> Iterator[Answer]:
         yield _parameter_text(context, name), ""
     elif section == "joints" and len(path) > 2 and path[-3] != "start":
         yield from _joint(context, str(path[-3]), name)
-    elif isinstance(section, str) and key_meaning_is_name(context, path):
+    elif isinstance(section, str) and key_meaning(kind, path) is None:  # a name that the author chose
         yield from _named(context, name, (_NAMED_BY_KEY.get(section, section),))
-
-
-def key_meaning_is_name(context: HoverContext, path: Path_) -> bool:
-    """Return True if the last key of a path is a name that the author chose, and not a key of the language."""
-    source = context.analysis.source
-    kind = kind_of(source)[0] if source is not None else None
-    return kind is not None and key_meaning(kind, path) is None
 
 
 def _code_text(code: str) -> str | None:
@@ -328,7 +322,8 @@ def _named(context: HoverContext, name: str, sections: tuple[str, ...], owner: s
             case "links" if isinstance(spec, AssetSpec):
                 yield _asset_link(context, name), ""
             case "materials":
-                material = getattr(spec, "materials", {}).get(name)
+                owner_spec = spec if isinstance(spec, AssetSpec) else scene.spec if scene is not None else spec
+                material = getattr(owner_spec, "materials", {}).get(name)
                 if material is not None:
                     yield describe.material_text(name, material, draft), ""
             case "cameras" if draft is not None:
@@ -392,3 +387,9 @@ def _asset_link(context: HoverContext, name: str) -> str | None:
     except SpecError:
         return None
     return asset_link_text(context.analysis.loaded, scene.objects[0], name)
+
+
+def plain_text(markdown: str) -> str:
+    """Return a description without its Markdown, for editors that show plain text."""
+    text = re.sub(r"^```\w*\n|\n```$", "", markdown, flags=re.MULTILINE)
+    return re.sub(r"\*\*|`", "", text)

@@ -15,7 +15,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import IDENTITY
+from simfoundry.geometry.frames import Pose
 from simfoundry.language_server.analysis import Analysis
 from simfoundry.lint.draft import DraftScene, drafted_start, pictured, pictured_asset
 from simfoundry.render.raycast import quick_image
@@ -43,6 +43,9 @@ HIGHEST_DEG = 89.5
 
 # Nearest and farthest distance [m] of a camera from the center of a scene.
 NEAREST_M, FARTHEST_M = 0.01, 1e4
+
+# Direction [deg] from which an asset is looked at: its front, which faces x, and its left side.
+FRONT_DEG = 40.0
 
 Checkpoint = Callable[[], None]
 
@@ -96,8 +99,23 @@ class ScenePicture:
     orbit: Orbit
 
 
-def visible_scene(analysis: Analysis) -> tuple[Scene, str] | None:
-    """Return the scene that a document shows with all its visuals, and the name of its viewpoint.
+@dataclass(frozen=True)
+class VisibleScene:
+    """What a document shows.
+
+    Attributes:
+        scene: The scene with all visuals.
+        viewpoint: The name of the viewpoint of the scene, or empty.
+        azimuth_deg: The direction from which it is looked at if there is no viewpoint [deg], or None for the usual one.
+    """
+
+    scene: Scene
+    viewpoint: str = ""
+    azimuth_deg: float | None = None
+
+
+def visible_scene(analysis: Analysis) -> VisibleScene | None:
+    """Return the scene that a document shows.
 
     A task shows its initial state, a recipe the twin, and an asset itself. Robots and backgrounds are not shown.
 
@@ -106,7 +124,7 @@ def visible_scene(analysis: Analysis) -> tuple[Scene, str] | None:
     """
     draft = analysis.draft
     if draft is not None and not draft.spec.lights and _has_all_visuals(draft):
-        return draft.scene, draft.spec.viewpoint or ""
+        return VisibleScene(draft.scene, draft.spec.viewpoint or "")
     try:
         return _visible(analysis.loaded)
     except SpecError:
@@ -122,17 +140,17 @@ def _has_all_visuals(draft: DraftScene) -> bool:
                                           for link in o.links)  # fmt: skip
 
 
-def _visible(loaded: Loaded) -> tuple[Scene, str] | None:
+def _visible(loaded: Loaded) -> VisibleScene | None:
     spec = loaded.spec
     if isinstance(spec, SceneSpec):
-        return pictured(loaded), spec.viewpoint or ""
+        return VisibleScene(pictured(loaded), spec.viewpoint or "")
     if isinstance(spec, AssetSpec):
-        return pictured_asset(loaded), ""
+        return VisibleScene(pictured_asset(loaded), azimuth_deg=FRONT_DEG)
     if isinstance(spec, TaskSpec):
         scene = loaded.used(spec.scene)
         if scene is None or not isinstance(scene.spec, SceneSpec):
             return None
-        return pictured(scene, [spec.start]), scene.spec.viewpoint or ""
+        return VisibleScene(pictured(scene, [spec.start]), scene.spec.viewpoint or "")
     twin = getattr(spec, "twin", None)
     used = loaded.used(twin) if isinstance(twin, str) else None
     return _visible(used) if used is not None and isinstance(used.spec, SceneSpec | TaskSpec) else None
@@ -150,14 +168,15 @@ def draft_of(analysis: Analysis) -> DraftScene | None:
         return None
 
 
-def scene_picture(
-    scene: Scene, viewpoint: str, view: ViewRequest, checkpoint: Checkpoint = lambda: None
-) -> ScenePicture:
+def scene_picture(visible: VisibleScene, view: ViewRequest, checkpoint: Checkpoint = lambda: None) -> ScenePicture:
     """Render a scene from its viewpoint, or in a three-quarter view, or from where the request says."""
+    scene = visible.scene
     center, radius = framing([scene])
     checkpoint()
-    camera = next((camera for camera in scene.cameras if camera.name == viewpoint), None)
+    camera = next((camera for camera in scene.cameras if camera.name == visible.viewpoint), None)
     orbit = default_orbit(radius)
+    if visible.azimuth_deg is not None:
+        orbit = replace(orbit, azimuth_deg=visible.azimuth_deg)
     moved = view.azimuth_deg is not None or view.elevation_deg is not None or view.distance is not None
     if camera is not None:
         orbit = Orbit.of(camera.X_WC.p - center)
@@ -208,8 +227,8 @@ class ObjectPictures:
 
 
 def _content(item: SceneObject) -> str:
-    """Return a hash of what a picture of an object shows, which does not depend on its pose."""
-    total = hashlib.sha256()
+    """Return a hash of what a picture of an object shows, which does not depend on its position."""
+    total = hashlib.sha256(item.X_WO.q.tobytes())
     poses = link_poses(item)
     for link in item.links:
         for visual in link.visuals or link.colliders:
@@ -223,7 +242,7 @@ def object_picture(item: SceneObject) -> bytes:
     """Return a three-quarter view of an object alone, as PNG bytes, or no bytes if it has no visuals."""
     if not any(link.visuals for link in item.links):
         return b""
-    alone = Scene(item.name, np.zeros(3), (replace(item, X_WO=IDENTITY, variants=()),))
+    alone = Scene(item.name, np.zeros(3), (replace(item, X_WO=Pose.of(q=item.X_WO.q), variants=()),))
     width, height = OBJECT_SIZE
     camera: Camera = overview([alone], 2 * width, 2 * height, least=0.0)
     image = quick_image(alone, camera).astype(np.uint16)

@@ -23,6 +23,7 @@ from pygls.lsp.server import LanguageServer
 from simfoundry import __version__
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
+from simfoundry.language_server.displays import add_displays
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
 from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
 
@@ -50,6 +51,8 @@ class Server(LanguageServer):
         self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
+        self.checked: list[Callable[[Analysis], None]] = []  # called with each finished check
+        self.closed: list[Callable[[str, Path], None]] = []  # called with each document that the editor has closed
 
     def report_server_error(self, error: Exception, source: object) -> None:
         """Log an error. Editors interrupt the user with messages that are shown instead."""
@@ -72,6 +75,16 @@ class Server(LanguageServer):
             self.check(buffer.path)
         elif self.documents.latest(buffer.path) is not None:
             self.withdraw(buffer.path)
+
+    @property
+    def is_checking(self) -> bool:
+        """Return True while documents are checked."""
+        return self._checking is not None and not self._checking.done()
+
+    async def idle(self) -> None:
+        """Wait until no documents are checked."""
+        while self._checking is not None and not self._checking.done():
+            await asyncio.wait({self._checking})
 
     async def current(self, uri: str) -> Analysis | None:
         """Return the analysis of the current text of an open document, or None if it is not open."""
@@ -107,6 +120,8 @@ class Server(LanguageServer):
             return
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
+        for listener in self.checked:
+            listener(analysis)
         if changed:
             for other in self.documents.dependents(path):
                 self.check(other, changed=False)
@@ -150,6 +165,7 @@ def make_server() -> Server:
     """Return a server with all features."""
     server = Server()
     _add_synchronization(server)
+    add_displays(server)
     return server
 
 
@@ -194,6 +210,8 @@ def _add_synchronization(server: Server) -> None:
         buffer = documents.close(params.text_document.uri)
         if buffer is None:
             return
+        for listener in ls.closed:
+            listener(buffer.uri, buffer.path)
         used = documents.dependents(buffer.path)
         ls.withdraw(buffer.path)
         for path in used:  # they see the text on the disk again

@@ -44,8 +44,10 @@ class Server:
 
     process: subprocess.Popen[bytes]
     folder: Path
+    options: Message = field(default_factory=dict)
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
     published: dict[str, queue.Queue[list[Message]]] = field(default_factory=dict)
+    notices: dict[str, queue.Queue[Message]] = field(default_factory=dict)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
 
@@ -57,6 +59,7 @@ class Server:
             rootUri=self.folder.as_uri(),
             workspaceFolders=[{"uri": self.folder.as_uri(), "name": self.folder.name}],
             capabilities=CAPABILITIES,
+            initializationOptions=self.options,
         )
         self.capabilities: Message = answer["capabilities"]
         self.tell("initialized")
@@ -105,6 +108,14 @@ class Server:
         document = {"uri": path.as_uri(), "version": self.count}
         self.tell("textDocument/didChange", textDocument=document, contentChanges=changes)
 
+    def notice(self, method: str) -> Message:
+        """The next notification of a kind, once the server sends it."""
+        return self.notices.setdefault(method, queue.Queue()).get(timeout=PATIENCE)
+
+    def ask_about(self, method: str, path: Path, /, **params: Any) -> Any:
+        """The result of a request about a document."""
+        return self.ask(method, textDocument={"uri": path.as_uri()}, **params)
+
     def close(self, path: Path) -> None:
         """Close a document."""
         self.tell("textDocument/didClose", textDocument={"uri": path.as_uri()})
@@ -145,6 +156,8 @@ class Server:
                     self.answers.pop(number).put(message)
                 case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri, "diagnostics": found}}:
                     self.published.setdefault(uri, queue.Queue()).put(found)
+                case {"method": method}:
+                    self.notices.setdefault(method, queue.Queue()).put(message.get("params") or {})
 
 
 def _place(path: Path, line: int, character: int) -> Message:
@@ -175,12 +188,12 @@ def _messages(stream: IO[bytes]) -> Iterator[Message]:
 
 
 @contextmanager
-def started(command: Sequence[str], folder: Path) -> Iterator[Server]:
-    """A server that has a folder open."""
+def started(command: Sequence[str], folder: Path, options: Message | None = None) -> Iterator[Server]:
+    """A server that has a folder open, started with the given options."""
     with (
         subprocess.Popen(
             command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         ) as process,
-        Server(process, folder) as server,
+        Server(process, folder, options or {}) as server,
     ):
         yield server

@@ -77,6 +77,8 @@ def _text(model: type[BaseModel], key: str, field: Schema, whole: Schema) -> str
     said: Any = field.get("description") or snippets.lookup("descriptions", f"{model.__name__}.{key}")
     if not said and "$ref" in field:
         said = whole["$defs"][field["$ref"].rpartition("/")[2]].get("description")
+    if model.__name__.endswith("Shape") and said != whole["description"]:
+        return f"{whole['description']} {said or ''}".strip()  # a shape is described with its only key
     return str(said or "")
 
 
