@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format goldens schemas docs proofs lock hooks pictures clean
+.PHONY: help demo test lint format goldens schemas docs proofs lock hooks pictures vsix clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
@@ -52,6 +52,10 @@ docs: $(READY) ## Build the documentation site into build/site; a warning is an 
 pictures: $(READY) ## Render the pictures of specs/README.md anew
 	$(BIN)/python specs/render_pictures.py
 
+# It needs node and npm; the packages that build it are installed beside its sources.
+vsix: $(READY) ## Build the extension for VS Code into build/
+	@$(BIN)/python -m editors.vscode.build
+
 goldens: $(READY) ## Write the expected texts of the tests anew; review the diff
 	$(BIN)/python -m pytest -n $(WORKERS) --update-goldens
 
@@ -73,5 +77,5 @@ hooks: $(READY) ## Run the checks at each commit
 	$(BIN)/pre-commit install
 
 clean: ## Remove the environment, caches and build outputs
-	rm -rf $(VENV) build dist tests/editor/node_modules .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist tests/editor/node_modules editors/vscode/node_modules .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find simfoundry tests -name __pycache__ -type d -prune -exec rm -rf {} +

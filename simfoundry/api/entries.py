@@ -245,7 +245,10 @@ class EntryMapping(MutableMapping[str, E]):
         self._document._edit({self._at: ABSENT})
 
     def rename(self, old: str, new: str) -> E:
-        """Rename a member and update all references to it, for example in relations and placements."""
+        """Rename a member and update all references to it in this document, for example in relations and placements.
+
+        Documents that use this one, such as tasks, stay as they are; ``simfoundry rename`` changes them, too.
+        """
         self._document._get((*self._at, old))
         self._require_new(new := str(new))
         self._document._rename(self._at, old, new)

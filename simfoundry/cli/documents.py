@@ -248,8 +248,4 @@ def _format_stream(check: bool, diff: bool) -> int:
 
 def _difference(path: Path, text: Formatted) -> str:
     """Return a unified diff between a document and its formatted version."""
-    import difflib
-
-    before, after = (t.splitlines(keepends=True) for t in (text.before, text.after))
-    lines = difflib.unified_diff(before, after, f"{path}", f"{path} (formatted)")
-    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+    return output.unified_diff(text.before, text.after, f"{path}", f"{path} (formatted)")

@@ -217,6 +217,14 @@ def write_in_place(path: Path, text: str) -> None:
     write_in_place(path, text.encode())
 
 
+def unified_diff(before: str, after: str, old: str, new: str) -> str:
+    """Return a unified diff of two texts, with the names ``old`` and ``new`` in its header."""
+    import difflib
+
+    lines = difflib.unified_diff(before.splitlines(keepends=True), after.splitlines(keepends=True), old, new)
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+
+
 def plural(count: int, noun: str) -> str:
     """Format a count with its noun, as in ``no conflicts`` or ``1 conflict``."""
     return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"

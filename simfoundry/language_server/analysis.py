@@ -81,7 +81,6 @@ def linted(analysis: Analysis, checkpoint: Callable[[], None]) -> Analysis:
         return analysis
     from simfoundry.lint.lints import lint_subject, subject_of  # numpy is loaded after the first findings are shown
 
-    checkpoint()
-    subject, errors = subject_of(analysis.loaded)
-    findings = (*analysis.findings, *lint_subject(analysis.loaded, subject, errors, checkpoint))
+    subject, errors = subject_of(analysis.loaded, checkpoint)
+    findings = (*analysis.findings, *lint_subject(analysis.loaded, subject, errors))
     return replace(analysis, findings=findings, draft=subject.draft if subject is not None else None)

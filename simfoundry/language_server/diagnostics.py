@@ -28,10 +28,12 @@ def published(findings: Iterable[Diagnostic], lines: Lines) -> list[types.Diagno
 
 
 def finding_range(finding: Diagnostic, lines: Lines) -> types.Range:
-    """Return the range of a finding: the token at its place, or the first line if it concerns the whole text."""
+    """Return the range of a finding: its wrong word, or the first line if it concerns the whole text."""
     if not finding.line:
         return lines.range(*lines.bounds(0))
     start = lines.place(finding.line, finding.column)
+    if finding.word and lines.text.startswith(finding.word, start):
+        return lines.range(start, start + len(finding.word))
     token = _TOKEN.match(lines.text, start)
     return lines.range(start, token.end() if token is not None else start)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,14 +12,16 @@ from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis
 from simfoundry.language_server.colors import color_presentations, document_colors
+from simfoundry.language_server.cursor import cursor_at
 from simfoundry.language_server.formatting import format_edits
 from simfoundry.language_server.hints import inlay_hints
-from simfoundry.language_server.hover import HoverContext, hover_at, plain_text
+from simfoundry.language_server.hover import HoverContext, hover_at, key_text, plain_text
 from simfoundry.language_server.links import document_links
 from simfoundry.language_server.older import LineShift
 from simfoundry.language_server.outline import document_symbols, folding_ranges, selection_ranges
 from simfoundry.language_server.preview import Previews
 from simfoundry.language_server.workspace import is_ours, path_of
+from simfoundry.spec.models.kinds import KINDS
 
 if TYPE_CHECKING:
     from simfoundry.language_server.server import Server
@@ -28,6 +31,9 @@ T = TypeVar("T")
 
 PREVIEW = "simfoundry/preview"
 PREVIEW_CHANGED = "simfoundry/previewChanged"
+
+# The kind of a document, which may not be readable otherwise.
+_KIND = re.compile(r"^simfoundry: *(\w+/\d+)", re.MULTILINE)
 
 # Start of the names of the editors that show pictures in hovers.
 _SHOWS_PICTURES = "Visual Studio Code"
@@ -124,7 +130,7 @@ def _add_hover(server: Server, displays: _Displays) -> None:
             older = server.documents.parsed(analysis.path)
             line = LineShift(older.lines, analysis.lines).older_line(position.line) if older is not None else None
             if older is None or line is None:
-                return None
+                return _key_hover(analysis, params.position)
             position, shown = types.Position(line, position.character), older
         found = hover_at(displays.context(shown), shown.lines.offset(position))
         if found is None:
@@ -142,6 +148,18 @@ def _add_hover(server: Server, displays: _Displays) -> None:
             uri = await displays.previews.object_picture(analysis.path, found.object)
             text += f"\n\n![{found.object}]({uri})" if uri else ""
         return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), where)
+
+
+def _key_hover(analysis: Analysis, position: types.Position) -> types.Hover | None:
+    """Return the meaning of the key at a place of a text that cannot be parsed, or None if there is none."""
+    cursor = cursor_at(analysis.lines.text, analysis.lines.offset(position))
+    kind = _KIND.search(analysis.lines.text)
+    text = key_text(kind[1], cursor.path) if kind is not None and kind[1] in KINDS else None
+    if text is None:
+        return None
+    return types.Hover(
+        types.MarkupContent(types.MarkupKind.Markdown, text), analysis.lines.range(cursor.start, cursor.end)
+    )
 
 
 def _add_structure(server: Server, displays: _Displays) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -144,11 +146,11 @@ class Workspace:
 
     def dependents(self, path: Path) -> list[Path]:
         """Return the analyzed documents that use a file, directly or indirectly."""
-        target = path.resolve()
+        target = os.path.realpath(path)  # unlike `Path.resolve`, it also works for cyclic symbolic links
         return [
             other
             for other, known in self._known.items()
-            if other != path and any(file.resolve() == target for file in known.latest.loaded.files())
+            if other != path and any(os.path.realpath(file) == target for file in known.latest.loaded.files())
         ]
 
     # -- findings ---------------------------------------------------------------------------------------------------
@@ -169,13 +171,25 @@ class Workspace:
             yield from found.get(file, ())
 
 
+# Maximum length of a path [characters]; Linux allows 4096 bytes, and 255 for one name. Longer ones name no file.
+MAX_NAME = 1000
+
+# Maximum length of the name of a document that was never saved [characters]; one takes up to four bytes.
+MAX_UNSAVED = 60
+
+# Characters that no file name can contain.
+_NO_FILE = re.compile("[\0\ud800-\udfff]")
+
+
 def path_of(uri: str) -> Path:
     """Return the file of a URI, as a normalized absolute path.
 
     A URI that does not name a file, as that of a document that was never saved, stands for one in the working folder.
     """
     name = uris.to_fs_path(uri) if uri.startswith("file:") else None
-    return absolute(name if name else Path(uri.rpartition("/")[2].rpartition(":")[2] or "untitled").name)
+    if not name or len(name) > MAX_NAME:
+        name = Path(uri.rpartition("/")[2].rpartition(":")[2][-MAX_UNSAVED:] or "untitled").name
+    return absolute(_NO_FILE.sub("\ufffd", name))
 
 
 def is_ours(buffer: Buffer) -> bool:

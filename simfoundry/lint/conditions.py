@@ -77,6 +77,7 @@ def broken_relations(subject: Subject) -> Iterator[Diagnostic]:
     judge = StartJudge(subject.scene)
     for k, text in enumerate(subject.scene.spec.relations):
         call = parse_call(text)
+        subject.checkpoint()
         if call.declaration.before_motion is None and judge.value(text) is False:
             names = tuple(arg.partition(".")[0] for arg in call.args)
             message = f"`{call}` does not hold: {judge.explanation(text)}"

@@ -35,6 +35,7 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
     for a, b in neighbors(draft)[:MOST_PAIRS]:
         if (a.fixed and b.fixed) or frozenset((a.name, b.name)) in silent or _is_placed_on(draft, a, b):
             continue
+        subject.checkpoint()
         if draft.distance(a.name, b.name, -DEEP) < -DEEP:
             yield _overlap_finding(subject, a, b)
 
@@ -101,6 +102,7 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
     for k, item in enumerate(items):
         if item.fixed or draft.spec.objects[item.name].place is not None:
             continue
+        subject.checkpoint()
         near = ((low <= high[k] + HOVERING) & (low[k] - HOVERING <= high)).all(axis=1)
         near[k] = False
         below = sorted(np.flatnonzero(near).tolist(), key=lambda j: (abs(high[j, 2] - low[k, 2]), j))

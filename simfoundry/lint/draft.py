@@ -8,7 +8,7 @@ are certain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -116,7 +116,7 @@ def _is_usable(shape: Hulls) -> bool:
     return bool(np.abs(shape.corners).max() + shape.radius.max() < FARTHEST)
 
 
-def drafted_start(loaded: Loaded) -> DraftScene | None:
+def drafted_start(loaded: Loaded, checkpoint: Callable[[], None] = lambda: None) -> DraftScene | None:
     """Return the draft of a scene document or of the initial state of a task.
 
     Returns:
@@ -126,16 +126,22 @@ def drafted_start(loaded: Loaded) -> DraftScene | None:
         SpecError: If lowering fails.
     """
     if isinstance(loaded.spec, SceneSpec):
-        return drafted(loaded)
+        return drafted(loaded, checkpoint=checkpoint)
     from simfoundry.spec.models.task import TaskSpec
 
     assert isinstance(loaded.spec, TaskSpec)
     scene = loaded.used(loaded.spec.scene)
-    return None if scene is None or not isinstance(scene.spec, SceneSpec) else drafted(scene, [loaded.spec.start])
+    return (
+        None
+        if scene is None or not isinstance(scene.spec, SceneSpec)
+        else drafted(scene, [loaded.spec.start], checkpoint)
+    )
 
 
-def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
+def drafted(loaded: Loaded, starts: Sequence[Start] = (), checkpoint: Callable[[], None] = lambda: None) -> DraftScene:
     """Return the draft of a scene document after applying the changes in ``starts``, in order.
+
+    ``checkpoint`` is called before each object is lowered. It can raise an exception to stop.
 
     Raises:
         SpecError: If lowering fails.
@@ -146,7 +152,7 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
         from simfoundry.spec.models.task import with_starts
 
         spec = with_starts(spec, starts)
-    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
+    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), lambda *_: checkpoint(), fetch=False, draft=True)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))
     return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
 
@@ -191,7 +197,9 @@ def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:
     return tuple(links), work.findings
 
 
-def drafted_steps(loaded: Loaded) -> tuple[dict[str, DraftScene], list[Diagnostic]]:
+def drafted_steps(
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None
+) -> tuple[dict[str, DraftScene], list[Diagnostic]]:
     """Return the drafts of the steps of a task that have their own initial state, and the errors of the others."""
     from simfoundry.spec.models.task import TaskSpec
 
@@ -202,7 +210,7 @@ def drafted_steps(loaded: Loaded) -> tuple[dict[str, DraftScene], list[Diagnosti
         if step.start is None or scene is None:
             continue
         try:
-            found[name] = drafted(scene, [loaded.spec.start, step.start])
+            found[name] = drafted(scene, [loaded.spec.start, step.start], checkpoint)
         except SpecError as error:
             starts = {("start",): loaded.spec.start, ("subtasks", name, "start"): step.start}
             errors += own_findings(loaded, error, starts)

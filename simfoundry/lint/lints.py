@@ -70,13 +70,15 @@ class Subject:
     """A document without errors, and its draft scene.
 
     For a task, ``draft`` is the scene in which the task starts, and ``steps`` contains the scenes of the steps that
-    have their own start. For an asset, ``draft`` is None, and ``links`` contains its links.
+    have their own start. For an asset, ``draft`` is None, and ``links`` contains its links. Lints call ``checkpoint``
+    before each slow measurement; it raises an exception if the findings are no longer needed.
     """
 
     loaded: Loaded
     draft: DraftScene | None = None
     steps: Mapping[str, DraftScene] = field(default_factory=dict)
     links: tuple[Link, ...] = ()
+    checkpoint: Callable[[], None] = lambda: None
 
     @property
     def is_task(self) -> bool:
@@ -154,27 +156,20 @@ def lint(
         return ()
     seen.add(path)
     findings = [d for used in loaded.uses.values() for d in lint(used, seen, checkpoint)]
-    checkpoint()
-    subject, errors = subject_of(loaded)
-    return tuple(findings) + lint_subject(loaded, subject, errors, checkpoint)
+    subject, errors = subject_of(loaded, checkpoint)
+    return tuple(findings) + lint_subject(loaded, subject, errors)
 
 
-def lint_subject(
-    loaded: Loaded,
-    subject: Subject | None,
-    errors: Sequence[Diagnostic],
-    checkpoint: Callable[[], None] = lambda: None,
-) -> tuple[Diagnostic, ...]:
+def lint_subject(loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Run the lints on one document, without the documents that it uses.
 
     Args:
         loaded: The document, which has no errors.
         subject: Its drafts.
         errors: The errors from lowering it. See :func:`subject_of`.
-        checkpoint: Function that is called before each step. It can raise an exception to stop.
     """
     assert loaded.spec is not None and loaded.document is not None
-    kept, silenced = sift(with_sources(_lints(loaded, subject, errors, checkpoint), loaded.reuse), loaded.spec.allow)
+    kept, silenced = sift(with_sources(_lints(loaded, subject, errors), loaded.reuse), loaded.spec.allow)
     findings = collapsed(kept, loaded.reuse)
     # Ignore unused entries inherited from a base document; they may suppress findings in that document.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
@@ -182,9 +177,7 @@ def lint_subject(
     return tuple(findings)
 
 
-def _lints(
-    loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic], checkpoint: Callable[[], None]
-) -> Iterator[Diagnostic]:
+def _lints(loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic]) -> Iterator[Diagnostic]:
     """Yield the findings for one document: the errors from lowering or, if there are no errors, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
     yield from errors
@@ -194,7 +187,7 @@ def _lints(
     for name, cause in unusable.items():  # reported at the plug-in, because no document is at fault
         yield Diagnostic(name, Severity.WARNING, str(cause), plugins(LINTS.group)[name].value)
     for name, one in lints.items():
-        checkpoint()
+        subject.checkpoint()
         try:
             if kind in one.kinds:
                 with LINTS.running(name):
@@ -203,11 +196,14 @@ def _lints(
             yield warning(loaded, one.code, (), str(error), "")
 
 
-def subject_of(loaded: Loaded) -> tuple[Subject | None, list[Diagnostic]]:
+def subject_of(
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None
+) -> tuple[Subject | None, list[Diagnostic]]:
     """Return the drafts of a document, or None if it has none or cannot be lowered; and the errors from lowering.
 
     Args:
         loaded: The document, which has no errors.
+        checkpoint: Function that is called before each step, here and in the lints. It can raise an exception to stop.
     """
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
@@ -216,10 +212,10 @@ def subject_of(loaded: Loaded) -> tuple[Subject | None, list[Diagnostic]]:
 
     if kind == "asset/1":
         links, errors = draft.drafted_links(loaded)
-        return Subject(loaded, links=links), errors
-    steps, errors = draft.drafted_steps(loaded) if kind == "task/1" else ({}, [])
+        return Subject(loaded, links=links, checkpoint=checkpoint), errors
+    steps, errors = draft.drafted_steps(loaded, checkpoint) if kind == "task/1" else ({}, [])
     try:
-        return Subject(loaded, draft.drafted_start(loaded), steps), errors
+        return Subject(loaded, draft.drafted_start(loaded, checkpoint), steps, checkpoint=checkpoint), errors
     except SpecError as error:
         starts: Starts | None = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
         return None, list(dict.fromkeys([*draft.own_findings(loaded, error, starts), *errors]))

@@ -41,6 +41,7 @@ def too_wide(subject: Subject) -> Iterator[Diagnostic]:
         if not call.declaration.effect.grasps or name in seen or name in draft.approximate:
             continue
         seen.add(name)
+        subject.checkpoint()
         item = next((item for item in draft.solids if item.name == name), None)
         width = 0.0 if item is None else grasp_width(solid(item, SceneState.initial(draft.scene)), widest + SLACK)
         if width <= widest + SLACK:

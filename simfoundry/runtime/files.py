@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -39,6 +39,42 @@ def write_in_place(path: Path, data: bytes) -> None:
     mode = target.stat().st_mode & 0o7777 if target.exists() else NEW_FILE_MODE
     with writing_atomically(target, mode) as stream:
         stream.write(data)
+
+
+def write_all_in_place(files: Mapping[Path, tuple[bytes, bytes]]) -> None:
+    """Replace the content of several files, or of none of them, preserving their permissions.
+
+    All new files are written before the first one replaces an old one. If this fails for one of them, those that have
+    been replaced get their old content again. Only a crash between two replacements leaves some of them.
+
+    Args:
+        files: The expected old content and the new content of each file.
+
+    Raises:
+        OutputError: If the content of a file is not the expected one, because another program has changed it.
+    """
+    with ExitStack() as stack:
+        staged_files: dict[Path, Path] = {}
+        for path, (before, after) in files.items():
+            target = path.resolve()
+            if target.read_bytes() != before:
+                raise OutputError(f"{path} has changed in the meantime; run the command again")
+            handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+            staged_files[target] = Path(name)
+            stack.callback(Path(name).unlink, missing_ok=True)
+            with naming(path), os.fdopen(handle, "wb") as stream:
+                stream.write(after)
+            Path(name).chmod(target.stat().st_mode & 0o7777)
+        replaced: list[Path] = []
+        try:
+            for target, new in staged_files.items():
+                os.replace(new, target)
+                replaced.append(target)
+        except OSError:
+            old = {path.resolve(): before for path, (before, _) in files.items()}
+            for target in replaced:
+                write_in_place(target, old[target])
+            raise
 
 
 @contextmanager

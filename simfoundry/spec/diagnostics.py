@@ -23,11 +23,26 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True)
+class Fix:
+    """A correction of a finding: the text to write in place of the finding's ``word``.
+
+    Attributes:
+        text: The text to write.
+        certain: True if nothing else is likely to be meant, so that a program may apply the correction unasked.
+    """
+
+    text: str
+    certain: bool = False
+
+
+@dataclass(frozen=True)
 class Diagnostic:
     """A finding at a location.
 
     ``line`` and ``column`` count from 1, and 0 means the whole file. ``about`` contains names that the finding concerns
     in addition to those in ``path``. Like the names in ``path``, they can be used in ``allow`` to silence the finding.
+    ``word`` is the text at the location that is wrong, such as a key, a value, or an argument of a predicate, as it is
+    spelled there; it is empty if the text is not known. ``fixes`` contains what can be written instead.
     """
 
     code: str
@@ -39,6 +54,13 @@ class Diagnostic:
     path: str = ""
     hint: str = ""
     about: tuple[str, ...] = ()
+    word: str = ""
+    fixes: tuple[Fix, ...] = ()
+
+    @property
+    def end_column(self) -> int:
+        """Return the column after the wrong word, or 0 if the word is not known."""
+        return self.column + len(self.word) if self.word else 0
 
     @property
     def document(self) -> str:
@@ -47,7 +69,8 @@ class Diagnostic:
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding as a plain mapping for ``--json``."""
-        return {key: value for key, value in asdict(self).items() if key != "about"}
+        data = {key: value for key, value in asdict(self).items() if key != "about"}
+        return data | {"fixes": [asdict(fix) for fix in self.fixes]}
 
 
 class SpecError(PicklableError):
@@ -60,7 +83,7 @@ class SpecError(PicklableError):
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     """Return the findings in reading order, without duplicates."""
-    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
+    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint, d.word))
 
 
 @cache
@@ -78,21 +101,54 @@ def _synonyms() -> dict[str, str]:
 def nearest(word: str, choices: Iterable[str]) -> str:
     """Return a hint with the most similar choice, or with all valid choices if none is similar."""
     names = sorted(choices)
-    plain = {_plain(name): name for name in reversed(names)}
-    sought = _plain(word)
-    meant = _plain(_synonyms().get(sought, ""))
-    if meant in plain:
-        return f"did you mean `{plain[meant]}`?"
-    import difflib
-
-    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparison is slow for many names
-    match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
-    if match:
-        return f"did you mean `{plain[match[0]]}`?"
+    similar = most_similar(word, names)
+    if similar is not None:
+        return f"did you mean `{similar.text}`?"
     if not names:
         return ""
     shown = ", ".join(f"`{n}`" for n in names[:12])
     return f"valid: {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+# Least similarity of a word and the choice that was meant, as the share of characters that match. With 0.6, the words
+# of both "plate" and "late", and of "mug" and "mgu", are similar.
+SIMILAR = 0.6
+
+# Least difference to the similarity of the second choice at which the first choice is certain.
+_AHEAD = 0.1
+
+
+def most_similar(word: str, choices: Iterable[str]) -> Fix | None:
+    """Return the correction of a misspelled word to the most similar choice, or None if none is similar.
+
+    The correction is certain if no other choice is almost as similar, and if both contain the same digits: `cup_3` may
+    be a name that is still to be defined, and not a misspelling of `cup_2`.
+    """
+    names = sorted(choices)
+    plain = {_plain(name): name for name in reversed(names)}
+    sought = _plain(word)
+    meant = _plain(_synonyms().get(sought, ""))
+    if meant in plain:
+        return Fix(plain[meant])  # the word may have another unit or form, such as an angle in radians
+    import difflib
+
+    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparison is slow for many names
+    found = difflib.get_close_matches(sought, similar[:1000], n=2, cutoff=SIMILAR)
+    if not found:
+        return None
+    ratios = [difflib.SequenceMatcher(None, name, sought).ratio() for name in found]
+    ahead = len(found) == 1 or ratios[0] - ratios[1] >= _AHEAD
+    return Fix(plain[found[0]], certain=ahead and _digits(found[0]) == _digits(sought))
+
+
+def similar_fixes(word: str, choices: Iterable[str]) -> tuple[Fix, ...]:
+    """Return the correction of a misspelled word, if there is one."""
+    found = most_similar(word, choices)
+    return () if found is None else (found,)
+
+
+def _digits(name: str) -> str:
+    return "".join(filter(str.isdigit, name))
 
 
 def _plain(name: str) -> str:
@@ -125,7 +181,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
             # Every character must occupy one column, so that the caret is aligned.
             text = "".join(c if c.isprintable() else " " for c in sources[d.file][d.line - 1])
             start = max(0, d.column - SHOWN)
-            caret = " " * (d.column - 1 - start) + paint("^", d.severity)
+            caret = " " * (d.column - 1 - start) + paint("^" * _underlined(d, start), d.severity)
             lines += [
                 f"{paint(f'  {d.line:>5} |', 'margin')} {text[start : start + SHOWN]}",
                 f"{paint('        |', 'margin')} {caret}",
@@ -134,6 +190,11 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
             lines.append(f"{paint('        =', 'margin')} {printable(d.hint)}")
         blocks.append("\n".join(lines))
     return "\n".join(blocks)
+
+
+def _underlined(d: Diagnostic, start: int) -> int:
+    """Return the number of characters to underline in a source line that is shown from ``start``."""
+    return max(1, min(len(d.word), start + SHOWN - d.column + 1))
 
 
 # ECMA-48 "Select Graphic Rendition" codes for bold text in red, yellow or blue.

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import PicklableError
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest, similar_fixes
 from simfoundry.spec.models.base import DocumentSpec
-from simfoundry.spec.yaml.text import Document
+from simfoundry.spec.yaml.text import Document, Mark
 
 if TYPE_CHECKING:
     from simfoundry.spec.compose.expand import Reuse
@@ -29,11 +29,14 @@ _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9
 
 
 class FileError(PicklableError):
-    """Raised if a document cannot use a file. The message states the reason."""
+    """Raised if a document cannot use a file.
 
-    def __init__(self, code: str, message: str, hint: str = "") -> None:
+    The message states the reason, and ``mark`` is the wrong part of the path, if it is known.
+    """
+
+    def __init__(self, code: str, message: str, hint: str = "", mark: Mark | None = None) -> None:
         super().__init__(message)
-        self.code, self.hint = code, hint
+        self.code, self.hint, self.mark = code, hint, mark
 
 
 def is_document(reference: str) -> bool:
@@ -48,6 +51,11 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
     """
     found = _ROBOT.match(reference)
     return found and (found[1], found[2], found[3])
+
+
+def resolved(path: Path) -> Path:
+    """Return a path without symbolic links. Unlike :meth:`Path.resolve`, this also works if the links form a cycle."""
+    return Path(os.path.realpath(path))
 
 
 def located(reference: str, document: Path) -> Path:
@@ -101,11 +109,24 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
     if target.is_file() or (not suffixes and target.is_dir()):
         return target
     folder = target.parent
-    hint = f"folder `{folder.name}` does not exist"
+    message = f"{'file' if suffixes else 'folder'} `{reference}` does not exist"
     if folder.is_dir():
         near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
         hint = nearest(target.name, near) or f"folder `{folder.name}` does not contain any such file"
-    raise FileError("SF203", f"{'file' if suffixes else 'folder'} `{reference}` does not exist", hint)
+        mark = Mark(target.name, len(reference) - len(target.name), similar_fixes(target.name, near))
+        raise FileError("SF203", message, hint, mark if reference.endswith(target.name) else None)
+    raise FileError("SF203", message, f"folder `{folder.name}` does not exist", _missing_folder(reference, folder))
+
+
+def _missing_folder(reference: str, folder: Path) -> Mark | None:
+    """Return the mark for the first folder of a path that does not exist, or None if the path does not name it."""
+    while not folder.parent.is_dir() and folder != folder.parent:
+        folder = folder.parent
+    named = [part.start() for part in re.finditer(rf"(?<![^/]){re.escape(folder.name)}(?=/)", reference)]
+    if not named:
+        return None
+    near = [p.name for p in folder.parent.iterdir() if p.is_dir()]
+    return Mark(folder.name, named[0], similar_fixes(folder.name, near))
 
 
 def _or_mark(target: Path, root: Path) -> str:
@@ -121,7 +142,7 @@ def _or_mark(target: Path, root: Path) -> str:
 def shown(reference: str, document: Path) -> Path:
     """Return the path of a file for display. The path is relative if the document's own path is relative."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
-    return plain if plain.resolve() == target else target
+    return plain if resolved(plain) == target else target
 
 
 @dataclass(frozen=True)

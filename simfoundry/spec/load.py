@@ -11,13 +11,13 @@ from typing import TypeVar
 from simfoundry.spec.check.documents import check, sift
 from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.compose.compose import REUSE, compose
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
-from simfoundry.spec.files import Loaded
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest, similar_fixes
+from simfoundry.spec.files import Loaded, resolved
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
-from simfoundry.spec.yaml.text import Document, Read, parse, read
+from simfoundry.spec.yaml.text import Document, Mark, Read, parse, read
 
 # Documents read so far, keyed by resolved path and requested kind, so that each is read only once.
 Known = dict[tuple[str, str], Loaded | None]
@@ -44,7 +44,7 @@ def load(
     if text is None and path.suffix.lower() in _USD:
         compiled: Loaded = import_module("simfoundry.frontends.usd.compiled.loading").load_usd(path, known)
         return compiled
-    root = (root or project_root(path)).resolve()
+    root = resolved(root or project_root(path))
     try:
         document = reader(path) if text is None else parse(text, str(path))
     except YamlError as error:
@@ -58,12 +58,9 @@ def load(
     read_in_full = Loaded(
         path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
     )
-    findings = composed.findings
-    read_in_full = Loaded(
-        path, root, None, findings, composed.document, composed.bases, reuse=composed.reuse, source=document
-    )
     if composed.reuse is None and any(d.code not in ("SF003", "SF201") for d in findings):
-        return read_in_full  # a base is missing, and so is most of the content
+        completed = tuple(map(composed.document.completed, findings))
+        return replace(read_in_full, findings=completed)  # a base is missing, and so is most of the content
     return checked(read_in_full, kind, known, reader)
 
 
@@ -85,11 +82,12 @@ def checked(joined: Loaded, kind: str, known: Known, reader: Read = read) -> Loa
         return _use(target, kinds, joined.root, known, reader)
 
     found = check(loaded, sound, spec is not None, use)
-    findings = [*joined.findings, *wrong, *found]
+    complete = joined.document.completed
+    findings = [*map(complete, joined.findings), *wrong, *found]
     if joined.reuse is not None:
         from simfoundry.spec.compose.findings import collapsed, with_sources
 
-        findings = [*causes.findings, *wrong, *causes.unrelated(found)]
+        findings = [*map(complete, causes.findings), *wrong, *causes.unrelated(found)]
         findings = collapsed(with_sources(findings, joined.reuse), joined.reuse)
     kept, silenced = sift(findings, spec.allow if spec is not None else {})
     return replace(loaded, findings=tuple(kept), silenced=tuple(silenced))
@@ -148,7 +146,7 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known, reader: R
 
     To avoid cycles, returns None if the kind of the document is not in ``kinds``.
     """
-    key = (str(path.resolve()), kinds[0])
+    key = (str(resolved(path)), kinds[0])
     if key not in known:
         try:
             kind = kind_of(reader(path))[0]
@@ -171,4 +169,5 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     else:
         message = "the `simfoundry` key is missing"
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
-    return None, document.finding("SF006", ("simfoundry",), message, hint)
+    fixes = similar_fixes(str(value), KINDS) if value is not None else ()
+    return None, document.finding("SF006", ("simfoundry",), message, hint, mark=Mark(fixes=fixes))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from simfoundry.spec.diagnostics import Severity
-from simfoundry.spec.files import Loaded
+from simfoundry.spec.files import Loaded, resolved
 from simfoundry.spec.load import Known, load
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.project import project_root
@@ -64,7 +64,7 @@ class OpenDocuments:
 
     def load(self, path: Path) -> Loaded:
         """Read and check one document; see :func:`simfoundry.spec.load.load`."""
-        root = project_root(path).resolve()
+        root = resolved(project_root(path))
         self._drop_changed()
         known = self._known.setdefault(root, {})
         file = os.path.realpath(path)
@@ -109,8 +109,8 @@ class OpenDocuments:
         stamps: dict[int, dict[str, Stamp]] = {}
         for known in self._known.values():
             for key, loaded in tuple(known.items()):
-                read_from = self._stamps[id(loaded)]
-                if all(self._now(file, now) == stamp for file, stamp in read_from.items()):
+                read_from = self._stamps.get(id(loaded))  # missing if an error ended the load
+                if read_from is not None and all(self._now(file, now) == stamp for file, stamp in read_from.items()):
                     stamps[id(loaded)] = read_from
                 else:
                     del known[key]

@@ -10,6 +10,7 @@ with :class:`simfoundry.spec.open_documents.OpenDocuments` as an editor does, an
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import re
 import statistics
@@ -17,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from simfoundry.language_server.server import GC_THRESHOLD
 from simfoundry.lint.lints import lint
 from simfoundry.spec.open_documents import OpenDocuments
 from tests.conftest import REPOSITORY
@@ -56,14 +58,13 @@ def instances(count: int = COUNT) -> str:
     return "\n".join([*lines, "relations:", *(f"  - OnTop(item_{k}, ground)" for k in range(0, count, 10)), ""])
 
 
-REPEATED = f"""\
-{HEADER.format(name="repeated").rstrip()}
-  parcel:
-    shape: {{box: [0.3, 0.2, 0.15]}}
-    material: card
-    place: {{on: ground}}
-    repeat: {{count: [25, {COUNT // 25}], step: [0.6, 0.4]}}
-"""
+def repeated(count: int = COUNT) -> str:
+    """A scene that repeats one object."""
+    lines = [HEADER.format(name="repeated").rstrip()]
+    lines += ["  parcel:", "    shape: {box: [0.3, 0.2, 0.15]}", "    material: card", "    place: {on: ground}"]
+    lines += [f"    repeat: {{count: [{max(1, count // 40)}, 40], step: [0.6, 0.4]}}"]
+    return "\n".join([*lines, ""])
+
 
 TASK = """\
 simfoundry: task/1
@@ -103,7 +104,7 @@ def write_project(folder: Path, count: int = COUNT) -> list[Path]:
         width = round(0.2 + 0.004 * k, 3)
         (folder / f"item_{k}.asset.yaml").write_text(ASSET.format(width=width))
         (folder / f"mesh_{k}.obj").write_text(_box_mesh(0.3, width, 0.1))
-    texts = dict(zip(SCENES, (boxes(count), instances(count), REPEATED, OVERLAY), strict=True))
+    texts = dict(zip(SCENES, (boxes(count), instances(count), repeated(count), OVERLAY), strict=True))
     files = [(folder / f"{name}.scene.yaml", text) for name, text in texts.items()]
     files.append((folder / "move_box.task.yaml", TASK))
     for file, text in files:
@@ -133,6 +134,7 @@ def edited(text: str, turn: int) -> str:
 
 def measured(path: Path, runs: int) -> tuple[float, float]:
     """Median milliseconds of processor time for loading and of linting after an edit."""
+    gc.set_threshold(GC_THRESHOLD)  # as in the server
     documents, text = OpenDocuments(), path.read_text(encoding="utf-8")
     times = list[tuple[float, float]]()
     for turn in range(runs + 1):

@@ -109,7 +109,7 @@ def test_checking_one_document_loads_what_it_needs() -> None:
 @pytest.mark.usefixtures("tree")
 def test_a_terminal_shows_color_unless_it_is_asked_not_to() -> None:
     shown = terminal("check", "bad.scene.yaml")
-    assert "\x1b[1;31merror[SF101]\x1b[0m" in shown and "\x1b[1;31m^\x1b[0m" in shown
+    assert "\x1b[1;31merror[SF101]\x1b[0m" in shown and "\x1b[1;31m^^^\x1b[0m" in shown
     plain = run("check", "bad.scene.yaml")
     more = "run `simfoundry explain SF101` for details\n"
     assert re.sub(r"\x1b\[[0-9;]*m", "", shown) == plain.err + plain.out + more

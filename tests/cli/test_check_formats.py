@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -35,11 +36,11 @@ def test_text_is_that_of_a_compiler_and_sums_up() -> None:
     assert done.err == (
         "bad.scene.yaml:3:40: error[SF101] unknown key `mas`\n"
         "      3 | objects: {cup: {shape: {sphere: 0.04}, mas: 0.2}}\n"
-        "        |                                        ^\n"
+        "        |                                        ^^^\n"
         "        = did you mean `mass`?\n"
         "warned.scene.yaml:4:3: warning[SF401] the `wood` material is not used\n"
         "      4 |   wood: {density: 700}\n"
-        "        |   ^\n"
+        "        |   ^^^^\n"
         "        = remove it\n"
     )
     assert run("check", "good.scene.yaml") == Done(0, "no findings in 1 document\n", "")
@@ -65,6 +66,8 @@ def test_json_has_the_shape_that_is_promised() -> None:
                 "column": 3,
                 "path": "materials.wood",
                 "hint": "remove it",
+                "word": "wood",
+                "fixes": [],
             }
         ],
     }
@@ -82,8 +85,9 @@ def test_annotations_stand_at_their_lines() -> None:
     done = run("check", "--format", "github")
     assert (done.code, done.err) == (1, "")
     assert done.out.splitlines() == [
-        "::error file=bad.scene.yaml,line=3,col=40,title=SF101::unknown key `mas`%0Adid you mean `mass`?",
-        "::warning file=warned.scene.yaml,line=4,col=3,title=SF401::the `wood` material is not used%0Aremove it",
+        "::error file=bad.scene.yaml,line=3,col=40,endColumn=43,title=SF101::unknown key `mas`%0Adid you mean `mass`?",
+        "::warning file=warned.scene.yaml,line=4,col=3,endColumn=7,title=SF401::"
+        "the `wood` material is not used%0Aremove it",
         "1 error and 1 warning in 2 of 3 documents",
     ]
     assert run("check", "good.scene.yaml", "--format", "github").out == "no findings in 1 document\n"
@@ -175,6 +179,49 @@ SARIF = {
                 "level": {"enum": ["none", "note", "warning", "error"]},
                 "message": TEXT_OF,
                 "locations": {"type": "array", "minItems": 1, "maxItems": 1, "items": {"$ref": "#/$defs/location"}},
+                "fixes": {"type": "array", "minItems": 1, "items": {"$ref": "#/$defs/fix"}},
+            },
+        },
+        "fix": {
+            "type": "object",
+            "required": ["description", "artifactChanges"],
+            "additionalProperties": False,
+            "properties": {
+                "description": TEXT_OF,
+                "artifactChanges": {
+                    "type": "array",
+                    "minItems": 1,
+                    "items": {
+                        "type": "object",
+                        "required": ["artifactLocation", "replacements"],
+                        "additionalProperties": False,
+                        "properties": {
+                            "artifactLocation": {"required": ["uri"]},
+                            "replacements": {
+                                "type": "array",
+                                "minItems": 1,
+                                "items": {
+                                    "type": "object",
+                                    "required": ["deletedRegion", "insertedContent"],
+                                    "additionalProperties": False,
+                                    "properties": {
+                                        "deletedRegion": {"$ref": "#/$defs/region"},
+                                        "insertedContent": TEXT_OF,
+                                    },
+                                },
+                            },
+                        },
+                    },
+                },
+            },
+        },
+        "region": {
+            "required": ["startLine", "startColumn"],
+            "additionalProperties": False,
+            "properties": {
+                "startLine": {"type": "integer", "minimum": 1},
+                "startColumn": {"type": "integer", "minimum": 1},
+                "endColumn": {"type": "integer", "minimum": 2},
             },
         },
         "location": {
@@ -188,14 +235,7 @@ SARIF = {
                     "additionalProperties": False,
                     "properties": {
                         "artifactLocation": {"properties": {"uri": {"type": "string", "format": "uri-reference"}}},
-                        "region": {
-                            "required": ["startLine", "startColumn"],
-                            "additionalProperties": False,
-                            "properties": {
-                                "startLine": {"type": "integer", "minimum": 1},
-                                "startColumn": {"type": "integer", "minimum": 1},
-                            },
-                        },
+                        "region": {"$ref": "#/$defs/region"},
                     },
                 },
                 "logicalLocations": {"type": "array", "items": {"required": ["fullyQualifiedName"]}},
@@ -281,6 +321,8 @@ def test_long_lists_are_shown_whole_and_every_run_is_alike(tree: Path, form: str
     done = run("check", "--format", form)
     assert done.code == 1
     shown = done.out + done.err
+    if form == "sarif":  # each fix names the file once more
+        shown = "".join(json.dumps(result["locations"]) for result in sarif(done)["results"])
     assert [shown.count(f"many_{k:02}.scene.yaml") - (form == "json") for k in range(12)] == [40] * 12
     assert run("check", "--format", form) == done
     if form in ("text", "github"):

@@ -46,7 +46,8 @@ class Server:
     folder: Path
     options: Message = field(default_factory=dict)
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
-    published: dict[str, queue.Queue[list[Message]]] = field(default_factory=dict)
+    published: dict[str, queue.Queue[Message]] = field(default_factory=dict)
+    logged: list[Message] = field(default_factory=list)
     notices: dict[str, queue.Queue[Message]] = field(default_factory=dict)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
@@ -99,14 +100,27 @@ class Server:
 
     def diagnostics(self, path: Path) -> list[Message]:
         """What the server says of a document that was opened, once it does."""
-        return self.published[path.as_uri()].get(timeout=PATIENCE)
+        found: list[Message] = self.published[path.as_uri()].get(timeout=PATIENCE)["diagnostics"]
+        return found
 
-    def change(self, path: Path, text: str, **range_: Message) -> None:
-        """Replace the text of a document, or the part between the positions ``start`` and ``end``."""
+    def diagnostics_of(self, path: Path, version: int) -> list[Message]:
+        """What the server says of a version of a document, once it does."""
+        while True:
+            message = self.published[path.as_uri()].get(timeout=PATIENCE)
+            if message.get("version") == version:
+                found: list[Message] = message["diagnostics"]
+                return found
+
+    def change(self, path: Path, text: str, **range_: Message) -> int:
+        """Replace the text of a document, or the part between the positions ``start`` and ``end``.
+
+        Returns the new version.
+        """
         self.count += 1
         changes = [{"text": text, **({"range": range_} if range_ else {})}]
         document = {"uri": path.as_uri(), "version": self.count}
         self.tell("textDocument/didChange", textDocument=document, contentChanges=changes)
+        return self.count
 
     def notice(self, method: str) -> Message:
         """The next notification of a kind, once the server sends it."""
@@ -139,11 +153,14 @@ class Server:
         return _markdown(answer["contents"]) if answer else ""
 
     def _send(self, message: Message) -> None:
-        data = json.dumps({"jsonrpc": "2.0", **message}).encode()
+        self.send_bytes(framed(json.dumps({"jsonrpc": "2.0", **message}).encode()))
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes as they are, whether they are a message or not."""
         pipe = self.process.stdin
         assert pipe is not None
         with self.writing:
-            pipe.write(b"Content-Length: %d\r\n\r\n%s" % (len(data), data))
+            pipe.write(data)
             pipe.flush()
 
     def _listen(self) -> None:
@@ -153,11 +170,18 @@ class Server:
                 case {"id": number, "method": method}:
                     self._send({"id": number, "result": _settings(method, message.get("params"))})
                 case {"id": number}:
-                    self.answers.pop(number).put(message)
-                case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri, "diagnostics": found}}:
-                    self.published.setdefault(uri, queue.Queue()).put(found)
+                    self.answers.pop(number, queue.Queue()).put(message)
+                case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri} as params}:
+                    self.published.setdefault(uri, queue.Queue()).put(params)
+                case {"method": "window/logMessage" | "window/showMessage", "params": params}:
+                    self.logged.append(params)
                 case {"method": method}:
                     self.notices.setdefault(method, queue.Queue()).put(message.get("params") or {})
+
+
+def framed(body: bytes) -> bytes:
+    """The bytes of a message, after a header with their number."""
+    return b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
 
 
 def _place(path: Path, line: int, character: int) -> Message:
@@ -188,12 +212,15 @@ def _messages(stream: IO[bytes]) -> Iterator[Message]:
 
 
 @contextmanager
-def started(command: Sequence[str], folder: Path, options: Message | None = None) -> Iterator[Server]:
-    """A server that has a folder open, started with the given options."""
+def started(
+    command: Sequence[str],
+    folder: Path,
+    errors: int | IO[bytes] = subprocess.DEVNULL,
+    options: Message | None = None,
+) -> Iterator[Server]:
+    """A server that has a folder open, and that writes its standard error to ``errors``."""
     with (
-        subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        ) as process,
+        subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as process,
         Server(process, folder, options or {}) as server,
     ):
         yield server

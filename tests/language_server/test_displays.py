@@ -80,7 +80,7 @@ class Shown:
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A running server whose editor shows pictures in hovers."""
-    with started(COMMAND, tmp_path_factory.mktemp("shown").resolve(), {"hoverPictures": True}) as running:
+    with started(COMMAND, tmp_path_factory.mktemp("shown").resolve(), options={"hoverPictures": True}) as running:
         yield running
 
 
@@ -133,6 +133,7 @@ def test_hover_goes_on_while_the_text_is_broken(desk: Shown) -> None:
     names = [symbol["name"] for symbol in desk.ask("documentSymbol")]
     assert "objects" in names and "materials" in names
     assert desk.hover("x: {") == ""
+    assert "Relations that should hold" in desk.hover("relations", 3)  # in the part that has changed
     assert desk.ask("formatting", options={"tabSize": 2, "insertSpaces": True}) == []
 
 

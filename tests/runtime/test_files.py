@@ -11,8 +11,17 @@ from unittest import mock
 
 import pytest
 
+from simfoundry.errors import OutputError
 from simfoundry.runtime import files
-from simfoundry.runtime.files import STALE_S, replace_folder, staged, strangers, write_atomically, write_files
+from simfoundry.runtime.files import (
+    STALE_S,
+    replace_folder,
+    staged,
+    strangers,
+    write_all_in_place,
+    write_atomically,
+    write_files,
+)
 from tests.cli.command import python
 
 
@@ -40,6 +49,29 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     with mock.patch.object(os, "replace", side_effect=OSError(errno.EIO, "broken")), pytest.raises(OSError):
         write_atomically(file, b"new")
     assert content(tmp_path) == {"a.txt": "old"}
+
+
+def test_several_files_are_replaced_together_or_not_at_all(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    for path in paths:
+        path.write_text("old")
+    new = dict.fromkeys(paths, (b"old", b"new"))
+    real = os.replace
+
+    def failing(source: Path, target: Path) -> None:
+        if target == paths[2]:
+            raise OSError(errno.ENOSPC, "full")
+        real(source, target)
+
+    with mock.patch.object(os, "replace", failing), pytest.raises(OSError):
+        write_all_in_place(new)
+    assert content(tmp_path) == dict.fromkeys("abc", "old")
+    paths[1].write_text("edited")
+    with pytest.raises(OutputError, match="has changed in the meantime"):
+        write_all_in_place(new)
+    assert content(tmp_path) == {"a": "old", "b": "edited", "c": "old"}
+    write_all_in_place(new | {paths[1]: (b"edited", b"new")})
+    assert content(tmp_path) == dict.fromkeys("abc", "new")
 
 
 @pytest.mark.parametrize("exchange", [True, False], ids=["one step", "two renames"])

@@ -21,7 +21,7 @@ def check_mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
     robot = names.spec.robots.get(carrier) if names.spec is not None else None
     described = robot.known() if robot is not None and link else None
     if described is not None:
-        c.name(link, described.links, path, f"link of `{carrier}`")
+        c.name(link, described.links, path, f"link of `{carrier}`", len(carrier) + 1)
 
 
 def check_target(c: Checker, names: SceneNames, target: str, mount: str | None, path: Path_) -> None:

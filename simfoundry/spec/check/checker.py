@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest, similar_fixes
 from simfoundry.spec.files import TEXTURE_SUFFIXES, FileError, Loaded, reachable
 from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
 from simfoundry.spec.models.shapes import (
@@ -28,7 +28,7 @@ from simfoundry.spec.models.shapes import (
     Shape,
     SphereShape,
 )
-from simfoundry.spec.yaml.text import Document
+from simfoundry.spec.yaml.text import Document, Mark
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import PartSpec
@@ -54,35 +54,47 @@ class Checker:
         self._counts: Counter[Severity] = Counter()
         self._faults: dict[tuple[str, tuple[str, ...]], FileError | None] = {}  # by reference and suffixes
 
-    def warn(self, code: str, path: Path_, message: str, hint: str = "") -> None:
+    def warn(self, code: str, path: Path_, message: str, hint: str = "", mark: Mark | None = None) -> None:
         """Add a warning."""
-        self.add(code, path, message, hint, Severity.WARNING)
+        self.add(code, path, message, hint, Severity.WARNING, mark)
 
-    def add(self, code: str, path: Path_, message: str, hint: str = "", severity: Severity = Severity.ERROR) -> None:
+    def add(
+        self,
+        code: str,
+        path: Path_,
+        message: str,
+        hint: str = "",
+        severity: Severity = Severity.ERROR,
+        mark: Mark | None = None,
+        of_key: bool = False,
+    ) -> None:
         """Add an error, or a finding of another severity."""
         self._counts[severity] += 1
         if self._counts[severity] <= MAX_FINDINGS:  # counted per severity, so that warnings do not hide errors
-            self.findings.append(self.document.finding(code, path, message, hint, severity))
+            self.findings.append(self.document.finding(code, path, message, hint, severity, of_key, mark))
 
     def names(self, section: str) -> dict[str, Any]:
         """Return the names defined in a section of the text, including the names of invalid members."""
         return self.document.section(section)
 
-    def name(self, name: str, choices: Collection[str], path: Path_, what: str) -> bool:
-        """Check that ``name`` is one of the choices."""
+    def name(self, name: str, choices: Collection[str], path: Path_, what: str, index: int = 0) -> bool:
+        """Check that ``name`` is one of the choices.
+
+        The name is the last key of ``path``, or it stands at ``index`` in the string there.
+        """
         if name in choices:
             return True
         if self._counts[Severity.ERROR] < MAX_FINDINGS:
-            hint = nearest(name, choices) or "none are defined"
+            hint, fixes = nearest(name, choices) or "none are defined", similar_fixes(name, choices)
+            of_key = path[-1:] == (name,)
             group = self.loaded.reuse.groups.get(name) if self.loaded.reuse is not None else None
             if group is not None and group.copies:
-                self.add(
-                    "SF201", path, f"`{name}` is repeated", f"name one of its copies, such as `{group.copies[0].name}`"
-                )
+                message, hint = f"`{name}` is repeated", f"name one of its copies, such as `{group.copies[0].name}`"
+                self.add("SF201", path, message, hint, mark=Mark(name, index), of_key=of_key)
                 return False
-            if what == "material" and not hint.startswith("did"):
+            if what == "material" and not fixes:
                 hint += "; define new materials under `materials`"
-            self.add("SF201", path, f"no {what} is called `{name}`", hint)
+            self.add("SF201", path, f"no {what} is called `{name}`", hint, mark=Mark(name, index, fixes), of_key=of_key)
         return False
 
     def reserved(self, path: Path_, what: str) -> None:
@@ -98,7 +110,7 @@ class Checker:
         if key not in self._faults:
             self._faults[key] = self._file_fault(reference, suffixes)
         if (wrong := self._faults[key]) is not None:
-            self.add(wrong.code, path, str(wrong), wrong.hint)
+            self.add(wrong.code, path, str(wrong), wrong.hint, mark=wrong.mark)
         return wrong is None
 
     def _file_fault(self, reference: str, suffixes: tuple[str, ...]) -> FileError | None:
@@ -170,7 +182,8 @@ class Checker:
         """Warn about each unused material."""
         for name in materials if self.whole else ():
             if name not in used:
-                self.warn("SF401", ("materials", name), f"the `{name}` material is not used", "remove it")
+                path, message = ("materials", name), f"the `{name}` material is not used"
+                self.add("SF401", path, message, "remove it", Severity.WARNING, of_key=True)
 
 
 def piece_clash(parts: Mapping[str, Shape | None]) -> tuple[str, str] | None:

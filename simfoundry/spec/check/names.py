@@ -11,9 +11,9 @@ from pydantic import ValidationError
 
 from simfoundry.spec.check.checker import Checker, Path_
 from simfoundry.spec.check.frames import check_reference
-from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.diagnostics import nearest, similar_fixes
 from simfoundry.spec.files import Loaded, is_document
-from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
+from simfoundry.spec.models.predicate import ExpressionError, argument_indices, parse_call, texts
 from simfoundry.spec.models.reuse import FramedPose, frame_carrier
 from simfoundry.spec.models.scene import (
     PLACE_REFERENCES,
@@ -22,6 +22,7 @@ from simfoundry.spec.models.scene import (
     SceneSpec,
     variant_of,
 )
+from simfoundry.spec.yaml.text import Mark
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -90,23 +91,26 @@ class SceneNames:
         try:
             call = parse_call(text)
         except ExpressionError as error:
-            c.add("SF202", path, error.message, error.hint or EXAMPLE)
+            fixes = error.fixes or (similar_fixes(error.word, self.objects) if error.word[:1].isalpha() else ())
+            mark = Mark(error.word, error.index, fixes)
+            hint = error.hint or (nearest(error.word, self.objects) if fixes else EXAMPLE)
+            c.add("SF202", path, error.message, hint, mark=mark)
             return
         things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
         if len(things) == 2 and self._overlap(*things):
             same = f"`{things[0]}` is used for both" if len({*things}) == 1 else "one of these is a part of the other"
             message = f"`{call.predicate}` relates two different objects, but {same}"
             c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
-        for argument, kind in zip(call.args, call.kinds, strict=True):
+        for argument, kind, index in zip(call.args, call.kinds, argument_indices(text), strict=True):
             match kind:
                 case "robot":
-                    c.name(argument, self.robots, path, "robot")
+                    c.name(argument, self.robots, path, "robot", index)
                 case "joint":
-                    self.check_joint(c, argument, path)
+                    self.check_joint(c, argument, path, index)
                 case "body" if argument.partition(".")[0] in self.robots:
                     pass
                 case "body" | "thing":
-                    self.check_part(c, argument, path)
+                    self.check_part(c, argument, path, index)
 
     def _overlap(self, a: str, b: str) -> bool:
         """Return True if two arguments share a link.
@@ -124,15 +128,20 @@ class SceneNames:
         for text, below in texts(condition):
             self.check_call(c, text, (*path, *below))
 
-    def check_part(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object, a link, or a joint. A joint stands for the link that it moves."""
-        name, _, part = argument.partition(".")
-        if c.name(name, self.objects, path, "object") and part:
+    def check_part(self, c: Checker, argument: str, path: Path_, index: int = 0) -> None:
+        """Check the name of an object, a link, or a joint. A joint stands for the link that it moves.
+
+        The name stands at ``index`` in the string at ``path``.
+        """
+        name, dot, part = argument.partition(".")
+        inner = index + len(name + dot)
+        if c.name(name, self.objects, path, "object", index) and part:
             asset = self.asset(name)
             if asset is not None:
-                c.name(part, [*asset.links, *asset.single_joints], path, f"link or joint of `{name}`")
+                c.name(part, [*asset.links, *asset.single_joints], path, f"link or joint of `{name}`", inner)
             elif self.is_known(name):
-                c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
+                message = f"`{name}` does not have any parts, so there is no part `{part}`"
+                c.add("SF201", path, message, mark=Mark(part, inner))
 
     def check_link(self, c: Checker, argument: str, path: Path_, with_parts: bool = False) -> None:
         """Check the name of an object, or of a link. Here, a joint does not stand for the link that it moves.
@@ -143,30 +152,36 @@ class SceneNames:
         asset = self.asset(name)
         if part and name in self.objects and asset is not None:
             inner = [piece for link in asset.links.values() for piece in link.parts] if with_parts else []
-            c.name(
-                part, [*asset.links, *inner], path, f"link or part of `{name}`" if with_parts else f"link of `{name}`"
-            )
+            what = f"link or part of `{name}`" if with_parts else f"link of `{name}`"
+            c.name(part, [*asset.links, *inner], path, what, len(name) + 1)
         else:
             self.check_part(c, argument, path)
 
-    def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object with joints, or of one of its joints, that have limits and so can be closed."""
-        name, _, joint = argument.partition(".")
-        if not c.name(name, self.objects, path, "object"):
+    def check_joint(self, c: Checker, argument: str, path: Path_, index: int) -> None:
+        """Check the name of an object with joints, or of one of its joints, that have limits and so can be closed.
+
+        The name stands at ``index`` in the string at ``path``.
+        """
+        name, dot, joint = argument.partition(".")
+        if not c.name(name, self.objects, path, "object", index):
             return
+        inner = index + len(name + dot)
         asset = self.asset(name)
         joints = asset.single_joints if asset is not None else {}
         moving = [n for n, each in joints.items() if each.type != "fixed"]
         limited = [n for n in moving if joints[n].type in ("prismatic", "revolute")]
         if joint and joints:
-            if c.name(joint, joints, path, f"joint of `{name}`") and joint not in limited:
+            if c.name(joint, joints, path, f"joint of `{name}`", inner) and joint not in limited:
                 message = f"`{joint}` is a {joints[joint].type} joint without limits, so it has no closed position"
-                c.add("SF201", path, message, nearest("", limited) if limited else "use a joint with limits")
+                hint = nearest("", limited) if limited else "use a joint with limits"
+                c.add("SF201", path, message, hint, mark=Mark(joint, inner))
         elif moving and not limited:
-            c.add("SF201", path, f"no joint of `{name}` has limits, so its closed position is undefined")
+            message = f"no joint of `{name}` has limits, so its closed position is undefined"
+            c.add("SF201", path, message, mark=Mark(name, index))
         elif not moving and self.is_known(name):
             so = f", so there is no joint `{joint}`" if joint else ""
-            c.add("SF201", path, f"`{name}` does not have any joints{so}")
+            mark = Mark(joint, inner) if joint else Mark(name, index)
+            c.add("SF201", path, f"`{name}` does not have any joints{so}", mark=mark)
 
     def check_places(self, c: Checker, places: Mapping[str, Place | FramedPose], paths: Mapping[str, Path_]) -> None:
         """Check the names in the places of objects, and that no place depends on itself through other places."""

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from simfoundry import __version__
 from simfoundry.spec import diagnostics
-from simfoundry.spec.diagnostics import Diagnostic, Severity, ordered
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, ordered
 
 if TYPE_CHECKING:
     from simfoundry.spec.check.pages import Page
@@ -114,7 +114,9 @@ def render_json(report: CheckReport) -> str:
     ``files`` lists the requested documents. ``documents`` is the number of documents read, including the ones that
     these documents use. ``errors`` and ``warnings`` are counts. Each entry in ``findings`` contains ``code``,
     ``severity`` (``error`` or ``warning``), ``message``, ``file``, ``line`` and ``column`` (counted from 1 in Unicode
-    characters, or 0 for the whole file), ``path`` (keys joined by dots) and ``hint`` (which may be empty).
+    characters, or 0 for the whole file), ``path`` (keys joined by dots) and ``hint`` (which may be empty). ``word`` is
+    the wrong text at this place, or empty if it is not known, and ``fixes`` contains what can be written instead of it:
+    each ``text``, and whether it is ``certain`` that nothing else is meant.
     """
     data = {
         "files": list(report.files),
@@ -143,6 +145,7 @@ def _command(d: Diagnostic, folder: Path) -> str:
     path = absolute(d.document)
     file = (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
     place = {"line": str(d.line), "col": str(d.column)} if d.line else {}
+    place |= {"endColumn": str(d.end_column)} if d.word else {}
     fields = {"file": file, **place, "title": d.code}
     properties = ",".join(f"{key}={value.translate(_PROPERTY)}" for key, value in fields.items())
     return f"::{d.severity} {properties}::{_with_hint(d).translate(_DATA)}"
@@ -187,7 +190,7 @@ def _rule(page: Page) -> dict[str, Any]:
 def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
     place: dict[str, Any] = {"artifactLocation": _artifact(d.document, folder)}
     if d.line:
-        place["region"] = {"startLine": d.line, "startColumn": max(1, d.column)}
+        place["region"] = _region(d)
     location: dict[str, Any] = {"physicalLocation": place}
     if d.path:
         location["logicalLocations"] = [{"fullyQualifiedName": d.path}]
@@ -197,7 +200,20 @@ def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
         "level": str(d.severity),
         "message": {"text": _plain(_with_hint(d))},
         "locations": [location],
+        **({"fixes": [_fix(d, fix, folder) for fix in d.fixes]} if d.word and d.fixes else {}),
     }
+
+
+def _region(d: Diagnostic) -> dict[str, int]:
+    end = {"endColumn": d.end_column} if d.word else {}
+    return {"startLine": d.line, "startColumn": max(1, d.column), **end}
+
+
+def _fix(d: Diagnostic, fix: Fix, folder: Path) -> dict[str, Any]:
+    """Return a SARIF fix, which replaces the wrong word."""
+    replacement = {"deletedRegion": _region(d), "insertedContent": {"text": fix.text}}
+    change = {"artifactLocation": _artifact(d.document, folder), "replacements": [replacement]}
+    return {"description": {"text": _plain(f"replace `{d.word}` by `{fix.text}`")}, "artifactChanges": [change]}
 
 
 def _artifact(file: str, folder: Path) -> dict[str, str]:

@@ -13,12 +13,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
-from simfoundry.spec.diagnostics import Diagnostic, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Fix, nearest, similar_fixes
 from simfoundry.spec.models.base import PATTERNS, WIRE_KEY, Model
 from simfoundry.spec.models.shapes import SHAPE_KEYS
 from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
-from simfoundry.spec.yaml.text import Document, Path_, read
+from simfoundry.spec.yaml.text import Document, Mark, Path_, read
 
 _CODES = {
     "missing": "SF102",
@@ -80,8 +80,9 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
             message = (
                 f"the extended document has no {kind} `{member[-1]}`, and the new {kind} is incomplete: {d.message}"
             )
-            hint = nearest(str(member[-1]), document.added[member])
-            out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True))
+            names = document.added[member]
+            hint, mark = nearest(str(member[-1]), names), Mark(fixes=similar_fixes(str(member[-1]), names))
+            out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True, mark=mark))
     return out
 
 
@@ -89,7 +90,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     kind: str = error["type"]
     loc = tuple(part for part in error["loc"] if part != "[key]")
     of_key = "[key]" in error["loc"] or kind in ("extra_forbidden", "missing")
-    message, hint = _words(model, kind, loc, error)
+    message, hint, mark = _words(model, kind, loc, error)
     code = kind.upper() if kind.startswith("sf") else _CODES.get(kind, "SF103")
     path = document.known(loc)
     if kind == "missing" and isinstance(loc[-1], int):  # one finding for the list, not one per missing item
@@ -98,55 +99,79 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
         path += loc[-1:]
     elif kind.startswith("sf") and "at" in error.get("ctx", {}):
         path += tuple(error["ctx"]["at"].split("."))
-    return document.finding(code, path, message, hint, of_key=of_key)
+    return document.finding(code, path, message, hint, of_key=of_key, mark=mark)
 
 
-def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
-    """Return the message and hint for one pydantic error."""
+def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str, Mark]:
+    """Return the message and hint for one pydantic error, and the corrections of the key or value."""
     given, context = error["input"], error.get("ctx", {})
     description, found = _description(model, loc), _shown(given)
     bare = found.removeprefix("the string ")
     if kind.startswith("sf"):
-        return error["msg"], ""
+        return error["msg"], "", Mark()
     if kind == "extra_forbidden":
         return _unknown_key(model, loc)
     if kind == "missing" and isinstance(loc[-1], int):
-        return f"values are missing: the list has only {len(given)}", description
+        return f"values are missing: the list has only {len(given)}", description, Mark()
     if kind == "missing" and loc[-1] in SHAPE_KEYS:
-        return "a shape is missing", f"specify one of {', '.join(f'`{k}`' for k in SHAPE_KEYS)}"
+        return "a shape is missing", f"specify one of {', '.join(f'`{k}`' for k in SHAPE_KEYS)}", Mark()
     if kind == "missing":
-        return f"`{loc[-1]}` is missing", description
+        return f"`{loc[-1]}` is missing", description, Mark()
     if context.get("pattern") == WIRE_KEY:
-        return f"{found} is not a key", PATTERNS[WIRE_KEY].rule
+        return f"{found} is not a key", PATTERNS[WIRE_KEY].rule, Mark()
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
         rule = "a name consists of lower-case letters, digits and `_`, and starts with a letter"
         name = re.sub("[^a-z0-9_]", "_", str(given).strip().lower()).strip("_")
-        return f"{bare} is not a name", rule + (f": `{name}`" if name[:1].isalpha() else "")
+        if not name[:1].isalpha():
+            return f"{bare} is not a name", rule, Mark()
+        return f"{bare} is not a name", f"{rule}: `{name}`", Mark(fixes=(Fix(name),))
     if kind == "literal_error":
         choices = [c.strip().strip("'") for c in context["expected"].replace(" or ", ", ").split(",")]
-        return f"{bare} is not valid here", nearest(str(given), choices)
+        mark = Mark(given, 0, similar_fixes(given, choices)) if isinstance(given, str) else Mark()
+        return f"{bare} is not valid here", nearest(str(given), choices), mark
     if kind.endswith(("too_long", "too_short")):
         word, bound = ("most", context["max_length"]) if "long" in kind else ("least", context["min_length"])
         values = ("character" if kind.startswith("string") else "value") + "s" * (bound != 1)
-        return f"expected at {word} {bound} {values}, found {len(given)}", description
-    if kind == "float_type" and isinstance(given, str) and _NUMBER.fullmatch(given):
-        description = "remove the quotes"
-    elif kind == "float_type" and (measured := _MEASURED.match(str(given))):
+        return f"expected at {word} {bound} {values}, found {len(given)}", description, Mark()
+    hint, fixes = _other_type(model, loc, error, description)
+    return f"expected {_expected(error)}, found {found}", hint, Mark(fixes=fixes)
+
+
+# Truth values of YAML 1.1, which YAML 1.2 reads as strings.
+_TRUTH = {**dict.fromkeys(("yes", "on"), "true"), **dict.fromkeys(("no", "off"), "false")}
+
+
+def _other_type(model: type[Model], loc: tuple[Any, ...], error: Any, description: str) -> tuple[str, tuple[Fix, ...]]:
+    """Return the hint for a value of a wrong type, and the values that can be written instead."""
+    kind, given = error["type"], error["input"]
+    if kind in ("float_type", "int_type") and isinstance(given, str) and _NUMBER.fullmatch(given):
+        return "remove the quotes", (Fix(given, certain=True),)
+    if kind == "float_type" and (measured := _MEASURED.match(str(given))):
         rule, factor = next(
             (rule, units[measured[2]]) for rule, units in _TABLES["units"].items() if measured[2] in units
         )
-        description = f"{rule}, without the unit: `{number(float(measured[1]) * factor)}`"
-    elif kind == "string_type" and isinstance(given, int | float):
-        description = "put it in double quotes"
-    elif kind == "model_type" and (key := _only_key(model, loc)):
-        description = f"write `{{{key}: {given}}}`"
-    elif kind == "dict_type" and isinstance(given, tuple | list):
-        description = f"{description} Write `name: ...` for each, without `-`." if description else ""
-    return f"expected {_expected(error)}, found {found}", description
+        value = number(float(measured[1]) * factor)
+        return f"{rule}, without the unit: `{value}`", (Fix(value, certain=_has_unit(description, rule)),)
+    if kind == "bool_type" and isinstance(given, str) and given.lower() in _TRUTH:
+        return description, (Fix(_TRUTH[given.lower()], certain=True),)
+    if kind == "string_type" and isinstance(given, int | float):
+        return "put it in double quotes", (Fix(f'"{given}"'),) if not isinstance(given, bool) else ()
+    if kind == "model_type" and (key := _only_key(model, loc)):
+        scalar = isinstance(given, str | int | float)
+        return f"write `{{{key}: {given}}}`", (Fix(f"{{{key}: {given}}}", certain=True),) if scalar else ()
+    if kind == "dict_type" and isinstance(given, tuple | list) and description:
+        return f"{description} Write `name: ...` for each, without `-`.", ()
+    return description, ()
 
 
-def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
-    """Return the message and hint for a key that is not in the model."""
+def _has_unit(description: str, rule: str) -> bool:
+    """Return True if the description of a field contains the unit that a rule states, such as `lengths are in m`."""
+    unit = rule.rpartition(" ")[2]
+    return f"[{'deg' if unit == 'degrees' else unit}" in description
+
+
+def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str, Mark]:
+    """Return the message and hint for a key that is not in the model, and the keys that may be meant."""
     owners, last = models_at(model, loc[:-1]), loc[-1]
     names = {name for owner in owners for name in owner.model_fields}
     if loc[-2:-1] and loc[-2] in SHAPE_KEYS and any(owner.model_fields.keys() <= set(SHAPE_KEYS) for owner in owners):
@@ -156,13 +181,14 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str]:
     inner = "compound" in loc[:-1]
     if last == "compound" and names == set(SHAPE_KEYS) and (inner or loc[0] == "links"):
         where = "the outer compound" if inner else "the link's `parts`"
-        return "a part cannot be a compound", f"list its parts in {where}"
+        return "a part cannot be a compound", f"list its parts in {where}", Mark()
     if last in SHAPE_KEYS and "shape" in names:
-        return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
+        return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`", Mark()
     former = {old: new for owner in owners for old, new in former_keys(owner).items()}
     if last in former:
-        return f"the `{last}` key was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
-    return f"unknown key `{last}`", nearest(str(last), names)
+        message, fixes = f"the `{last}` key was renamed to `{former[last]}`", (Fix(former[last], certain=True),)
+        return message, "run `simfoundry migrate` on the file", Mark(fixes=fixes)
+    return f"unknown key `{last}`", nearest(str(last), names), Mark(fixes=similar_fixes(str(last), names))
 
 
 def _expected(error: Any) -> str:

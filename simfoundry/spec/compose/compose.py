@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.compose.join import LISTS, SCENE, SECTIONS, Joining, mark_file, members, relocate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.files import FileError, Loaded, reachable
+from simfoundry.spec.files import FileError, Loaded, reachable, resolved
 from simfoundry.spec.models.kinds import model_of, suffix
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, Read, read
@@ -98,7 +98,8 @@ def _composed(
         findings += joining.findings
         added |= joining.added
     if bases:
-        document = replace(document, data=whole.value, root=whole, added=added)
+        texts = {each.file: each.text for each in chained[1:]}
+        document = replace(document, data=whole.value, root=whole, added=added, texts=texts)
     if not reuses:
         return Composed(document, tuple(findings), tuple(bases))
     from simfoundry.spec.compose.expand import expand  # only documents that reuse something need it
@@ -147,14 +148,14 @@ def _included(
         target = reachable(scene, outer, work.root, (suffix(SCENE), ".yaml"))
     except FileError as wrong:
         raise refused(wrong.code, str(wrong), wrong.hint) from None
-    if any(target == file.resolve() for file in including):
+    if any(target == resolved(file) for file in including):
         cycle = " includes ".join(f"`{file.name}`" for file in [*including, target])
         raise refused("SF207", f"{cycle}, which is a cycle", "remove one of the includes")
     if len(including) > MAX_BASES:
         raise refused("SF005", f"scenes are included more than {MAX_BASES} levels deep")
     shown = Path(os.path.normpath(outer.parent / scene))
     try:
-        document = work.reader(shown if shown.resolve() == target else target)
+        document = work.reader(shown if resolved(shown) == target else target)
     except YamlError as error:
         raise SpecError([error.diagnostic(str(shown))]) from None
     kind = members(document.root).get("simfoundry")
@@ -212,14 +213,14 @@ def _base(document: Document, path: Path, kind: str, work: _Composition, before:
         target = reachable(written, path, work.root, (suffix(kind), ".yaml"))
     except FileError as wrong:
         return document.finding(wrong.code, place, str(wrong), wrong.hint)
-    if any(target == b.resolve() for b in before):
+    if any(target == resolved(b) for b in before):
         cycle = " extends ".join(f"`{b.name}`" for b in [*before, target])
         return document.finding("SF207", place, f"{cycle}, which is a cycle", "remove `extends` from one of them")
     if len(before) > MAX_BASES:
         return document.finding("SF005", place, f"the chain of `extends` has more than {MAX_BASES} documents")
     shown = Path(os.path.normpath(path.parent / written))
     try:
-        base = work.reader(shown if shown.resolve() == target else target)
+        base = work.reader(shown if resolved(shown) == target else target)
     except YamlError as error:
         return error.diagnostic(str(shown))
     found = members(base.root).get("simfoundry")

@@ -19,7 +19,7 @@ from simfoundry.spec.compose.include import IncludedScene, included_scene
 from simfoundry.spec.compose.join import LISTS, SCENE, SECTIONS, Joining, Member, members
 from simfoundry.spec.compose.lists import with_copied_lists
 from simfoundry.spec.compose.templates import Generated, with_templates, without
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, SpecError, nearest, similar_fixes
 from simfoundry.spec.models.reuse import MAX_DEPTH, IncludeSpec
 from simfoundry.spec.yaml.nodes import MAX_NODES, Node
 from simfoundry.spec.yaml.text import Document, Path_
@@ -93,7 +93,8 @@ def expand(
         root = work.with_copies(root)
         root = work.without_removals(root)
     reuse = Reuse(document.data, work.generated, work.groups, tuple(work.files), tuple(work.unresolved))
-    expanded = replace(document, data=root.value, root=root, added=document.added | work.joining.added)
+    added, texts = document.added | work.joining.added, {**work.texts, **document.texts}
+    expanded = replace(document, data=root.value, root=root, added=added, texts=texts)
     return expanded, [*work.findings, *work.joining.findings], reuse
 
 
@@ -109,11 +110,20 @@ class _Expansion:
     files: list[Path] = field(default_factory=list)
     removed: set[str] = field(default_factory=set)
     unresolved: list[tuple[str, int, int]] = field(default_factory=list)
+    texts: dict[str, str] = field(default_factory=dict)
 
-    def fault(self, code: str, node: Node, path: tuple[str | int, ...], message: str, hint: str = "") -> None:
+    def fault(
+        self,
+        code: str,
+        node: Node,
+        path: tuple[str | int, ...],
+        message: str,
+        hint: str = "",
+        fixes: tuple[Fix, ...] = (),
+    ) -> None:
         """Add an error at a node."""
         place = (node.file or self.document.file, node.line, node.column, ".".join(map(str, path)), hint)
-        self.findings.append(Diagnostic(code, Severity.ERROR, message, *place))
+        self.findings.append(Diagnostic(code, Severity.ERROR, message, *place, fixes=fixes))
 
     # -- parameters -------------------------------------------------------------------------------------------------
 
@@ -161,7 +171,18 @@ class _Expansion:
             is_sound = isinstance(composed.document.data.get("parameters", {}), dict)
             for d in composed.findings:
                 if is_sound and d.code == "SF201" and d.path == "parameters":  # an unknown parameter, written here
-                    self.fault(d.code, at, (*path, "parameters"), d.message, d.hint)
+                    unknown = next((n for n in members(at) if f"`{n}`" in d.message), "")
+                    line, column = at.keys.get(unknown, at.place)
+                    self.findings.append(
+                        replace(
+                            d,
+                            file=at.file or self.document.file,
+                            line=line,
+                            column=column,
+                            path=".".join((*path, "parameters")),
+                            word=unknown,
+                        )
+                    )
                 else:
                     self.findings.append(d)
             scenes.append(included_scene(name, node, include, composed.document.root))
@@ -170,6 +191,7 @@ class _Expansion:
             reuse = composed.reuse
             self.files += [Path(composed.document.file), *composed.bases, *(reuse.files if reuse is not None else ())]
             self.unresolved += reuse.unresolved if reuse is not None else ()
+            self.texts |= {composed.document.file: composed.document.text, **composed.document.texts}
             for inner, copies in reuse.groups.items() if reuse is not None else ():
                 self.groups[f"{name}_{inner}"] = copies.renamed(name)
         return self._joined(root, scenes) if scenes else root
@@ -302,7 +324,8 @@ class _Expansion:
             self.fault("SF005", repeat, path, f"the chain of `repeat` has more than {MAX_DEPTH} objects")
             return
         if leader not in items:
-            self.fault("SF201", repeat, path, f"no object is called `{leader}`", nearest(leader, items))
+            message, fixes = f"no object is called `{leader}`", similar_fixes(leader, items)
+            self.fault("SF201", repeat, path, message, nearest(leader, items), fixes)
             return
         self._add_group(leader, items[leader], items, own, (*users, name))
         if leader in own:

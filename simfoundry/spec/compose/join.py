@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Protocol
 
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, similar_fixes
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Path_
@@ -21,8 +22,21 @@ LISTS = ("relations", "no_contact")
 # The kind of document that can reuse parts.
 SCENE = "scene/1"
 
-# Function that adds an error, given its code, node, path, message and hint.
-Fault = Callable[[str, Node, tuple[str | int, ...], str, str], None]
+
+class Fault(Protocol):
+    """A function that adds an error at a node."""
+
+    def __call__(
+        self,
+        code: str,
+        node: Node,
+        path: tuple[str | int, ...],
+        message: str,
+        hint: str = "",
+        fixes: tuple[Fix, ...] = (),
+    ) -> None:
+        """Add an error. ``fixes`` can be written instead of the node's text."""
+
 
 # A section and a name in it.
 Member = tuple[str, str]
@@ -111,9 +125,9 @@ class Joining:
     ) -> Diagnostic:
         """Return the finding for an entry that removes a value which does not exist."""
         message = f"`{path[-1]}` cannot be removed: neither a base nor anything reused here contains it"
-        similar = nearest(path[-1], there)
-        hint = similar if similar.startswith("did you mean") else "remove the line"
-        return Diagnostic("SF201", Severity.ERROR, message, file, *place, ".".join(path), hint)
+        fixes = similar_fixes(path[-1], there)
+        hint = f"did you mean `{fixes[0].text}`?" if fixes else "remove the line"
+        return Diagnostic("SF201", Severity.ERROR, message, file, *place, ".".join(path), hint, fixes=fixes)
 
 
 def relocate(node: Node, kind: str, from_file: str, to_file: str) -> None:

@@ -8,11 +8,11 @@ import operator
 import re
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity, nearest, similar_fixes
 from simfoundry.spec.yaml.nodes import Node
 
 # Reference to a parameter.
@@ -22,7 +22,7 @@ PARAMETER = re.compile(r"\$([a-z][a-z0-9_]*)")
 _EXPRESSION = re.compile(r"(?:\$[A-Za-z0-9_]*|[0-9.]+(?:[eE][-+]?[0-9]+)?|[-+*/() ])+\Z")
 
 # Keys below which every value is a text.
-TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
+_TEXTS = frozenset(("name", "description", "allow", "conflicts", "origin", "source"))
 
 # Maximum length of an expression [characters], which bounds the nesting depth.
 MAX_LENGTH = 200
@@ -40,12 +40,21 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
 class ParameterError(Exception):
     """Raised if an expression cannot be evaluated.
 
-    ``hint`` suggests a fix, and ``name`` is the parameter without a value, if that is the reason.
+    ``hint`` suggests a fix, and ``name`` is the parameter without a value, if that is the reason. ``fixes`` contains
+    the names that can be written instead.
     """
 
-    def __init__(self, code: str, message: str, hint: str = "", name: str = "") -> None:
+    def __init__(self, code: str, message: str, hint: str = "", name: str = "", fixes: tuple[Fix, ...] = ()) -> None:
         super().__init__(message)
-        self.code, self.message, self.hint, self.name = code, message, hint, name
+        self.code, self.message, self.hint, self.name, self.fixes = code, message, hint, name, fixes
+
+
+def holds_text(path: tuple[str | int, ...]) -> bool:
+    """Return True if a value in a scene is a text. A member can be called like a key, such as an object `source`."""
+    from simfoundry.spec.models.types import NAMES  # reads a file, which only documents with parameters need
+
+    mappings = {pattern.rpartition(".")[2] for pattern in NAMES["scene"]} if _TEXTS.intersection(path) else ()
+    return any(part in _TEXTS and not (k and path[k - 1] in mappings) for k, part in enumerate(path))
 
 
 def is_expression(text: str) -> bool:
@@ -106,7 +115,8 @@ def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
         case ast.Name(id=name):
             if name not in values:
                 hint = nearest(name, values) if values else "define it under `parameters`"
-                raise ParameterError("SF201", f"no parameter is called `{name}`", hint, name)
+                message, fixes = f"no parameter is called `{name}`", similar_fixes(name, values)
+                raise ParameterError("SF201", message, hint, name, fixes)
             return values[name]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as prefix, operand=operand):
             inner = _value(operand, values)
@@ -160,7 +170,7 @@ class Substitution:
                 self.unresolved.append((node.file or self.file, node.line, node.column))
             if any(a is not b for a, b in zip(items, node.children, strict=True)):
                 new = node.with_members(items)
-        elif isinstance(node.value, str) and is_expression(node.value) and not TEXTS.intersection(path):
+        elif isinstance(node.value, str) and is_expression(node.value) and not holds_text(path):
             new = self._evaluated(node, path)
         self._done[id(node)] = new
         return new
@@ -175,7 +185,8 @@ class Substitution:
                 self.unresolved.append(place)
             else:
                 dotted = ".".join(map(str, path))
-                self.findings.append(Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place, dotted, wrong.hint))
+                found = Diagnostic(wrong.code, Severity.ERROR, wrong.message, *place, dotted, wrong.hint)
+                self.findings.append(replace(found, word=wrong.name, fixes=wrong.fixes))
         return node if value is None else Node(value, node.line, node.column, file=node.file)
 
 

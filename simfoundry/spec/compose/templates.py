@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from simfoundry.spec.compose.join import Fault, Joining, Member, members
-from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.diagnostics import nearest, similar_fixes
 from simfoundry.spec.models.reuse import MAX_DEPTH
 from simfoundry.spec.yaml.nodes import Node
 
@@ -73,7 +73,8 @@ class _Templates:
             return None
         if name not in self.written:
             hint = nearest(name, self.written) if self.written else "define it under `templates`"
-            self.fault("SF201", like, path, f"no template is called `{name}`", hint)
+            fixes = similar_fixes(name, self.written)
+            self.fault("SF201", like, path, f"no template is called `{name}`", hint, fixes)
             return None
         if name not in self.resolved:
             template = self.written[name]

@@ -18,7 +18,7 @@ from pydantic import Discriminator, Field, Tag, create_model
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import PluginError, Registry
-from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.diagnostics import Fix, nearest, similar_fixes
 from simfoundry.spec.models.base import FARTHEST, Model
 
 
@@ -163,12 +163,16 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 class ExpressionError(SimfoundryError, ValueError):
     """Raised if a text is not a valid predicate.
 
-    ``message`` states the problem, and ``hint`` names the valid values, if there are any.
+    ``message`` states the problem, and ``hint`` names the valid values, if there are any. The problem is the ``word``
+    at ``index`` of the text, or the whole text if ``word`` is empty; ``fixes`` contains what can be written instead.
     """
 
-    def __init__(self, message: str, hint: str = "") -> None:
+    def __init__(
+        self, message: str, hint: str = "", word: str = "", index: int = 0, fixes: tuple[Fix, ...] = ()
+    ) -> None:
         super().__init__(f"{message}; {hint}" if hint else message)
         self.message, self.hint = message, hint
+        self.word, self.index, self.fixes = word, index, fixes
 
 
 @dataclass(frozen=True)
@@ -192,6 +196,24 @@ class Call:
         return f"{self.predicate}({', '.join(self.args)})"
 
 
+def argument_indices(text: str) -> tuple[int, ...]:
+    """Return where each argument starts in the text of a valid predicate, in the order of :attr:`Call.args`."""
+    match = _CALL.match(text)
+    if match is None:
+        return ()
+    starts = [start for start, _ in _arguments(match)]
+    in_order = canonical(match[1], tuple(map(str, starts)))[1]
+    return tuple(map(int, in_order))
+
+
+def _arguments(match: re.Match[str]) -> Iterator[tuple[int, str]]:
+    """Yield the index and text of each argument."""
+    start = match.start(2)
+    for part in match[2].split(",") if match[2].strip() else ():
+        yield start + len(part) - len(part.lstrip()), part.strip()
+        start += len(part) + 1
+
+
 @lru_cache(maxsize=1024)  # checks, lowering and predicates parse the same few expressions
 def parse_call(text: str) -> Call:
     """Parse a predicate given by its name or an alias.
@@ -202,23 +224,27 @@ def parse_call(text: str) -> Call:
     match = _CALL.match(text)
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
-    name, inside = match.groups()
-    name, arguments = canonical(name, tuple(a.strip() for a in inside.split(",")) if inside.strip() else ())
+    written = tuple(argument for _, argument in _arguments(match))
+    name, arguments = canonical(match[1], written)
     if name not in PREDICATES:
-        raise ExpressionError(f"`{name}` is not a predicate", nearest(name, PREDICATES.names()))
+        hint, fixes = nearest(name, PREDICATES.names()), similar_fixes(name, PREDICATES.names())
+        raise ExpressionError(f"`{name}` is not a predicate", hint, name, match.start(1), fixes)
     try:
         predicate = PREDICATES.load(name)
     except PluginError as error:
         raise ExpressionError(str(error)) from error
     if not len(predicate.parameters) - predicate.optional <= len(arguments) <= len(predicate.parameters):
         raise ExpressionError(f"`{name}` takes {predicate.counts}, not {len(arguments)}")
-    for argument, kind in zip(arguments, predicate.parameters, strict=False):
+    for argument, kind, index in zip(arguments, predicate.parameters, argument_indices(text), strict=False):
+        problem = ""
         if kind == "number" and not _NUMBER.match(argument):
-            raise ExpressionError(f"`{argument}` is not a number, but `{name}` requires one here")
-        if kind == "number" and abs(float(argument)) > FARTHEST:
-            raise ExpressionError(f"`{argument}` is out of range; numbers in predicates are at most {FARTHEST:.0f}")
-        if kind != "number" and not _ARGUMENT.match(argument):
-            raise ExpressionError(f"`{argument}` is not the name of an object or of an object's part")
+            problem = f"`{argument}` is not a number, but `{name}` requires one here"
+        elif kind == "number" and abs(float(argument)) > FARTHEST:
+            problem = f"`{argument}` is out of range; numbers in predicates are at most {FARTHEST:.0f}"
+        elif kind != "number" and not _ARGUMENT.match(argument):
+            problem = f"`{argument}` is not the name of an object or of an object's part"
+        if problem:
+            raise ExpressionError(problem, word=argument, index=index)
     return Call(name, arguments)
 
 

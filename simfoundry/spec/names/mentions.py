@@ -11,7 +11,7 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import BESIDE, NAMED
 from simfoundry.spec.change.merge.conflict import parts
-from simfoundry.spec.compose.parameters import PARAMETER, TEXTS, is_expression
+from simfoundry.spec.compose.parameters import PARAMETER, holds_text, is_expression
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.native import mjcf_names
 from simfoundry.spec.models.predicate import PREDICATES, canonical
@@ -228,7 +228,7 @@ class _Walk:
 
     def _scalar(self, node: Node, path: Path_, key: str, owner: Owner | None) -> None:
         text: str = node.value
-        if self.kind == "scene" and "$" in text and is_expression(text) and not TEXTS.intersection(path):
+        if self.kind == "scene" and "$" in text and is_expression(text) and not holds_text(path):
             at = self.index.of(node)
             for name in PARAMETER.finditer(text):
                 self._add(at, name.start(1), name[1], path, ("parameters",))

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from simfoundry.spec.names.lookup import Meaning, NameLookup, Symbol
+from simfoundry.spec.names.linked import LinkedDocuments
+from simfoundry.spec.names.lookup import NameLookup
 from simfoundry.spec.names.mentions import DocumentNames, Mention, Sections, document_names
+from simfoundry.spec.names.symbols import HEADS, Meaning, Symbol
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, Read, read
 
@@ -31,6 +33,7 @@ class Occurrence:
         column: Column of the first character, counted from 1; a byte order mark does not count.
         path: Path in the document.
         sections: Where the name was looked up.
+        is_key: True if it is a key, or a part of one.
         is_definition: True if this is the key that defines the symbol, rather than one that changes or uses it.
     """
 
@@ -43,6 +46,7 @@ class Occurrence:
     column: int
     path: tuple[str | int, ...]
     sections: Sections
+    is_key: bool
     is_definition: bool
 
 
@@ -66,12 +70,13 @@ class ProjectNames:
     """Errors of the documents that could not be parsed, by resolved path."""
 
     def __post_init__(self) -> None:
-        self._lookup = NameLookup(self.root.resolve(), self._read)
+        self._linked = LinkedDocuments(self.root.resolve(), self._read)
+        self._lookup = NameLookup(self._linked)
         todo = [os.path.realpath(file) for file in self.files]
         while todo:
             file = todo.pop()
-            if file not in self._lookup.read and self._lookup.document(file) is not None:
-                todo += self._lookup.references(file)
+            if file not in self._linked.read and self._linked.names(file) is not None:
+                todo += self._linked.references(file)
 
     def _read(self, file: str) -> DocumentNames | None:
         try:
@@ -87,7 +92,7 @@ class ProjectNames:
     @property
     def documents(self) -> dict[str, DocumentNames]:
         """Return the documents that could be parsed, by resolved path."""
-        return {file: names for file, names in self._lookup.read.items() if names is not None}
+        return {file: names for file, names in self._linked.read.items() if names is not None}
 
     def occurrences(self, file: Path | str) -> tuple[Occurrence, ...]:
         """Return the occurrences of names in a document, in the order of its text."""
@@ -114,6 +119,20 @@ class ProjectNames:
         found = (self._lookup.find(os.path.realpath(file), section, name) for section in sections)
         return list(dict.fromkeys(self.same(each.symbol) for each in found if each is not None))
 
+    def meaning(self, file: Path | str, section: str, name: str) -> Meaning | None:
+        """Return what a name of a section means in a document, or None if nothing has this name."""
+        return self._lookup.find(os.path.realpath(file), section, name)
+
+    def members(self, file: Path | str, names: tuple[str, ...]) -> list[Symbol]:
+        """Return what a name such as ``cabinet.drawer`` means in a document, without duplicates."""
+        found: list[Symbol] = []
+        head, *_, name = names
+        for section in HEADS:
+            owner = self._lookup.find(os.path.realpath(file), section, head)
+            inner = [] if owner is None else self._lookup.members(os.path.realpath(file), owner, name)
+            found += [self.same(each.symbol) for each in inner]
+        return list(dict.fromkeys(found))
+
     def same(self, symbol: Symbol) -> Symbol:
         """Return the symbol that stands for all symbols that must have the same name as this one."""
         assert self._occurrences is not None  # which finds them
@@ -121,7 +140,7 @@ class ProjectNames:
 
     def dependencies(self, file: Path | str) -> frozenset[str]:
         """Return the documents that a document refers to, directly."""
-        return frozenset(self._lookup.references(os.path.realpath(file)))
+        return frozenset(self._linked.references(os.path.realpath(file)))
 
     def dependents(self, file: Path | str) -> frozenset[str]:
         """Return the documents that a change of a document can affect, directly or by other documents."""
@@ -137,7 +156,7 @@ class ProjectNames:
     def _users(self) -> dict[str, set[str]]:
         users: dict[str, set[str]] = {}
         for file in self.documents:
-            for used in self._lookup.references(file):
+            for used in self._linked.references(file):
                 users.setdefault(used, set()).add(file)
         return users
 
@@ -166,7 +185,7 @@ class ProjectNames:
             if found is not None:
                 return found
             users = self._users.get(file, set())
-            todo += sorted(u for u in users - seen if file in self._lookup.chain(u)[1:])
+            todo += sorted(u for u in users - seen if file in self._linked.chain(u)[1:])
         return None
 
     def _is_foreign(self, names: DocumentNames, mention: Mention) -> bool:
@@ -198,6 +217,7 @@ class ProjectNames:
                 *names.index.place(start),
                 mention.path,
                 mention.sections,
+                mention.is_key,
                 is_definition,
             )
 

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from simfoundry.errors import PicklableError
-from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity
 
 # Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000.
 MAX_DEPTH = 64
@@ -30,6 +30,12 @@ _WORDS: dict[str, Any] = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
+
+
+def is_word(text: str) -> bool:
+    """Return True if YAML reads an unquoted text as null, a truth value or a number that is not finite."""
+    return text in _WORDS
+
 
 # Characters that can start a number.
 _NUMERIC = frozenset("0123456789+-.")
@@ -89,13 +95,24 @@ class Node:
 class YamlError(PicklableError):
     """Raised if a YAML text could not be read."""
 
-    def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
+    def __init__(
+        self,
+        code: str,
+        message: str,
+        line: int = 0,
+        column: int = 0,
+        hint: str = "",
+        word: str = "",
+        fixes: tuple[Fix, ...] = (),
+    ) -> None:
         super().__init__(message)
         self.code, self.message, self.line, self.column, self.hint = code, message, line, column, hint
+        self.word, self.fixes = word, fixes
 
     def diagnostic(self, file: str) -> Diagnostic:
         """Return the error as a :class:`Diagnostic` of ``file``."""
-        return Diagnostic(self.code, Severity.ERROR, self.message, file, self.line, self.column, "", self.hint)
+        place = (file, self.line, self.column, "", self.hint)
+        return Diagnostic(self.code, Severity.ERROR, self.message, *place, word=self.word, fixes=self.fixes)
 
 
 @dataclass(slots=True)

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.diagnostics import Diagnostic, Fix, Severity
 from simfoundry.spec.yaml.nodes import EVENTS, Composer, Node, YamlError
+from simfoundry.spec.yaml.tokens import token_at, word_in
 
 # Maximum size of a text [bytes]; a scene with 1,000 objects requires 0.14 MiB.
 MAX_BYTES = 4 * 2**20
@@ -25,6 +26,21 @@ MAX_BYTES = 4 * 2**20
 # Characters that must be escaped in a YAML text.
 UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Path_ = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """The wrong word in a key or value, and what can be written instead.
+
+    Attributes:
+        word: The word, or an empty string for the whole key or value, including its quotes.
+        index: The index of the word in the value, without quotes.
+        fixes: The corrections of the word.
+    """
+
+    word: str = ""
+    index: int = 0
+    fixes: tuple[Fix, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -38,6 +54,8 @@ class Document:
     duplicates: tuple[Diagnostic, ...]
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
     """Members that this document adds to its base, as a mapping from their paths to the names of the base's members."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """Texts of the other files whose values this document contains, such as those of its bases."""
 
     def section(self, name: str) -> dict[str, Any]:
         """Return the data of a section by name. The result is empty if the section is missing or is not a mapping."""
@@ -68,11 +86,47 @@ class Document:
         hint: str = "",
         severity: Severity = Severity.ERROR,
         of_key: bool = False,
+        mark: Mark | None = None,
     ) -> Diagnostic:
-        """Return a finding at ``path``."""
+        """Return a finding at ``path``, or at the word that ``mark`` describes in the key or value there."""
         line, column = self.place(path, of_key)
-        dotted = ".".join(map(str, path))
-        return Diagnostic(code, severity, message, self.source(path), line, column, dotted, hint)
+        dotted, file = ".".join(map(str, path)), self.source(path)
+        plain = "" if of_key else next((node.plain for *_, node in reversed([*self._walk(path)])), "")
+        found = Diagnostic(code, severity, message, file, line, column, dotted, hint)
+        return self.marked(found, mark or Mark(), plain)
+
+    def marked(self, finding: Diagnostic, mark: Mark, plain: str = "") -> Diagnostic:
+        """Return a finding with the wrong word at its place and the fixes of a mark, if they apply to the text.
+
+        A value that was rewritten, such as a name in an included scene, is marked as a whole and without fixes.
+        ``plain`` is the text of the value if it has no quotes.
+        """
+        lines = self._lines(finding.file)
+        line = lines[finding.line - 1] if 0 < finding.line <= len(lines) else ""
+        token = token_at(line, finding.column, plain)
+        if not mark.word:
+            return replace(finding, word=token, fixes=mark.fixes if token else ())
+        start = word_in(token, mark.word, mark.index)
+        if start < 0:
+            return replace(finding, word=token)
+        return replace(finding, column=finding.column + start, word=mark.word, fixes=mark.fixes)
+
+    def completed(self, finding: Diagnostic) -> Diagnostic:
+        """Return a finding that was created without the text, with the wrong word at its place."""
+        if not finding.line or not self._lines(finding.file):
+            return finding
+        return self.marked(finding, Mark(finding.word, 0, finding.fixes))
+
+    def _lines(self, file: str) -> list[str]:
+        """Return the lines of a file whose values this document contains."""
+        if file not in self._split:
+            text = self.text if file == self.file else self.texts.get(file, "")
+            self._split[file] = text.removeprefix("\ufeff").splitlines()
+        return self._split[file]
+
+    @cached_property
+    def _split(self) -> dict[str, list[str]]:
+        return {}
 
     def known(self, path: Sequence[str | int]) -> Path_:
         """Return the parts of ``path`` that exist in the data."""
@@ -147,6 +201,16 @@ def parse(text: str, file: str = "<text>") -> Document:
     Raises:
         YamlError: If the text could not be parsed; the error contains the position.
     """
+    try:
+        return _parsed(text, file)
+    except YamlError as error:
+        if not error.word:
+            lines = text.removeprefix("\ufeff").splitlines()
+            error.word = token_at(lines[error.line - 1], error.column) if 0 < error.line <= len(lines) else ""
+        raise
+
+
+def _parsed(text: str, file: str) -> Document:
     conflict = _conflict(text)
     if conflict:
         hint = "choose the lines to keep and remove the markers, or merge semantically: `simfoundry git install`, then "
@@ -168,7 +232,8 @@ def parse(text: str, file: str = "<text>") -> Document:
     root = composer.roots[0] if composer.roots else Node(None, 1, 1)
     if (unquoted := _unquoted_color(text, root)) is not None:
         raise unquoted
-    return Document(file, text, root.value, root, tuple(composer.duplicates))
+    document = Document(file, text, root.value, root, ())
+    return replace(document, duplicates=tuple(map(document.completed, composer.duplicates)))
 
 
 # Color key followed by a hexadecimal color without quotes, which YAML reads as a comment.
@@ -186,7 +251,8 @@ def _unquoted_color(text: str, root: Node | None) -> YamlError | None:
         line, column = _position(text[: found.start(1)])
         if root is None or _has_null_at(root, line):
             message = f"`{found[1]}` is a comment, because YAML comments start with `#`"
-            return YamlError("SF002", message, line, column, f'put the color in quotes: `color: "{found[1]}"`')
+            hint = f'put the color in quotes: `color: "{found[1]}"`'
+            return YamlError("SF002", message, line, column, hint, found[1], (Fix(f'"{found[1]}"', certain=True),))
     return None
 
 
@@ -222,15 +288,21 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
     line, column = mark.line + 1, mark.column + 1
     opening = getattr(error, "context_mark", None)
     if "cannot start any token" in problem:
-        found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
-        if found != "\t":
-            message = f"an unquoted string cannot start with `{found}`"
-            return YamlError("SF002", message, line, column, "put it in double quotes")
+        found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :]
+        if found[:1] != "\t":
+            message = f"an unquoted string cannot start with `{found[:1]}`"
+            unquoted = _UNQUOTED.match(found)
+            fixes = (Fix(f'"{unquoted[0]}"'),) if unquoted is not None else ()
+            hint = "put it in double quotes"
+            return YamlError("SF002", message, line, column, hint, unquoted[0] if unquoted is not None else "", fixes)
         problem = "tab character"
     if "':'" in problem or "mapping values" in problem:
         key = _key_without_colon(text, mark.line)
         if key is not None:
-            return YamlError("SF002", "a `:` and a space are missing after the key", *key, "write `key: value`")
+            line, column, word = key
+            fixes = (Fix(f"{word} " if word.endswith(":") else f"{word}:", certain=True),)
+            message = "a `:` and a space are missing after the key"
+            return YamlError("SF002", message, line, column, "write `key: value`", word, fixes)
     for row in (row for row in _known_problems() if row["phrase"] in problem):
         start = opening.line + 1 if opening is not None else line
         if "expected ',' or" in row["phrase"] and opening is not None and _has_ended(text, opening.line, mark.line):
@@ -244,11 +316,16 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
 
 
 # Line that consists of one word, or of a word and a value with a colon but no space between them.
-_WITHOUT_COLON = re.compile(r" *(?:- )? *([A-Za-z_][A-Za-z0-9_]*)(?: +[^\s#:]|:[^\s:]|[ \t]*(?:#|$))")
+_WITHOUT_COLON = re.compile(r" *(?:- )? *([A-Za-z_][A-Za-z0-9_]*)(?: +[^\s#:]|(:)[^\s:]|[ \t]*(?:#|$))")
+
+# Text of a string that needs quotes, up to a comment or the end of its place in brackets.
+_UNQUOTED = re.compile(r"[^\s,\[\]{}\"\\#](?:(?!:\s|\s#|\s*$)[^,\[\]{}\"\\])*")
 
 
-def _key_without_colon(text: str, line: int) -> tuple[int, int] | None:
-    """Return the line and column of a key without a colon above a syntax error, or None if there is none.
+def _key_without_colon(text: str, line: int) -> tuple[int, int, str] | None:
+    """Return the line, column and text of a key without a colon above a syntax error, or None if there is none.
+
+    A colon that is not followed by a space is part of the text.
 
     YAML reads such a line as the start of a string that continues on the line with the error.
     """
@@ -258,7 +335,7 @@ def _key_without_colon(text: str, line: int) -> tuple[int, int] | None:
             return None
         found = _WITHOUT_COLON.match(lines[above])
         if found is not None:
-            return above + 1, found.start(1) + 1
+            return above + 1, found.start(1) + 1, found[1] + (found[2] or "")
     return None
 
 

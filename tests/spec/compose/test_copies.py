@@ -137,7 +137,7 @@ relations: [OnTop(cup, dek)]
         "8:59 SF104 expected a number greater than or equal to 1, found `0`",
         "9:73 SF107 a grid needs one step for each direction, such as `step: [0.1, 0.12]`",
         "10:51 SF201 no object is called `jugg`",
-        "11:13 SF201 no object is called `dek` (and 11 more like it)",
+        "11:24 SF201 no object is called `dek` (and 11 more like it)",
     ]
 
 

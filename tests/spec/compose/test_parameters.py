@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.compose.parameters import ParameterError, evaluate, is_expression
+from simfoundry.spec.models.shapes import SphereShape
 from tests.spec.compose.documents import messages, spec_of
 
 VALUES = {"gap": 0.1, "n": 3, "zero": 0, "big": 1e200}
@@ -81,7 +82,7 @@ def test_parameters_refer_to_each_other_and_are_set_from_outside(tmp_path: Path)
 
 def test_errors_stand_at_the_expression(tmp_path: Path) -> None:
     assert messages(tmp_path, f"parameters: {{gap: 0.1, r: 0.05}}\n{CUP.replace('2 * $gap', '2 * $gpa')}") == [
-        "5:54 SF201 no parameter is called `gpa`"
+        "5:59 SF201 no parameter is called `gpa`"
     ]
     assert messages(tmp_path, f"parameters: {{gap: 0.1, r: 0.05}}\n{CUP}", parameters={"gpa": 1.0}) == [
         "3:13 SF201 no parameter is called `gpa`"
@@ -92,3 +93,9 @@ def test_errors_stand_at_the_expression(tmp_path: Path) -> None:
 def test_a_text_with_a_dollar_stays_a_text(tmp_path: Path) -> None:
     body = "description: $gap\nparameters: {gap: 0.1, r: 0.04}\n" + CUP
     assert spec_of(tmp_path, body).description == "$gap"
+
+
+@pytest.mark.parametrize("name", ["name", "source", "origin", "conflicts"])
+def test_an_object_can_be_called_like_a_key_with_a_text(tmp_path: Path, name: str) -> None:
+    spec = spec_of(tmp_path, "parameters: {gap: 0.1, r: 0.04}\n" + CUP.replace("cup", name))
+    assert isinstance(shape := spec.objects[name].shape, SphereShape) and shape.sphere == 0.04

@@ -1,0 +1,187 @@
+"""Plan a rename for a whole project: which documents to read, what to write, and what to tell the user."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from simfoundry.spec.diagnostics import Severity, SpecError
+from simfoundry.spec.names.project import ProjectNames
+from simfoundry.spec.names.rename import (
+    MAX_SHOWN,
+    DocumentEdit,
+    RenameError,
+    find_symbol,
+    new_findings,
+    remaining_lines,
+    rename_edits,
+    shown_path,
+)
+from simfoundry.spec.names.symbols import Symbol
+from simfoundry.spec.project import document_files, project_root
+from simfoundry.spec.yaml.text import Document, read
+
+# Maximum number of documents in a project that is searched; a batch of cousins has 10,000.
+MAX_DOCUMENTS = 50_000
+
+# Name of a document in a text, as far as it contains neither spaces nor characters with a meaning in YAML.
+_FILE_NAME = re.compile(rb"[^\s/\"':,\[\]{}]+\.yaml\b")
+
+
+@dataclass(frozen=True)
+class RenamePlan:
+    """A rename that is possible.
+
+    Attributes:
+        symbol: What is renamed.
+        new: Its new name.
+        edits: The edits of each document.
+        notes: Whole sentences about what the rename does not change.
+    """
+
+    symbol: Symbol
+    new: str
+    edits: tuple[DocumentEdit, ...]
+    notes: tuple[str, ...]
+
+
+def plan_rename(file: Path, written: str, new: str, kind: str = "") -> RenamePlan:
+    """Plan the rename of a symbol in all documents of the project of a document.
+
+    These are the documents below the project's folder that commands on folders read, and those that they use. Nothing
+    is written.
+
+    Args:
+        file: A document in which the symbol has the name.
+        written: The name; see :func:`simfoundry.spec.names.rename.find_symbol`.
+        new: The new name.
+        kind: The kind of the symbol if several have the name; otherwise empty.
+
+    Raises:
+        RenameError: If the symbol is not found, or if the rename is not possible; nothing would be written.
+        SpecError: If the document cannot be read.
+    """
+    project = _Project(project_root(file).resolve(), written.rpartition(".")[2])
+    names = project.names({os.path.realpath(file)})
+    if (error := names.unreadable.get(os.path.realpath(file))) is not None:
+        raise SpecError([error.diagnostic(str(file))])
+    files = {os.path.realpath(file), *(path for path, data in project.contents.items() if project.word in data)}
+    while True:  # a document that uses an edited one may give a name another meaning
+        names = project.names(files)
+        symbol = find_symbol(names, file, written, kind)
+        project.ensure_readable(names, f"cannot rename {symbol} to `{new}`")
+        edits = rename_edits(names, symbol, new)
+        users = project.users(str(edit.file) for edit in edits)
+        if users <= files:
+            break
+        files |= users
+    findings = new_findings(names, edits)
+    if errors := findings[Severity.ERROR]:
+        raise RenameError(f"cannot rename {symbol} to `{new}`, because `check` would find new errors", errors)
+    notes = [*_notes(project, names, symbol, new, edits)]
+    if warnings := findings[Severity.WARNING]:
+        notes.append(f"`check` will have new warnings:{_list(warnings)}")
+    return RenamePlan(symbol, new, edits, tuple(notes))
+
+
+@dataclass
+class _Project:
+    """The documents of a project. Each is read only once."""
+
+    root: Path
+    old: str
+    parsed: dict[Path, Document] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        found = document_files(self.root)
+        if len(found.included) > MAX_DOCUMENTS:
+            reason = f"the project {self.root} has more than {MAX_DOCUMENTS} documents"
+            raise RenameError(f"cannot rename `{self.old}`", [reason])
+        self.word = self.old.encode()
+        self.contents = _contents(found.included)
+        self.foreign = [path for path in found.included if not path.resolve().is_relative_to(self.root)]
+        self.excluded = _contents(found.excluded)
+
+    def read(self, path: Path) -> Document:
+        """Read a document that has not been joined with others, because joining changes its nodes."""
+        if path not in self.parsed:
+            self.parsed[path] = read(path)
+        return self.parsed[path]
+
+    def names(self, files: set[str]) -> ProjectNames:
+        """Return the names in some documents, and in those that they use."""
+        return ProjectNames(self.root, [Path(file) for file in sorted(files)], self.read)
+
+    def ensure_readable(self, names: ProjectNames, what: str) -> None:
+        """Raise an error if a document that contains the old name cannot be parsed or edited."""
+        broken = [
+            (file, error) for file, error in names.unreadable.items() if self.word in self.contents.get(file, b"")
+        ]
+        reasons = [
+            f"{shown_path(file)}:{error.line}:{error.column}: this document contains `{self.old}`, but it cannot be "
+            f"parsed ({error.message}); correct it first"
+            for file, error in broken
+        ]
+        reasons += [
+            f"{shown_path(path)}: this document contains `{self.old}`, but it is a link out of the project; "
+            "replace it with a copy, or exclude it in `simfoundry.yaml`"
+            for path in self.foreign
+            if self.word in self.contents.get(os.path.realpath(path), b"")
+        ]
+        if reasons:
+            raise RenameError(what, reasons)
+
+    def users(self, files: Iterable[str]) -> set[str]:
+        """Return the documents that may use some documents, directly or by others, by the file names in their texts."""
+        named = {path: {*_FILE_NAME.findall(data)} for path, data in self.contents.items()}
+        found = set(files)
+        while True:
+            keys = {key for file in found for key in _FILE_NAME.findall(os.fsencode(Path(file).name))[-1:]}
+            more = {path for path, mentioned in named.items() if path not in found and mentioned & keys}
+            if not more:
+                return {file for file in found if file in self.contents}
+            found |= more
+
+
+def _contents(files: Iterable[Path]) -> dict[str, bytes]:
+    """Return the bytes of files by resolved path, omitting those that cannot be read, which `check` reports."""
+    found: dict[str, bytes] = {}
+    for file in files:
+        try:
+            found[os.path.realpath(file)] = file.read_bytes()
+        except OSError:
+            continue
+    return found
+
+
+def _notes(
+    project: _Project, names: ProjectNames, symbol: Symbol, new: str, edits: tuple[DocumentEdit, ...]
+) -> Iterable[str]:
+    """Yield what a rename does not change, although a user may expect it, and what else it changes."""
+    if symbol.kind == "object" and _is_category(names, symbol):
+        yield (
+            f"the category of the object was its name, and is now `{new}`; "
+            f"to keep the old one, add `category: {symbol.name}`"
+        )
+    edited = {str(edit.file) for edit in edits}
+    if lines := remaining_lines(names, edits, symbol.name):
+        yield f"these lines still contain the word `{symbol.name}`:{_list(lines)}"
+    word = re.compile(rb"(?<![A-Za-z0-9_])" + re.escape(symbol.name.encode()) + rb"(?![A-Za-z0-9_])")
+    skipped = [shown_path(file) for file, data in project.excluded.items() if file not in edited and word.search(data)]
+    if skipped:
+        yield f"these documents contain the word but are excluded from the project's commands:{_list(skipped)}"
+
+
+def _list(lines: list[str]) -> str:
+    more = [f"and {len(lines) - MAX_SHOWN} more"] if len(lines) > MAX_SHOWN else []
+    return "".join(f"\n  {line}" for line in [*lines[:MAX_SHOWN], *more])
+
+
+def _is_category(names: ProjectNames, symbol: Symbol) -> bool:
+    """Return True if an object has no category of its own, so that its name is the category."""
+    members = (names.documents[o.file].member(o.path) for o in names.references(symbol) if o.is_key)
+    stated = {key for member in members if isinstance(member, dict) for key in member}
+    return "shape" in stated and not stated & {"category", "asset", "like"}
