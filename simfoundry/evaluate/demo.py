@@ -22,9 +22,9 @@ from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.expert.candidates import down, grasps, places
 from simfoundry.evaluate.expert.policy import ExpertPolicy
-from simfoundry.evaluate.policies.base import ActionSpace, Image
+from simfoundry.evaluate.policies.base import Image
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.rollouts.control import Controller, physics_steps
+from simfoundry.evaluate.rollouts.control import Execution
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
@@ -42,6 +42,7 @@ from simfoundry.scene.robot import Robot, lower_robot, mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import find_robot
+from simfoundry.spec.models.signals import ActionSpace
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World, camera_of
@@ -297,13 +298,9 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
-    robots = {name: world.robot(name) for name in task.robots}
-    controller = Controller(robots, ActionSpace.JOINT_POSITION, task.control_hz)
-    for step, action in enumerate(one.actions):
-        controller.apply(action)
-        world.step(physics_steps(step, task.control_hz, world.timestep))
-        if step + 1 in shown:
-            panels.append((f"{(step + 1) / task.control_hz:.1f} s", _picture(world)))
+    execution = Execution(world, task.robots, ActionSpace.JOINT_POSITION, task.control_hz)
+    steps = (step for action in one.actions for step in execution.act(action))
+    panels += [(f"{step / task.control_hz:.1f} s", _picture(world)) for step in steps if step in shown]
     return side_by_side(panels)
 
 

@@ -1,20 +1,13 @@
 """A task as a Gymnasium environment, created with ``gymnasium.make("SimFoundry/Task-v0", task="my.task.yaml")``.
 
-An observation is a dictionary of arrays:
-
-- ``arm/joints`` [rad or m], ``arm/gripper`` (from 0, open, to 1, closed) and ``arm/hand`` (position [m] and wxyz
-  quaternion in the world) for each robot, here named ``arm``
-- ``objects``: the position [m] and wxyz quaternion of each object in the world, shape (objects, 7)
-- ``joints``: the positions of the objects' joints [rad or m]
-- ``image/camera`` for each requested camera, here named ``camera``
-
-An action has the same layout as a policy's action: the joint positions or velocities of each robot, followed by the
-position of its gripper.
+Observations and actions have the entries, units and frames of :mod:`simfoundry.spec.models.signals`, like those of
+policies. ``docs/signals.md`` lists them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -26,21 +19,18 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, checked_actions
+from simfoundry.evaluate.actions import action_limits, checked_actions
+from simfoundry.evaluate.observations import ObservationLayout, image_kinds
+from simfoundry.evaluate.policies.base import ImageSize
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
+from simfoundry.evaluate.rollouts.control import Execution, check_cameras, check_rate, pictures
 from simfoundry.evaluate.rollouts.rollout import Progress
 from simfoundry.evaluate.task import Task, load_task, need_robots
-from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.signals import ActionSpace, ImageKind
 from simfoundry.worlds import find_world, open_world
-from simfoundry.worlds.base import Image, WorldRobot
-
-# The maximum joint velocity in an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz.
-FASTEST = 3.0
-
-Observations = dict[str, NDArray[Any]]
+from simfoundry.worlds.base import Image
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
@@ -56,15 +46,24 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     ``reset`` uses its seed to draw one of ``starts`` initial states. ``options={"start": k}`` selects initial state k
     instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
-    ``cameras`` maps names of cameras in the scene to (width, height). If it is empty, nothing is rendered.
+    ``cameras`` maps names of cameras in the scene to (width, height). If it is empty, nothing is rendered. ``images``
+    lists the kinds of images of each camera: ``image`` (color), ``depth`` and ``mask``.
+
+    ``action_space`` is the text form of an :class:`~simfoundry.spec.models.signals.ActionSpace`. One step of the
+    environment is one action. ``control_hz`` is the number of actions per second, by default that of the task. The goal
+    is evaluated at each control step of the task.
+
+    If ``normalize`` is set, actions range from -1 to 1, and observed joints and grippers are mapped from their limits
+    to this range. If ``flat`` is set, an observation is one float32 vector that contains all entries except images, in
+    the order of the keys of ``layout.limits``; it cannot be combined with cameras.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
 
     action_space: spaces.Box
-    observation_space: spaces.Dict
+    observation_space: spaces.Space[Any]
     _state: SceneState
-    _controller: Controller
+    _execution: Execution
     _progress: Progress
 
     def __init__(
@@ -79,32 +78,43 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         render_camera: str | None = None,
         render_size: tuple[int, int] = (640, 480),
         cache: bool = True,
+        control_hz: float | None = None,
+        images: Iterable[str] = (ImageKind.COLOR,),
+        normalize: bool = False,
+        flat: bool = False,
     ) -> None:
         find_world(engine)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise SimfoundryError(f"unknown render mode `{render_mode}`; the only available mode is rgb_array")
-        if action_space not in list(ActionSpace):
-            raise SimfoundryError(f"unknown action space `{action_space}`; available: {', '.join(ActionSpace)}")
+        check_rate(control_hz, "the environment")
+        if flat and cameras:
+            raise SimfoundryError("a flat observation cannot contain images; remove `cameras` or `flat`")
+        try:
+            self._space = ActionSpace.parse(action_space)
+        except ValueError as error:
+            raise SimfoundryError(str(error)) from None
+        if normalize:
+            self._space = replace(self._space, normalized=True)
+        self._images, self._normalize, self._flat = image_kinds(images, "the environment"), normalize, flat
+        self._rate = control_hz
         self._cache = Cache.default() if cache else None
         self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
         need_robots(self._whole)
         self._engine, self._count, self._seed = engine, starts, seed
         self._cameras = {name: ImageSize(*size) for name, size in (cameras or {}).items()}
         check_cameras(self._whole.scene, self._cameras, "the environment")
-        self._kind = ActionSpace(action_space)
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(self._whole.control_hz)}
+        self.metadata = {**self.metadata, "render_fps": round(control_hz or self._whole.control_hz)}
         self._picture = {} if render_mode is None else {self._watching(render_camera): ImageSize(*render_size)}
         check_cameras(self._whole.scene, self._picture, "the environment")
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
-        self.action_space = _actions(self._now.robots, self._kind)
         self._begin(RolloutStart(-1, seed, {}, self._now.world.state()))
-        self.observation_space = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
+        self.layout = self._laid_out(self._now)
+        self.action_space = self._actions()
+        self.observation_space = self._observed()
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset to an initial state.
 
         The class docstring describes ``options``.
@@ -122,20 +132,27 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._begin(self._now.starts(self._count, self._seed, self._cache)[k])
         return self._observation(), self._info(False)
 
-    def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Apply one action.
 
         Raises:
-            SimfoundryError: If the action has the wrong length or is not finite.
+            SimfoundryError: If the action has the wrong type or length, is not finite, or contains an invalid rotation.
+                The world then does not change.
         """
-        now, task = self._now, self._now.task
-        self._controller.apply(checked_actions(action, now.robots, "the action", single=True))
-        now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
-        self._steps += 1
-        self._trouble = now.world.trouble()
-        self._state = self._state if self._trouble else now.world.state()
-        success = not self._trouble and self._progress.see(self._steps, self._state)
-        cut = bool(self._trouble) or (not success and self._steps >= task.horizon)
+        now, success = self._now, False
+        checked = checked_actions(action, self._execution.controller.robots, self._space, "the action", single=True)
+        for steps in self._execution.act(checked):
+            self._steps = steps
+            if trouble := now.world.trouble():
+                self._trouble = trouble
+                break
+            self._state = now.world.state()
+            success = self._progress.see(self._steps, self._state)
+            if success or self._steps >= now.task.horizon:
+                break
+        if not self._trouble:
+            self._state = now.world.state()
+        cut = bool(self._trouble) or (not success and self._steps >= now.task.horizon)
         return self._observation(), float(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
@@ -153,21 +170,30 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         now.world.reset(start.state)
         self._start, self._steps, self._trouble = start, 0, ""
         self._state = now.world.state()
-        self._controller = Controller(now.robots, self._kind, now.task.control_hz)
+        self._execution = Execution(now.world, now.task.robots, self._space, now.task.control_hz, self._rate)
         self._progress = Progress(now.task, now.judge, self._state)
 
-    def _observation(self) -> Observations:
-        found: Observations = {}
-        for name, reading in readings(self._now.world, self._now.robots).items():
-            found[f"{name}/joints"] = np.array(reading.joints)
-            found[f"{name}/gripper"] = np.array([reading.gripper])
-            found[f"{name}/hand"] = np.concatenate([reading.X_WH.p, reading.X_WH.q])
-        poses = self._state.poses.values()
-        found["objects"] = np.array([(*pose.p.tolist(), *pose.q.tolist()) for pose in poses]).reshape(len(poses), 7)
-        found["joints"] = np.array(list(self._state.joints.values()), dtype=np.float64)
-        for name, image in pictures(self._now.world, self._cameras).items():
-            found[f"image/{name}"] = image
-        return found
+    def _observation(self) -> Any:
+        found = self._laid_out(self._now).read(self._state)
+        return np.concatenate([value.ravel() for value in found.values()]) if self._flat else found
+
+    def _laid_out(self, opened: _Opened) -> ObservationLayout:
+        if opened.layout is None:
+            robots, cameras = opened.task.robots, self._cameras
+            opened.layout = ObservationLayout(opened.world, robots, cameras, self._images, self._normalize)
+        return opened.layout
+
+    def _actions(self) -> spaces.Box:
+        limits = action_limits(self._space, self._now.world.scene, self._execution.controller.robots)
+        low, high = (np.full_like(limits, [-1.0, 1.0]) if self._space.normalized else limits).T.astype(np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def _observed(self) -> spaces.Space[Any]:
+        limits = self.layout.limits
+        if self._flat:
+            low, high = (np.concatenate([ends[k].ravel() for ends in limits.values()]) for k in (0, 1))
+            return spaces.Box(low, high, dtype=np.float32)
+        return spaces.Dict({key: spaces.Box(low, high, dtype=low.dtype.type) for key, (low, high) in limits.items()})
 
     def _info(self, success: bool) -> dict[str, Any]:
         subtasks = dict.fromkeys(self._whole.subtasks, 0) | {n: s or 0 for n, s in self._progress.subtasks.items()}
@@ -196,30 +222,5 @@ class _Opened:
 
     def __init__(self, task: Task, engine: str) -> None:
         self.task, self.world, self.judge = task, open_world(task.scene, engine), Judge(task.scene)
-        self.robots: dict[str, WorldRobot] = {name: self.world.robot(name) for name in task.robots}
+        self.layout: ObservationLayout | None = None
         self.starts = cache(partial(starts, task))
-
-
-def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
-    """Return the action space.
-
-    It consists of the position limits or maximum velocities of the joints and the range of each gripper.
-    """
-    rows: list[tuple[float, float]] = []
-    for robot in robots.values():
-        limits = robot.limits().values()
-        rows += limits if kind is ActionSpace.JOINT_POSITION else [(-FASTEST, FASTEST)] * len(limits)
-        rows.append((0.0, 1.0))
-    low, high = np.array(rows).T
-    return spaces.Box(low, high, dtype=np.float64)
-
-
-def _space(key: str, value: NDArray[Any]) -> spaces.Box:
-    """Return the observation space for a single entry of an observation.
-
-    Positions are unbounded because engines slightly exceed joint limits.
-    """
-    if value.dtype == np.uint8:
-        return spaces.Box(0, 255, value.shape, np.uint8)
-    low, high = (0.0, 1.0) if key.endswith("/gripper") else (-np.inf, np.inf)
-    return spaces.Box(low, high, value.shape, np.float64)

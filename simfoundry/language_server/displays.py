@@ -89,6 +89,19 @@ class _Displays:
         buffer = self.server.documents.buffers.get(uri)
         return await self.server.current(uri) if buffer is not None and is_ours(buffer) else None
 
+    @property
+    def has_markdown(self) -> bool:
+        """Return True if the editor shows Markdown in hovers."""
+        document = self.server.client_capabilities.text_document
+        formats = document.hover.content_format if document is not None and document.hover is not None else None
+        return types.MarkupKind.Markdown in (formats or ())
+
+    def markup(self, text: str) -> types.MarkupContent:
+        """Return a description for the editor, as Markdown if it shows that."""
+        if self.has_markdown:
+            return types.MarkupContent(types.MarkupKind.Markdown, text)
+        return types.MarkupContent(types.MarkupKind.PlainText, plain_text(text))
+
     def finished(self, analysis: Analysis) -> None:
         """Tell the editor that what it shows beside the text of a document may have changed."""
         self.previews.checked(analysis)
@@ -130,7 +143,7 @@ def _add_hover(server: Server, displays: _Displays) -> None:
             older = server.documents.parsed(analysis.path)
             line = LineShift(older.lines, analysis.lines).older_line(position.line) if older is not None else None
             if older is None or line is None:
-                return _key_hover(analysis, params.position)
+                return _key_hover(displays, analysis, params.position)
             position, shown = types.Position(line, position.character), older
         found = hover_at(displays.context(shown), shown.lines.offset(position))
         if found is None:
@@ -140,26 +153,21 @@ def _add_hover(server: Server, displays: _Displays) -> None:
             types.Position(params.position.line, where.start.character),
             types.Position(params.position.line + where.end.line - where.start.line, where.end.character),
         )
-        formats = server.client_capabilities.text_document.hover if server.client_capabilities.text_document else None
-        if types.MarkupKind.Markdown not in ((formats.content_format if formats is not None else None) or ()):
-            return types.Hover(types.MarkupContent(types.MarkupKind.PlainText, plain_text(found.text)), where)
         text = found.text
-        if displays.pictures and found.object:
+        if displays.pictures and found.object and displays.has_markdown:
             uri = await displays.previews.object_picture(analysis.path, found.object)
             text += f"\n\n![{found.object}]({uri})" if uri else ""
-        return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), where)
+        return types.Hover(displays.markup(text), where)
 
 
-def _key_hover(analysis: Analysis, position: types.Position) -> types.Hover | None:
+def _key_hover(displays: _Displays, analysis: Analysis, position: types.Position) -> types.Hover | None:
     """Return the meaning of the key at a place of a text that cannot be parsed, or None if there is none."""
     cursor = cursor_at(analysis.lines.text, analysis.lines.offset(position))
     kind = _KIND.search(analysis.lines.text)
     text = key_text(kind[1], cursor.path) if kind is not None and kind[1] in KINDS else None
     if text is None:
         return None
-    return types.Hover(
-        types.MarkupContent(types.MarkupKind.Markdown, text), analysis.lines.range(cursor.start, cursor.end)
-    )
+    return types.Hover(displays.markup(text), analysis.lines.range(cursor.start, cursor.end))
 
 
 def _add_structure(server: Server, displays: _Displays) -> None:

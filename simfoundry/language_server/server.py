@@ -10,7 +10,7 @@ import asyncio
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -22,12 +22,14 @@ from pygls.exceptions import JsonRpcException
 from pygls.lsp.server import LanguageServer
 
 from simfoundry import __version__
+from simfoundry.language_server import navigation
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
 from simfoundry.language_server.displays import add_displays
 from simfoundry.language_server.protocol import Protocol, is_fault_of_client
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
 from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
+from simfoundry.spec.names.project import ProjectNames
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -42,6 +44,10 @@ GC_THRESHOLD = 50_000
 
 # Suffixes of the files that documents refer to. The editor tells when such a file changes on disk.
 WATCHED = (".yaml", *MESH_SUFFIXES, *TEXTURE_SUFFIXES, *PANORAMA_SUFFIXES, *PICTURE_SUFFIXES)
+
+
+# Maximum number of dependent documents that are checked although they are not open; a scene may have many cousins.
+MOST_CLOSED = 50
 
 
 class _NewerTextError(Exception):
@@ -119,8 +125,9 @@ class Server(LanguageServer):
             return
         if not analysis.has_errors:
             try:
-                analysis = await self.run(linted, analysis, partial(self._stop_if_queued, path))
+                analysis = await self.run(linted, analysis, partial(self._stop_for_newer_text, path))
             except _NewerTextError:
+                self._queue.setdefault(path, changed)
                 return
             self.documents.store(analysis)
         if path in self._queue:
@@ -130,12 +137,18 @@ class Server(LanguageServer):
         for listener in self.checked:
             listener(analysis)
         if changed:
-            for other in self.documents.dependents(path):
-                self.check(other, changed=False)
+            self.check_dependents(path, await self.run(self.documents.dependents, path))
 
-    def _stop_if_queued(self, path: Path) -> None:
-        """Stop the check of a document whose text has changed meanwhile. Called on the thread that checks documents."""
-        if path in self._queue:
+    def check_dependents(self, path: Path, dependents: Collection[Path]) -> None:
+        """Check the documents that depend on one that has changed: those that are open first, then a few others."""
+        opened = {buffer.path for buffer in self.documents.buffers.values()}
+        closed = [other for other in sorted(dependents) if other not in opened]
+        for other in (*sorted(opened & {*dependents} - {path}), *closed[:MOST_CLOSED]):
+            self.check(other, changed=False)
+
+    def _stop_for_newer_text(self, path: Path) -> None:
+        """Stop a check if the text of this or another document has changed. Called on the thread that checks them."""
+        if path in self._queue or any(self._queue.values()):
             raise _NewerTextError
 
     async def _analyzed(self, path: Path) -> Analysis | None:
@@ -173,6 +186,7 @@ def make_server() -> Server:
     server = Server()
     _add_synchronization(server)
     add_displays(server)
+    _add_navigation(server)
     return server
 
 
@@ -209,8 +223,9 @@ def _add_synchronization(server: Server) -> None:
     @server.feature(types.TEXT_DOCUMENT_DID_SAVE)
     async def did_save(ls: Server, params: types.DidSaveTextDocumentParams) -> None:
         documents.texts.forget()
-        for path in documents.dependents(path_of(params.text_document.uri)):
-            ls.check(path, changed=False)
+        documents.rescan()
+        path = path_of(params.text_document.uri)
+        ls.check_dependents(path, await ls.run(documents.dependents, path))
 
     @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
     async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
@@ -219,17 +234,61 @@ def _add_synchronization(server: Server) -> None:
             return
         for listener in ls.closed:
             listener(buffer.uri, buffer.path)
-        used = documents.dependents(buffer.path)
+        dependents = await ls.run(documents.dependents, buffer.path)
+        if documents.buffer_of(buffer.path) is not None:
+            return  # it was opened again
         ls.withdraw(buffer.path)
-        for path in used:  # they see the text on the disk again
-            ls.check(path, changed=False)
+        concerned = {each.path for each in documents.buffers.values()}
+        for path in tuple(concerned):
+            concerned |= await ls.run(documents.dependents, path)
+        for path in documents.analyzed_files() - concerned:
+            ls.withdraw(path)
+        ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
 
     @server.feature(types.WORKSPACE_DID_CHANGE_WATCHED_FILES)
     async def did_change_files(ls: Server, _: types.DidChangeWatchedFilesParams) -> None:
         documents.texts.forget()
+        documents.rescan()
         for buffer in documents.buffers.values():
             if is_ours(buffer):
                 ls.check(buffer.path, changed=False)
+
+
+_PositionParams = types.DefinitionParams | types.ReferenceParams | types.DocumentHighlightParams
+
+
+def _add_navigation(server: Server) -> None:
+    """Register what finds the definitions and uses of names."""
+    documents = server.documents
+
+    async def names_at(params: _PositionParams) -> tuple[ProjectNames, Path, int] | None:
+        """Return the names of the project, the document and the offset in it, or None if the document is not open."""
+        buffer = documents.buffers.get(params.text_document.uri)
+        if buffer is None:
+            return None
+        names = await server.run(documents.names, buffer.path)
+        return names, buffer.path, buffer.lines.offset(params.position)
+
+    @server.feature(types.TEXT_DOCUMENT_DEFINITION)
+    async def definition(params: types.DefinitionParams) -> list[types.Location]:
+        at = await names_at(params)
+        return navigation.definitions(*at, documents.location) if at is not None else []
+
+    @server.feature(types.TEXT_DOCUMENT_REFERENCES)
+    async def references(params: types.ReferenceParams) -> list[types.Location]:
+        at = await names_at(params)
+        with_definitions = params.context.include_declaration
+        return navigation.references(*at, documents.location, with_definitions) if at is not None else []
+
+    @server.feature(types.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
+    async def highlight(params: types.DocumentHighlightParams) -> list[types.DocumentHighlight]:
+        at = await names_at(params)
+        return navigation.highlights(*at, documents.location) if at is not None else []
+
+    @server.feature(types.WORKSPACE_SYMBOL)
+    async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
+        projects = [await server.run(documents.names, folder) for folder in documents.folders()]
+        return navigation.project_symbols(projects, params.query, documents.location)
 
 
 def serve() -> None:

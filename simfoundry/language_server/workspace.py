@@ -13,10 +13,13 @@ from pygls import uris
 
 from simfoundry.language_server.analysis import Analysis
 from simfoundry.language_server.positions import Lines
+from simfoundry.language_server.project_index import ProjectIndex
 from simfoundry.spec.check.report import absolute
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.open_documents import OpenDocuments
+from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
@@ -60,6 +63,7 @@ class Workspace:
     encoding: str = types.PositionEncodingKind.Utf16
     buffers: dict[str, Buffer] = field(default_factory=dict)
     texts: OpenDocuments = field(default_factory=OpenDocuments)
+    _projects: dict[Path, ProjectIndex] = field(default_factory=dict)
     _known: dict[Path, _Known] = field(default_factory=dict)
     _findings: dict[Path, dict[Path, list[Diagnostic]]] = field(default_factory=dict)
 
@@ -144,14 +148,46 @@ class Workspace:
         known = self._known.get(path)
         return known.lowered if known is not None else None
 
-    def dependents(self, path: Path) -> list[Path]:
-        """Return the analyzed documents that use a file, directly or indirectly."""
-        target = os.path.realpath(path)  # unlike `Path.resolve`, it also works for cyclic symbolic links
-        return [
-            other
-            for other, known in self._known.items()
-            if other != path and any(os.path.realpath(file) == target for file in known.latest.loaded.files())
-        ]
+    def analyzed_files(self) -> set[Path]:
+        """Return the documents that have an analysis."""
+        return {*self._known}
+
+    # -- names ------------------------------------------------------------------------------------------------------
+
+    def names(self, path: Path) -> ProjectNames:
+        """Return the names of the project that contains a document. Called on the thread that checks documents."""
+        return self.project(path).names()
+
+    def project(self, path: Path) -> ProjectIndex:
+        """Return the project that contains a document."""
+        root = project_root(path)
+        if root not in self._projects:
+            self._projects[root] = ProjectIndex(root, self.texts)
+        return self._projects[root]
+
+    def folders(self) -> set[Path]:
+        """Return the folders of the projects that contain open documents."""
+        return {project_root(buffer.path) for buffer in self.buffers.values()}
+
+    def rescan(self) -> None:
+        """Look for new and removed documents on disk when the names of a project are next needed."""
+        for project in self._projects.values():
+            project.rescan()
+
+    def dependents(self, path: Path) -> frozenset[Path]:
+        """Return the documents that use a document, directly or indirectly."""
+        return frozenset(map(self.shown, self.project(path).dependents(os.path.realpath(path))))
+
+    def shown(self, file: str) -> Path:
+        """Return the path under which the editor knows a file, given its resolved path."""
+        same = (buffer.path for buffer in self.buffers.values() if os.path.realpath(buffer.path) == file)
+        return next(same, Path(file))
+
+    def location(self, file: str, start: int, end: int) -> types.Location:
+        """Return the location of the characters between two offsets of a document, given by its resolved path."""
+        path = self.shown(file)
+        lines = self.lines(path) or Lines("", self.encoding)
+        return types.Location(self.uri(path), lines.range(start, end))
 
     # -- findings ---------------------------------------------------------------------------------------------------
 

@@ -103,6 +103,26 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
                 geom[item.segid + 1] = item.objid + 1
         return np.asarray(geom[np.where(drawn < len(geom), drawn, 0)], dtype=np.int32)
 
+    def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float64]:
+        """Return the depth [m] along the optical axis at each pixel, or infinity where no surface is visible.
+
+        Returns:
+            An array of shape (h, w).
+        """
+        import mujoco
+
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT.value] = 1  # without the backdrop
+        try:
+            self._draw(data, camera)
+        finally:
+            self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT.value] = 0
+        near = np.empty((camera.height, camera.width), dtype=np.float32)
+        mujoco.mjr_readPixels(None, near, mujoco.MjrRect(0, 0, camera.width, camera.height), self._context)
+        values = near[::-1].astype(np.float64)
+        with np.errstate(divide="ignore"):
+            meters = NEAR / (1.0 - values * (1.0 - NEAR / FAR))
+        return np.asarray(np.where(values < 1.0, meters, np.inf))
+
     def _draw(self, data: mujoco.MjData, camera: Camera, fine: int = 1) -> Image:
         """Render with ``fine`` pixels per image pixel along each axis."""
         import mujoco

@@ -238,33 +238,51 @@ class Arm:
 
         The search starts at the configuration ``near``.
         """
-        import mink
-
         if self.is_too_short(X_WH):
             return None
+        q, found = self.approach(X_WH, near)
+        return q if found else None
+
+    def approach(self, X_WH: Pose, near: Array, gap: float = NEAR, turn: float = TURNED) -> tuple[Array, bool]:
+        """Return the configuration found from ``near`` in which the hand is closest to ``X_WH``.
+
+        Args:
+            X_WH: The pose of the hand in the world.
+            near: The configuration at which the search starts.
+            gap: The position tolerance [m].
+            turn: The orientation tolerance [rad].
+
+        Returns:
+            The configuration, and True if the hand is within both tolerances of the pose.
+        """
+        import mink
+
         X_BL = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
         _, task, limit = self._ik
         task.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BL.q, X_BL.p])))
         q = np.clip(near, self.low, self.high)
         configuration = self._posed(q)
+        closest, least = q, np.inf
         best, since = np.inf, 0
         for _ in range(ITERATIONS):
             error = task.compute_error(configuration)
-            if np.linalg.norm(error[:3]) < NEAR and np.linalg.norm(error[3:]) < TURNED:
-                return q
+            if np.linalg.norm(error[:3]) < gap and np.linalg.norm(error[3:]) < turn:
+                return q, True
             size = float(np.linalg.norm(error))
+            if size < least:
+                closest, least = q, size
             best, since = (size, 0) if size < 0.9 * best else (best, since + 1)
             if since >= STUCK:
-                return None
+                break
             try:
                 velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-4, limits=[limit])
             except mink.NoSolutionFound:
-                return None
+                break
             step = velocity[self._order]
             step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-9))
             q = np.clip(q + step, self.low, self.high)
             configuration = self._posed(q)
-        return None
+        return closest, False
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
         """Solve like :meth:`solve`, with additional attempts if this fails.

@@ -9,12 +9,14 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.check.pages import findings_page
 from simfoundry.spec.editor.reference import reference
 from simfoundry.spec.editor.schema import schemas
+from simfoundry.spec.editor.signals_page import signals_page
 
 
 def generated() -> dict[str, str]:
     """Return the text of every generated file, keyed by its path in the repository."""
     files = {f"schemas/{name}": text for name, text in schemas().items()}
-    return {**files, "docs/reference.md": reference(), "docs/findings.md": findings_page()}
+    pages = {"docs/reference.md": reference(), "docs/findings.md": findings_page(), "docs/signals.md": signals_page()}
+    return {**files, **pages}
 
 
 def stale(root: Path) -> dict[str, str]:

@@ -59,8 +59,19 @@ class OpenDocuments:
         """
         file = os.path.realpath(path)
         shown = self._texts.get(file)
-        self._read[file] = _stamp(file) if shown is None else (shown.version,)
+        self._read[file] = self.stamp(path)
         return read(path) if shown is None else parse(shown.text, str(path))
+
+    @property
+    def files(self) -> frozenset[str]:
+        """Return the resolved paths of the files that are open."""
+        return frozenset(tuple(self._texts))
+
+    def stamp(self, path: Path) -> Stamp:
+        """Return what identifies the text of a file, which differs after each edit and each change on disk."""
+        file = os.path.realpath(path)
+        shown = self._texts.get(file)
+        return _stamp(file) if shown is None else (shown.version,)
 
     def load(self, path: Path) -> Loaded:
         """Read and check one document; see :func:`simfoundry.spec.load.load`."""
@@ -118,9 +129,7 @@ class OpenDocuments:
 
     def _now(self, path: str, found: dict[str, Stamp]) -> Stamp:
         if path not in found:
-            file = os.path.realpath(path)
-            shown = self._texts.get(file)
-            found[path] = _stamp(file) if shown is None else (shown.version,)
+            found[path] = self.stamp(Path(path))
         return found[path]
 
 

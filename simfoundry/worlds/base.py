@@ -156,6 +156,18 @@ class World(Protocol):
             RenderError: If rendering is not available, or if the width or height is out of range.
         """
 
+    def depth_and_mask(self, camera: str, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Return the depth and the visible instance at each pixel of the image that :meth:`render` would return.
+
+        Returns:
+            The depth along the optical axis [m], and the index in :func:`instances` plus 1, both of shape (height,
+            width). Both are 0 where nothing is visible.
+
+        Raises:
+            KeyError: If the camera is unknown. The message lists the valid names.
+            RenderError: If rendering is not available, or if the width or height is out of range.
+        """
+
     def trouble(self) -> str:
         """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""
 
@@ -169,6 +181,11 @@ class World(Protocol):
     def __exit__(self, *_: object) -> None:
         """Close the world."""
         self.close()
+
+
+def instances(scene: Scene) -> tuple[str, ...]:
+    """Return the names that the values of a mask stand for, in order: the scene's objects, followed by its robots."""
+    return (*(item.name for item in scene.objects), *(robot.name for robot in scene.robots))
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:

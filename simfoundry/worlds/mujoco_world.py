@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf import compile_mjcf, naming_scene
 from simfoundry.backends.mjcf.bodies import free_joint_name
@@ -16,7 +17,7 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.kinematics import free_motions, link_poses, trees
-from simfoundry.scene.model import JointType, Scene, SceneObject
+from simfoundry.scene.model import Camera, JointType, Scene, SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import (
@@ -28,6 +29,7 @@ from simfoundry.worlds.base import (
     WorldRobot,
     camera_of,
     complete_state,
+    instances,
     reach,
 )
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows, unknown_joint
@@ -174,13 +176,28 @@ class MujocoWorld(World):
         Returns:
             An sRGB image, uint8, shape (height, width, 3).
         """
+        renderer, view = self._prepared(camera, width, height)
+        return renderer.picture(self.data, view)
+
+    def depth_and_mask(self, camera: str, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Return the depth [m] and the visible instance at each pixel, both of shape (height, width)."""
+        renderer, view = self._prepared(camera, width, height)
+        depth, geoms = renderer.depth(self.data, view), renderer.geoms(self.data, view)
+        order = {name: k + 1 for k, name in enumerate(instances(self.scene))}
+        roots = self.model.body_rootid[self.model.geom_bodyid]
+        labels = np.array([0, *(order.get(self._objects.get(int(root), ""), 0) for root in roots)], dtype=np.int32)
+        mask = labels[geoms]
+        return np.where(mask > 0, depth, 0).astype(np.float32), mask
+
+    def _prepared(self, camera: str, width: int, height: int) -> tuple[MujocoRenderer, Camera]:
+        """Return a renderer and the camera at its pose, after updating the poses that are rendered."""
         view = camera_of(self, camera, width, height)
         renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
         # After a step, MuJoCo's geom poses are still those before the step.
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_comPos(self.model, self.data)
         self._mujoco.mj_camlight(self.model, self.data)
-        return renderer.picture(self.data, view)
+        return renderer, view
 
     def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
         """Return the renderer for small images or the one for large images. Both support all sizes requested so far.

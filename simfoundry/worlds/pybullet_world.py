@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
+from simfoundry.backends.pybullet import FAR, NEAR, camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.runtime.native_output import quiet_native_output
@@ -29,6 +30,7 @@ from simfoundry.worlds.base import (
     WorldRobot,
     camera_of,
     complete_state,
+    instances,
     reach,
 )
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
@@ -215,12 +217,26 @@ class PybulletWorld(World):
         Returns:
             An sRGB image, uint8, shape (height, width, 3).
         """
+        shot = self._shot(camera, width, height, self._bullet.ER_NO_SEGMENTATION_MASK)
+        return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
+
+    def depth_and_mask(self, camera: str, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Return the depth [m] and the visible instance at each pixel, both of shape (height, width)."""
+        shot = self._shot(camera, width, height, 0)
+        depth, bodies = (np.asarray(shot[k], dtype=np.float64).reshape(height, width) for k in (3, 4))
+        order = {name: k + 1 for k, name in enumerate(instances(self.scene))}
+        mask = np.zeros((height, width), dtype=np.int32)
+        for body, name in self._objects.items():
+            mask[bodies == body] = order[name]
+        meters = NEAR * FAR / (FAR - (FAR - NEAR) * depth)
+        return np.where(mask > 0, meters, 0).astype(np.float32), mask
+
+    def _shot(self, camera: str, width: int, height: int, flags: int) -> Any:
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
-        flags = {"renderer": self._bullet.ER_TINY_RENDERER, "flags": self._bullet.ER_NO_SEGMENTATION_MASK}
-        shot = self._call("getCameraImage", width, height, **matrices, **lighting, **flags)
-        return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
+        options = {"renderer": self._bullet.ER_TINY_RENDERER, "flags": flags}
+        return self._call("getCameraImage", width, height, **matrices, **lighting, **options)
 
     def trouble(self) -> str:
         """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""

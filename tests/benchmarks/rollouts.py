@@ -17,13 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
+from simfoundry.evaluate.policies.base import ImageSize, Observation
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.spec.models.predicate import AllOf, NoneOf
+from simfoundry.spec.models.signals import ActionSpace, ImageKind
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.evaluate.benches import write_bench
 
@@ -42,6 +43,8 @@ class Wandering:
     cameras: Mapping[str, ImageSize] = field(default_factory=dict)
     name: str = "wandering"
     action_space: ActionSpace = ActionSpace.JOINT_POSITION
+    control_hz: float | None = None
+    image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def reset(self, instruction: str, seed: int) -> None:

@@ -6,6 +6,7 @@ import json
 import queue
 import subprocess
 import threading
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -46,7 +47,7 @@ class Server:
     folder: Path
     options: Message = field(default_factory=dict)
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
-    published: dict[str, queue.Queue[Message]] = field(default_factory=dict)
+    published: defaultdict[str, queue.Queue[Message]] = field(default_factory=lambda: defaultdict(queue.Queue))
     logged: list[Message] = field(default_factory=list)
     notices: dict[str, queue.Queue[Message]] = field(default_factory=dict)
     count: int = 0
@@ -172,7 +173,7 @@ class Server:
                 case {"id": number}:
                     self.answers.pop(number, queue.Queue()).put(message)
                 case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri} as params}:
-                    self.published.setdefault(uri, queue.Queue()).put(params)
+                    self.published[uri].put(params)
                 case {"method": "window/logMessage" | "window/showMessage", "params": params}:
                     self.logged.append(params)
                 case {"method": method}:

@@ -112,12 +112,12 @@ def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (np.array([0.0, np.nan, 0.0]), "the action must be finite; number 1 is nan"),
-        (np.array([np.inf, 0.0, 0.0]), "number 0 is inf"),
+        (np.array([0.0, np.nan, 0.0]), r"the action must be finite; number 1 \(joint 2 of `arm`\) is nan"),
+        (np.array([np.inf, 0.0, 0.0]), r"number 0 \(joint 1 of `arm`\) is inf"),
         (np.zeros(2), r"must have shape \(3,\), for 2 joints and the gripper of `arm`; got \(2,\)"),
         (np.zeros((1, 3)), r"got \(1, 3\)"),
         ("up", "must be an array of numbers, got str"),
-        (None, "must be finite|must have shape"),
+        (None, "must be an array of numbers, got NoneType"),
     ],
 )
 def test_an_action_that_is_none_moves_nothing(env: TaskEnv, action: np.ndarray, message: str) -> None:

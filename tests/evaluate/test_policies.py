@@ -14,7 +14,7 @@ import pytest
 
 from simfoundry.evaluate.entries import ExpertChoice, RandomChoice, ReplayChoice, open_policy, parse_policy
 from simfoundry.evaluate.policies import lerobot
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Policy, PolicyError
+from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.policies.groot import GrootPolicy
 from simfoundry.evaluate.policies.open_loop import HORIZON, STEP, RandomPolicy, load_replay
 from simfoundry.evaluate.policies.openpi import OpenpiPolicy, RoboarenaPolicy
@@ -22,6 +22,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.policy import PolicySpec
 from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.signals import ActionSpace
 from tests.evaluate.drive import JOINTS, observation, spec_of
 
 REPOSITORY = Path(__file__).parents[2]

@@ -134,7 +134,7 @@ def action(**parts: Any) -> bytes:
         (action(joint_position=np.zeros((2, 15, 7))), "`joint_position` is an array of shape (2, 15, 7)"),
         (action(gripper_position=np.zeros((1, 14, 1))), "15 steps for the joints but 14 for the gripper"),
         (action(gripper_position=np.zeros((1, 15, 1), bool)), "an array of `bool`"),
-        (action(joint_position=np.full((1, 15, 7), np.nan)), "number 0 of action 0 is nan"),
+        (action(joint_position=np.full((1, 15, 7), np.nan)), "number 0 of action 0 (joint 1 of `arm`) is nan"),
         (action(joint_position=np.zeros((1, 15, 6))), "for 7 joints and the gripper of `arm`; got (15, 7)"),
     ],
 )

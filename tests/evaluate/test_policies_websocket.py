@@ -118,7 +118,7 @@ GOOD_ANSWER = OPENPI_CODEC.pack({"actions": CHUNK})
         (OPENPI_CODEC.pack({"actions": CHUNK[:, :7]}), "got (15, 7)"),
         (
             OPENPI_CODEC.pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}),
-            "number 3 of action 2 is nan",
+            "number 3 of action 2 (joint 4 of `arm`) is nan",
         ),
         (
             msgpack.packb({"actions": {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1, 8]}}),

@@ -87,7 +87,7 @@ def test_a_class_is_evaluated_resumed_and_filmed(here: Path) -> None:
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
-        ("nan", "number 0 of action 0 is nan"),
+        ("nan", "number 0 of action 0 (joint 1 of `arm`) is nan"),
         ("shape", "got (2, 7)"),
         ("text", "must be an array of numbers"),
         ("error", "Push failed: KeyError: 'error' (own_policies.py:16)"),
@@ -143,7 +143,7 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("Blind", r"`Blind` has `action_space` None; it must be \"joint_position\" or"),
+        ("Blind", "`Blind` has `action_space` None: unknown action space `None`; available: joint_position"),
         ("Broken", r"could not create .*: FileNotFoundError: no checkpoint \(own_policies.py:\d+\)"),
         ("Push?steps=3", r"could not create .*: TypeError: .*unexpected keyword argument 'steps'"),
     ],
@@ -192,4 +192,4 @@ def test_the_server_of_the_documentation_and_what_it_answers_wrongly(here: Path)
         command = ("eval", "push.task.yaml", "-p", "my_policy.policy.yaml", "-n", "2", "-o", "out", "--no-video")
         result = run(*command)
         assert result.code == 0 and "0/2" in result.out and "2 with an invalid response" in result.out, result.err
-        assert "the actions of my_policy must be finite; number 0 of action 0 is nan" in result.err
+        assert "the actions of my_policy must be finite; number 0 of action 0 (joint 1 of `arm`) is nan" in result.err

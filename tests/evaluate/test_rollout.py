@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
+from simfoundry.evaluate.policies.base import ImageSize, Observation, PolicyError
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import FARTHEST, Controller
 from simfoundry.evaluate.rollouts.rollout import HOLD, Progress, RolloutEnd, Video, rollout
@@ -19,6 +19,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.signals import ActionSpace, ImageKind
 from simfoundry.worlds.base import Image
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
@@ -33,6 +34,8 @@ class Pusher:
     name: str = "pusher"
     action_space: ActionSpace = ActionSpace.JOINT_POSITION
     cameras: Mapping[str, ImageSize] = field(default_factory=dict)
+    control_hz: float | None = None
+    image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
     seen: list[Observation] = field(default_factory=list)
     told: str = ""
 
@@ -132,7 +135,10 @@ def test_pictures_are_drawn_only_when_a_policy_looks_and_change_nothing(
             r"actions must have shape \(horizon, 3\), for 2 joints and the gripper of `arm`; got \(4, 2\)",
         ),
         (np.zeros((0, 3)), r"got \(0, 3\)"),
-        (np.array([[0, 0, 0], [0, np.nan, 0]]), r"actions must be finite; number 1 of action 1 is nan"),
+        (
+            np.array([[0, 0, 0], [0, np.nan, 0]]),
+            r"actions must be finite; number 1 of action 1 \(joint 2 of `arm`\) is nan",
+        ),
         ("open the gripper", r"actions must be an array of numbers, got str"),
         (np.zeros((1, 3), complex), r"an array of `complex128`"),
         ([["0", "0", "0"]], r"an array of `<U1`"),
@@ -206,13 +212,15 @@ def test_velocities_add_up_and_do_not_wind_up(push: Task, push_starts: tuple[Rol
     with MujocoWorld(push.scene) as world:
         world.reset(push_starts[0].state)
         arm = world.robot("arm")
-        control = Controller({"arm": arm}, ActionSpace.JOINT_VELOCITY, 15.0)
+        control = Controller(world, ["arm"], ActionSpace.JOINT_VELOCITY, 15.0)
         for _ in range(15):
-            control.apply(np.array([0.3, 0.0, 0.0]))
+            control.begin(np.array([0.3, 0.0, 0.0]))
+            control.move(1.0)
             world.step(33)
         assert arm.positions()["turn"] == pytest.approx(0.3, abs=0.05)
         for _ in range(60):
-            control.apply(np.array([0.0, 30.0, 0.0]))  # far beyond its range
+            control.begin(np.array([0.0, 30.0, 0.0]))  # far beyond its range
+            control.move(1.0)
         assert world.data.ctrl[1] <= min(0.4, arm.positions()["reach"] + FARTHEST) + 1e-9
 
 

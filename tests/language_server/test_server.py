@@ -74,3 +74,14 @@ def test_other_yaml_is_left_alone(server: Server, project: Path) -> None:
     server.open(ours, DESK)
     assert server.diagnostics(ours) == []
     assert other.as_uri() not in [uri for uri, queue in server.published.items() if not queue.empty()]
+
+
+def test_documents_that_are_not_open_follow_too(server: Server, project: Path) -> None:
+    scene, task = project / "desk.scene.yaml", project / "lift.task.yaml"
+    scene.write_text(DESK)
+    task.write_text(TASK)
+    server.open(scene, DESK.replace("mug:", "cup:"))
+    assert server.diagnostics(scene) == []
+    assert server.last_diagnostics(task, "SF201")[0]["range"]["start"] == {"line": 4, "character": 13}
+    server.close(scene)
+    assert server.last_diagnostics(task) == []

@@ -12,13 +12,14 @@ from simfoundry.evaluate.expert.candidates import PlaceAt, places
 from simfoundry.evaluate.expert.handles import lead
 from simfoundry.evaluate.expert.skills import pick, put
 from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
-from simfoundry.evaluate.policies.base import ActionSpace, Observation, Policy
+from simfoundry.evaluate.policies.base import Observation, Policy
 from simfoundry.evaluate.task import SubtaskGoal, Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
+from simfoundry.spec.models.signals import ActionSpace
 
 
 class Skill(StrEnum):

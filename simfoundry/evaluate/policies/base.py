@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,22 +14,10 @@ from numpy.typing import NDArray
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
-
-if TYPE_CHECKING:
-    from simfoundry.worlds.base import WorldRobot
+from simfoundry.spec.models.signals import ActionSpace, ImageKind
 
 # A color image, shape (height, width, 3).
 Image = NDArray[np.uint8]
-
-
-class ActionSpace(StrEnum):
-    """The meaning of the numbers in an action.
-
-    Protocols do not transmit this information, so each policy has to declare it.
-    """
-
-    JOINT_POSITION = "joint_position"
-    JOINT_VELOCITY = "joint_velocity"
 
 
 @dataclass(frozen=True)
@@ -66,7 +53,10 @@ class Observation:
         time: The time since the start of the rollout [s].
         instruction: The instruction of the task.
         robots: The readings of the robots that act, in the order of the task.
-        images: The requested images, keyed by the name of the camera in the scene.
+        images: The requested color images, keyed by the name of the camera in the scene.
+        depths: The requested depth images [m], float32, shape (height, width), 0 where nothing is visible.
+        masks: The requested instance masks, int32, shape (height, width); values are explained by
+            :func:`simfoundry.worlds.base.instances`.
         state: The true state, for privileged policies such as the scripted expert.
     """
 
@@ -75,19 +65,23 @@ class Observation:
     robots: Mapping[str, RobotReading]
     images: Mapping[str, Image]
     state: SceneState
+    depths: Mapping[str, NDArray[np.float32]] = field(default_factory=lambda: MappingProxyType({}))
+    masks: Mapping[str, NDArray[np.int32]] = field(default_factory=lambda: MappingProxyType({}))
 
 
 class Policy(Protocol):
     """A policy, which determines the next actions of the robots.
 
-    An action lists the values for each robot, in the order of the task: the arm's joint values, followed by the gripper
-    position from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s],
-    depending on ``action_space``. ``name`` is used in reports. ``cameras`` maps the cameras that the policy uses to the
-    size of their images. No other cameras are rendered.
+    :class:`~simfoundry.spec.models.signals.ActionSpace` describes the numbers in an action. ``control_hz`` is the
+    number of actions per second [Hz], or None for the control frequency of the task. ``name`` is used in reports.
+    ``cameras`` maps the cameras that the policy uses to the size of their images, and ``image_kinds`` lists the kinds
+    of images of each of them. No other cameras are rendered.
     """
 
     name: str
     action_space: ActionSpace
+    control_hz: float | None = None
+    image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
@@ -117,44 +111,3 @@ class InvalidAnswerError(PolicyError):
 
     The rollout then fails.
     """
-
-
-def action_size(robots: Mapping[str, RobotReading | WorldRobot]) -> int:
-    """Return the length of an action, which consists of the joint values and the gripper position of each robot."""
-    return sum(len(robot.joints) + 1 for robot in robots.values())
-
-
-def checked_actions(
-    actions: object, robots: Mapping[str, RobotReading | WorldRobot], subject: str = "actions", single: bool = False
-) -> Array:
-    """Validate the response from a policy and return it as an array of finite actions.
-
-    Args:
-        actions: The response, which may be any object.
-        robots: The robots to be controlled.
-        subject: A description of the response for error messages.
-        single: If true, a single action is expected instead of a sequence of actions.
-
-    Returns:
-        The actions, as an array of shape (horizon, action size), or (action size,) if ``single`` is set.
-
-    Raises:
-        InvalidAnswerError: If the response is not such an array.
-    """
-    size = action_size(robots)
-    try:
-        array = np.asarray(actions)
-        if array.dtype.kind not in "fiubO":  # NumPy would convert complex numbers and text
-            raise TypeError(f"it is an array of `{array.dtype}`")
-        array = np.array(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        message = f"{subject} must be an array of numbers, got {type(actions).__name__}: {error}"
-        raise InvalidAnswerError(message) from None
-    if array.ndim != (1 if single else 2) or array.shape[-1] != size or not len(array):
-        shape = f"({size},)" if single else f"(horizon, {size})"
-        words = " + ".join(f"{len(r.joints)} joints and the gripper of `{n}`" for n, r in robots.items())
-        raise InvalidAnswerError(f"{subject} must have shape {shape}, for {words}; got {array.shape}")
-    for *row, column in np.argwhere(~np.isfinite(array)).tolist():
-        at = f"number {column}" + "".join(f" of action {k}" for k in row)
-        raise InvalidAnswerError(f"{subject} must be finite; {at} is {array[*row, column]}")
-    return array

@@ -9,15 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import (
-    ActionSpace,
-    InvalidAnswerError,
-    Observation,
-    Policy,
-    PolicyError,
-    action_size,
-)
+from simfoundry.evaluate.actions import action_size, columns, rotation_numbers
+from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation, Policy, PolicyError
 from simfoundry.geometry.frames import Array
+from simfoundry.spec.models.signals import ActionSpace, RotationForm
 
 # Maximum joint motion per control step in either direction [rad or m]; equals 1.5 rad/s at 15 Hz.
 STEP = 0.1
@@ -58,11 +53,17 @@ LARGEST = 256 * 2**20
 class ReplayPolicy(Policy):
     """A policy that replays recorded actions in order and then repeats the last action indefinitely.
 
-    Every rollout starts with the first action.
+    Every rollout starts with the first action. If actions specify motions, the last one is replaced by no motion.
     """
 
-    def __init__(self, actions: Array, action_space: ActionSpace = ActionSpace.JOINT_POSITION, name: str = "replay"):
-        self.name, self.action_space = name, action_space
+    def __init__(
+        self,
+        actions: Array,
+        action_space: ActionSpace = ActionSpace.JOINT_POSITION,
+        name: str = "replay",
+        control_hz: float | None = None,
+    ) -> None:
+        self.name, self.action_space, self.control_hz = name, action_space, control_hz
         self._actions, self._played = actions, False
 
     def reset(self, instruction: str, seed: int) -> None:
@@ -75,25 +76,31 @@ class ReplayPolicy(Policy):
         Returns:
             Array of shape (steps, action size).
         """
-        recorded, width = self._actions.shape[1], action_size(observation.robots)
+        recorded, width = self._actions.shape[1], action_size(observation.robots, self.action_space)
         if recorded != width:
             raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots need {width}")
         chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
-        if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
-            at = 0
-            for robot in observation.robots.values():  # stop all motion; the grippers keep their position
-                chunk[:, at : at + len(robot.joints)] = 0.0
-                at += len(robot.joints) + 1
+        if self._played and self.action_space.is_relative:
+            for _, arm, _ in columns(observation.robots, self.action_space):  # the grippers keep their position
+                chunk[:, arm] = no_motion(self.action_space, arm.stop - arm.start)
         self._played = True
         return chunk
+
+
+def no_motion(space: ActionSpace, size: int) -> Array:
+    """Return the arm values that stop a robot, for an action space whose actions specify motions."""
+    if space.of_hand and space.rotation in (RotationForm.QUAT_WXYZ, RotationForm.ROT6D):
+        identity = rotation_numbers(np.array([1.0, 0.0, 0.0, 0.0]), space.rotation)
+        return np.concatenate([np.zeros(3), identity])
+    return np.zeros(size)
 
 
 def load_replay(path: Path) -> ReplayPolicy:
     """Load a recording as a policy.
 
     A ``.npy`` file contains only the actions, as an array of shape (steps, action size). A ``.npz`` or ``.json`` file
-    contains the entry ``actions`` and optionally the entry ``action_space``. The default action space is joint
-    positions.
+    contains the entry ``actions`` and optionally the entries ``action_space`` and ``control_hz``. The defaults are
+    joint positions and the control frequency of the task.
 
     Raises:
         PolicyError: If the file is invalid.
@@ -101,7 +108,8 @@ def load_replay(path: Path) -> ReplayPolicy:
     try:
         if path.stat().st_size > LARGEST:
             raise PolicyError(f"{path} is larger than {LARGEST // 2**20} MiB, the limit for recorded actions")
-        actions, space = _read(path)
+        actions, text, rate = _read(path)
+        space = ActionSpace.parse(text)
     except (OSError, ValueError, KeyError, EOFError, RecursionError, MemoryError, zipfile.BadZipFile) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise PolicyError(f"{path} does not contain recorded actions: {why}") from None
@@ -109,32 +117,32 @@ def load_replay(path: Path) -> ReplayPolicy:
         raise PolicyError(f"{path} contains an array of shape {actions.shape}, but actions have shape (steps, numbers)")
     if not np.isfinite(actions).all():
         raise PolicyError(f"{path} contains actions that are not finite numbers")
-    if space not in tuple(ActionSpace):
-        raise PolicyError(f"{path} has the unknown action space `{space}`; available: {', '.join(ActionSpace)}")
-    return ReplayPolicy(actions, ActionSpace(space), f"replay:{path.name}")
+    return ReplayPolicy(actions, space, f"replay:{path.name}", rate)
 
 
-def _read(path: Path) -> tuple[Array, str]:
-    """Read the actions and their action space.
+def _read(path: Path) -> tuple[Array, str, float | None]:
+    """Read the actions, their action space and their frequency [Hz].
 
     Various exceptions are raised if the file is not a recording.
     """
-    default = str(ActionSpace.JOINT_POSITION)
+    default, rate = str(ActionSpace.JOINT_POSITION), None
     match path.suffix.lower():
         case ".npy":
             # Memory-mapping verifies the size in the header without allocating it.
-            return _numbers(np.lib.format.open_memmap(path, mode="r")), default
+            return _numbers(np.lib.format.open_memmap(path, mode="r")), default, rate
         case ".npz":
             with zipfile.ZipFile(path) as files:
                 if sum(file.file_size for file in files.infolist()) > LARGEST:
                     raise ValueError(f"its uncompressed size exceeds {LARGEST // 2**20} MiB")
             with np.load(path, allow_pickle=False) as stored:
                 space = str(stored["action_space"]) if "action_space" in stored else default
-                return _numbers(stored["actions"]), space
+                rate = float(stored["control_hz"]) if "control_hz" in stored else rate
+                return _numbers(stored["actions"]), space, rate
         case ".json":
             found = json.loads(path.read_text(encoding="utf-8"))
             found = found if isinstance(found, dict) else {"actions": found}
-            return _numbers(np.array(found["actions"])), str(found.get("action_space", default))
+            rate = float(found["control_hz"]) if "control_hz" in found else rate
+            return _numbers(np.array(found["actions"])), str(found.get("action_space", default)), rate
     raise ValueError("the name of a recording must end with .npy, .npz or .json")
 
 

@@ -109,10 +109,14 @@ class RoboarenaPolicy(OpenpiPolicy):
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
 
 
+# RoboArena's name of a hand pose in the base frame; DROID describes rotations by roll, pitch and yaw.
+CARTESIAN = MappingProxyType({"cartesian_position": "hand_pose:rpy"})
+
+
 def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
     """Yield a sentence for each mismatch between the server's configuration and the document."""
     space = wishes.get("action_space")
-    if isinstance(space, str) and space != spec.action_space:
+    if isinstance(space, str) and CARTESIAN.get(space, space) != str(spec.space):
         yield f"its action space is `{space[:40]}`, but the document specifies `action_space: {spec.action_space}`"
     for key in _wanted_cameras(wishes):
         if key not in spec.cameras:

@@ -14,9 +14,12 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.policies.base import ImageSize, InvalidAnswerError, Observation, PolicyError
+from simfoundry.evaluate.rollouts.control import check_rate
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.plugins import fault_text
+from simfoundry.spec.models.signals import ActionSpace, ImageKind
 
 
 @dataclass(frozen=True)
@@ -60,10 +63,10 @@ class PythonClass:
 class PythonPolicy:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that wraps an instance of a user-defined class.
 
-    The instance must provide ``infer(observation)`` and ``action_space``. The members ``cameras``, ``name``,
-    ``reset(instruction, seed)`` and ``close()`` are optional. An exception that the instance raises while acting counts
-    as an invalid response. Text that it prints is redirected to standard error because standard output is reserved for
-    the command.
+    The instance must provide ``infer(observation)`` and ``action_space``. The members ``cameras``, ``control_hz``,
+    ``image_kinds``, ``name``, ``reset(instruction, seed)`` and ``close()`` are optional. An exception that the instance
+    raises while acting counts as an invalid response. Text that it prints is redirected to standard error because
+    standard output is reserved for the command.
     """
 
     def __init__(self, choice: PythonClass) -> None:
@@ -79,13 +82,30 @@ class PythonPolicy:
         if not callable(self._infer):
             raise PolicyError(f"`{choice.name}` in {choice.module} has no method `infer(observation)`")
         self.action_space = self._space(getattr(self._policy, "action_space", None))
+        self.control_hz = self._rate(getattr(self._policy, "control_hz", None))
+        self.image_kinds = self._kinds(getattr(self._policy, "image_kinds", None))
         self.cameras = self._sizes(getattr(self._policy, "cameras", None))
 
     def _space(self, space: object) -> ActionSpace:
-        if space not in tuple(ActionSpace):
-            known = " or ".join(f'"{one}"' for one in ActionSpace)
-            raise PolicyError(f"`{self.name}` has `action_space` {space!r}; it must be {known}")
-        return ActionSpace(str(space))
+        try:
+            return ActionSpace.parse(space)
+        except ValueError as error:
+            raise PolicyError(f"`{self.name}` has `action_space` {space!r}: {error}") from None
+
+    def _rate(self, control_hz: Any) -> float | None:
+        try:
+            check_rate(control_hz, f"`{self.name}`")
+        except SimfoundryError as error:
+            raise PolicyError(str(error)) from None
+        return None if control_hz is None else float(control_hz)
+
+    def _kinds(self, kinds: Any) -> tuple[ImageKind, ...]:
+        words = (ImageKind.COLOR,) if kinds is None else (kinds,) if isinstance(kinds, str) else tuple(kinds)
+        try:
+            return tuple(ImageKind(word) for word in words)
+        except ValueError:
+            known = ", ".join(f'"{kind}"' for kind in ImageKind)
+            raise PolicyError(f"`image_kinds` of `{self.name}` must contain only {known}, but is {kinds!r}") from None
 
     def _sizes(self, cameras: object) -> Mapping[str, ImageSize]:
         try:

@@ -13,22 +13,22 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simfoundry.evaluate.actions import checked_actions, columns, rotation_numbers
 from simfoundry.evaluate.policies.base import (
-    ActionSpace,
-    Image,
     ImageSize,
     InvalidAnswerError,
     Observation,
     Policy,
     PolicyError,
     RobotReading,
-    checked_actions,
 )
 from simfoundry.evaluate.policies.codec import Codec, CodecError
-from simfoundry.geometry.frames import Array, rpy_from_quat
+from simfoundry.geometry.frames import Array
 from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.policy import PROTOCOLS, GripperConvention, PolicySpec, address_uri
+from simfoundry.spec.models.signals import HAND_READINGS, HandFrame, ImageKind
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
@@ -86,15 +86,20 @@ def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
     return {c: max((s for name, s in sizes if name == c), key=lambda s: s.width * s.height) for c in cameras}
 
 
-def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
+def pictures(spec: PolicySpec, observation: Observation) -> dict[str, NDArray[Any]]:
     """Return the images under the policy's keys.
 
     Raises:
         PolicyError: If the image of a camera is missing.
     """
-    found: dict[str, Image] = {}
+    found: dict[str, NDArray[Any]] = {}
+    kinds: Mapping[ImageKind, Mapping[str, NDArray[Any]]] = {
+        ImageKind.COLOR: observation.images,
+        ImageKind.DEPTH: observation.depths,
+        ImageKind.MASK: observation.masks,
+    }
     for key, view in spec.cameras.items():
-        image = observation.images.get(view.camera)
+        image: NDArray[Any] | None = kinds[ImageKind(view.kind)].get(view.camera)
         if image is None:
             known = ", ".join(f"`{name}`" for name in observation.images) or "none"
             message = f"{spec.name} needs an image from camera `{view.camera}` as `{key}`, but it was not rendered"
@@ -111,10 +116,16 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
     rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
-        hand = [*robot.X_BH.p, *rpy_from_quat(robot.X_BH.q)]
-        known = {"joints": robot.joints, "gripper": [closed], "joints_gripper": [*robot.joints, closed], "hand": hand}
-        rows.append(known[what])
+        known = {"joints": robot.joints, "gripper": [closed], "joints_gripper": [*robot.joints, closed]}
+        rows.append(known[what] if what in known else hand_numbers(robot, what))
     return np.concatenate(rows)
+
+
+def hand_numbers(robot: RobotReading, what: str) -> Array:
+    """Return a hand pose as position [m] and rotation, for a name in :data:`HAND_READINGS`."""
+    frame, form = HAND_READINGS[what]
+    pose = robot.X_WH if frame is HandFrame.WORLD else robot.X_BH
+    return np.concatenate([pose.p, rotation_numbers(pose.q, form)])
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
@@ -140,19 +151,19 @@ def droid_cameras(
     return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in keys.items()}
 
 
-def resize_with_pad(image: Image, size: ImageSize) -> Image:
+def resize_with_pad(image: NDArray[Any], size: ImageSize) -> NDArray[Any]:
     """Resize an image to fit into ``size``, and center it on a black background.
 
-    Side lengths are rounded down. Pillow's bilinear filter is used, which averages pixels when it shrinks an image. The
-    result is identical, pixel for pixel, to that of ``openpi_client.image_tools.resize_with_pad``, which was used to
-    train the policies.
+    Side lengths are rounded down. For color images, Pillow's bilinear filter is used, which averages pixels when it
+    shrinks an image; depths and masks take the value of the nearest pixel. The result of a color image is identical,
+    pixel for pixel, to that of ``openpi_client.image_tools.resize_with_pad``, which was used to train the policies.
 
     Args:
-        image: The image, shape (h, w, 3).
+        image: The image, shape (h, w, 3), or the depths or mask, shape (h, w).
         size: The size of the result.
 
     Returns:
-        The resized image, as an array of shape (size.height, size.width, 3).
+        The resized image, as an array of shape (size.height, size.width) or (size.height, size.width, 3).
     """
     height, width = image.shape[:2]
     if (height, width) == (size.height, size.width):
@@ -161,9 +172,10 @@ def resize_with_pad(image: Image, size: ImageSize) -> Image:
 
     ratio = max(width / size.width, height / size.height)
     inner = max(1, int(width / ratio)), max(1, int(height / ratio))
-    small = np.asarray(Pictures.fromarray(np.ascontiguousarray(image)).resize(inner, Pictures.Resampling.BILINEAR))
+    filtering = Pictures.Resampling.BILINEAR if image.ndim == 3 else Pictures.Resampling.NEAREST
+    small = np.asarray(Pictures.fromarray(np.ascontiguousarray(image)).resize(inner, filtering))
     top, left = (size.height - inner[1]) // 2, (size.width - inner[0]) // 2
-    out = np.zeros((size.height, size.width, 3), dtype=np.uint8)
+    out = np.zeros((size.height, size.width, *image.shape[2:]), dtype=image.dtype)
     out[top : top + inner[1], left : left + inner[0]] = small
     return out
 
@@ -172,8 +184,8 @@ def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]
     """Validate an untrusted response and return its first ``horizon`` actions.
 
     Returns:
-        Array of shape (horizon, action size). Joint values are in rad, m, rad/s or m/s, and gripper values range from 0
-        (open) to 1 (closed).
+        Array of shape (horizon, action size) in the policy's action space. Gripper values range from 0 (open) to 1
+        (closed), or from -1 to 1 if actions are normalized.
 
     Raises:
         InvalidAnswerError: If the response is not an array of at least ``horizon`` actions.
@@ -182,17 +194,17 @@ def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]
         raise InvalidAnswerError(f"{spec.name} returned a `{type(answer).__name__}` instead of an array of actions")
     if answer.dtype.kind not in "fiu":
         raise InvalidAnswerError(f"{spec.name} returned an array of `{answer.dtype}`, not of numbers")
-    out = checked_actions(answer, robots, f"the actions of {spec.name}")[: spec.horizon]
+    space = spec.space
+    out = checked_actions(answer, robots, space, f"the actions of {spec.name}")[: spec.horizon]
     if len(out) < spec.horizon:
         message = f"{spec.name} returned {len(out)} actions, but its `horizon` is {spec.horizon}"
         raise InvalidAnswerError(f"{message}; lower `horizon` to {len(out)}")
-    at = 0
-    for robot in robots.values():
-        joints = slice(at, at + len(robot.joints))
+    for _, arm, gripper in columns(robots, space):
         if spec.velocity_unit is not None:
-            out[:, joints] = np.clip(out[:, joints], -1, 1) * spec.velocity_unit
-        out[:, joints.stop] = gripper_of(spec, out[:, joints.stop])
-        at = joints.stop + 1
+            out[:, arm] = np.clip(out[:, arm], -1, 1) * spec.velocity_unit
+        out[:, gripper] = gripper_of(spec, out[:, gripper])
+        if space.normalized:
+            out[:, gripper] = 2.0 * out[:, gripper] - 1.0
     return out
 
 
@@ -313,8 +325,9 @@ class RemotePolicy(Policy, ABC):
 
     def __init__(self, spec: PolicySpec) -> None:
         self.spec, self.name = spec, spec.name
-        self.action_space = ActionSpace(spec.action_space)
+        self.action_space, self.control_hz = spec.space, spec.control_hz
         self.cameras = cameras_of(spec)
+        self.image_kinds = tuple(dict.fromkeys(ImageKind(view.kind) for view in spec.cameras.values()))
         self.record = PolicyRecord()
         self._instruction = ""
 

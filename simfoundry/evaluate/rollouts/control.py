@@ -5,16 +5,33 @@ The interface provides observations and applies actions as joint targets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import ActionSpace, Image, ImageSize, RobotReading
-from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.evaluate.actions import action_limits, columns, denormalized, rotation_numbers, rotation_quat
+from simfoundry.evaluate.policies.base import Image, ImageSize, RobotReading
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.runtime.extras import need_extra
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.models.signals import (
+    MAX_JOINT_DELTA,
+    MAX_ROTATION,
+    MAX_TRANSLATION,
+    ActionKind,
+    ActionSpace,
+    HandFrame,
+    ImageKind,
+    RotationForm,
+)
 from simfoundry.worlds.base import World, WorldRobot
+
+if TYPE_CHECKING:
+    from simfoundry.robots.arm import Arm
 
 
 def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:
@@ -57,9 +74,28 @@ def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}
 
 
-# Maximum distance [rad or m] between a joint and its target when velocities are integrated, equal to DROID's largest
-# step.
-FARTHEST = 0.2
+def camera_images(
+    world: World, cameras: Mapping[str, ImageSize], kinds: Iterable[ImageKind]
+) -> dict[ImageKind, dict[str, NDArray[Any]]]:
+    """Return the images of each kind, keyed by camera, as described in :mod:`simfoundry.spec.models.signals`."""
+    found: dict[ImageKind, dict[str, NDArray[Any]]] = {kind: {} for kind in kinds}
+    if ImageKind.COLOR in found:
+        found[ImageKind.COLOR] |= pictures(world, cameras)
+    if found.keys() - {ImageKind.COLOR}:
+        for name, size in cameras.items():
+            depth, mask = world.depth_and_mask(name, size.width, size.height)
+            for kind, image in ((ImageKind.DEPTH, depth), (ImageKind.MASK, mask)):
+                if kind in found:
+                    found[kind][name] = image
+    return found
+
+
+# Maximum distance [rad or m] between a joint and its target when velocities or changes are added up, equal to DROID's
+# largest step.
+FARTHEST = MAX_JOINT_DELTA
+
+# Maximum number of actions per second [Hz]; a physics step usually takes 2 ms.
+MAX_RATE = 1000.0
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:
@@ -78,38 +114,172 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
     return max(1, round((step + 1) * period) - round(step * period))
 
 
+# Maximum distance [m] and angle [rad] between the hand and its target when changes of its pose are added up: two of the
+# largest steps, so that a moving hand is not slowed down.
+HAND_AHEAD, HAND_TURN = 2 * MAX_TRANSLATION, 2 * MAX_ROTATION
+
+# Tolerances of inverse kinematics for hand targets [m, rad]; small compared with the smallest useful motion in a step.
+HAND_NEAR, HAND_TURNED = 1e-4, 1e-3
+
+
 class Controller:
     """A controller that applies actions as targets for the arm joints and grippers.
 
-    Position targets are clamped to the joint limits. Velocities [rad/s or m/s] are integrated from the previous
-    targets. If they were integrated from the measured positions, the arm would sink because servos sag slightly below
-    their targets. A target stays within :data:`FARTHEST` of its joint so that it does not wind up while the arm is
-    blocked.
+    Position targets are clamped to the joint limits. Velocities [rad/s or m/s] and deltas are added to the previous
+    targets. If they were added to the measured positions, the arm would sink because servos sag slightly below their
+    targets. A target stays within :data:`FARTHEST` of its joint, or within :data:`HAND_AHEAD` and :data:`HAND_TURN` of
+    its hand, so that it does not wind up while the arm is blocked. Hand targets are converted to joint targets by
+    inverse kinematics; if the arm cannot reach a pose, it moves as close as it can.
+
+    Args:
+        world: The world.
+        robots: The names of the robots, in the order of an action.
+        space: The meaning of the numbers in an action.
+        control_hz: The number of actions per second [Hz].
     """
 
-    def __init__(self, robots: Mapping[str, WorldRobot], space: ActionSpace, control_hz: float) -> None:
-        self._robots, self._space, self._period = robots, space, 1.0 / control_hz
-        self._targets = {name: robot.positions() for name, robot in robots.items()}
+    def __init__(self, world: World, robots: Iterable[str], space: ActionSpace, control_hz: float) -> None:
+        self.robots: dict[str, WorldRobot] = {name: world.robot(name) for name in robots}
+        self._space, self._period = space, 1.0 / control_hz
+        self._targets = {name: robot.positions() for name, robot in self.robots.items()}
+        self._limits = action_limits(space, world.scene, self.robots)
+        self._arms = {name: _arm(world.scene, name) for name in self.robots} if space.of_hand else {}
+        self._hands = {name: self.robots[name].frame("hand") for name in self._arms}
+        self._action: Array = np.zeros(0)
 
-    def apply(self, action: Array) -> None:
-        """Set the targets for one action, an array of shape (action size,)."""
-        start = 0
-        for name, robot in self._robots.items():
-            arm = action[start : start + len(robot.joints)]
-            if self._space is ActionSpace.JOINT_VELOCITY:
-                targets = self._integrated(name, robot, arm)
-            else:
-                targets = dict(zip(robot.joints, map(float, arm), strict=True))
-            robot.set_targets(targets)
-            robot.set_gripper(float(action[start + len(robot.joints)]))
-            self._targets[name] = targets
-            start += len(robot.joints) + 1
+    def begin(self, action: Array) -> None:
+        """Start an action, an array of shape (action size,).
 
-    def _integrated(self, name: str, robot: WorldRobot, velocities: Sequence[float] | Array) -> dict[str, float]:
+        Targets are set for its whole duration, except those of velocities, which :meth:`move` moves.
+        """
+        self._action = denormalized(action, self._limits) if self._space.normalized else action
+        for name, arm, gripper in columns(self.robots, self._space):
+            robot, values = self.robots[name], self._action[arm]
+            match self._space.kind:
+                case ActionKind.JOINT_POSITION:
+                    self._set(name, dict(zip(robot.joints, map(float, values), strict=True)))
+                case ActionKind.JOINT_DELTA:
+                    self._set(name, self._added(name, values))
+                case ActionKind.HAND_POSE | ActionKind.HAND_DELTA:
+                    self._set(name, self._reached(name, values))
+            robot.set_gripper(float(self._action[gripper]))
+
+    def move(self, share: float) -> None:
+        """Move the targets of velocities by ``share`` of the duration of the action."""
+        if self._space.kind is ActionKind.JOINT_VELOCITY:
+            for name, arm, _ in columns(self.robots, self._space):
+                self._set(name, self._added(name, [float(v) * self._period * share for v in self._action[arm]]))
+
+    def _set(self, name: str, targets: dict[str, float]) -> None:
+        self.robots[name].set_targets(targets)
+        self._targets[name] = targets
+
+    def _added(self, name: str, changes: Iterable[float]) -> dict[str, float]:
+        """Add changes [rad or m] to the previous targets of a robot's joints."""
+        robot = self.robots[name]
         now, limits, targets = robot.positions(), robot.limits(), {}
-        for joint, velocity in zip(robot.joints, velocities, strict=True):
+        for joint, change in zip(robot.joints, changes, strict=True):
             low, high = limits[joint]
             low, high = max(low, now[joint] - FARTHEST), min(high, now[joint] + FARTHEST)
-            wanted = self._targets[name][joint] + float(velocity) * self._period
-            targets[joint] = min(max(wanted, low), max(low, high))
+            targets[joint] = min(max(self._targets[name][joint] + float(change), low), max(low, high))
         return targets
+
+    def _reached(self, name: str, values: Array) -> dict[str, float]:
+        """Return the joint targets [rad or m] for a hand pose or a change of it."""
+        arm, robot, given = self._arms[name], self.robots[name], self._space.frame
+        X_WB, turn = arm.robot.X_WB, rotation_quat(values[3:], self._space.rotation)
+        if self._space.kind is ActionKind.HAND_POSE:
+            X_FT = Pose.of(values[:3], turn)
+            X_WT = X_WB @ X_FT if given is HandFrame.BASE else X_FT
+        else:
+            X_WT = self._shifted(name, values[:3], turn)
+        self._hands[name] = X_WT
+        near = np.array([self._targets[name][joint] for joint in robot.joints])
+        q, _ = arm.approach(X_WT, near, HAND_NEAR, HAND_TURNED)
+        return dict(zip(robot.joints, q.tolist(), strict=True))
+
+    def _shifted(self, name: str, shift: Array, turn: Array) -> Pose:
+        """Return the next target of a hand in the world, close enough to the hand."""
+        before, now = self._hands[name], self.robots[name].frame("hand")
+        axes = {
+            HandFrame.BASE: self._arms[name].robot.X_WB,
+            HandFrame.WORLD: Pose.of(),
+            HandFrame.HAND: before,
+        }[self._space.frame]
+        R_WF = Pose.of(q=axes.q)
+        R_WT = R_WF @ Pose.of(q=turn) @ R_WF.inverse() @ Pose.of(q=before.q)
+        ahead = before.p + R_WF.apply(shift) - now.p
+        R_HT = Pose.of(q=now.q).inverse() @ R_WT
+        vector = rotation_numbers(R_HT.q, RotationForm.ROTVEC)
+        angle, distance = float(np.linalg.norm(vector)), float(np.linalg.norm(ahead))
+        p = now.p + ahead * min(1.0, HAND_AHEAD / max(distance, HAND_AHEAD))
+        if angle > HAND_TURN:
+            R_WT = Pose.of(q=now.q) @ Pose.of(q=rotation_quat(vector * (HAND_TURN / angle), RotationForm.ROTVEC))
+        return Pose.of(p, R_WT.q)
+
+
+def _arm(scene: Scene, name: str) -> Arm:
+    """Return the arm of a robot for inverse kinematics, which is in an extra."""
+    from simfoundry.robots.arm import Arm
+
+    need_extra("expert", "an action space for the hand")
+    return Arm(scene.robot(name))
+
+
+def check_rate(control_hz: float | None, who: str) -> None:
+    """Check the control frequency of a policy, or do nothing if it is None.
+
+    Raises:
+        SimfoundryError: If the frequency is not a number between 0 and :data:`MAX_RATE` [Hz].
+    """
+    if control_hz is None:
+        return
+    if isinstance(control_hz, bool) or not isinstance(control_hz, int | float) or not 0 < control_hz <= MAX_RATE:
+        raise SimfoundryError(
+            f"{who} has `control_hz` {control_hz!r}; it must be the number of actions per second, at most {MAX_RATE:g}"
+        )
+
+
+class Execution:
+    """The execution of actions in a world, at a frequency that may differ from the task's.
+
+    Action ``k`` starts at the time k / ``action_hz`` and lasts until the next action starts; control step ``j`` of the
+    task ends at (j + 1) / ``control_hz``. Both times are rounded to physics steps, without accumulating errors. A slow
+    policy's action therefore lasts for several control steps, and a fast policy acts several times in a control step.
+    """
+
+    def __init__(
+        self, world: World, robots: Iterable[str], space: ActionSpace, control_hz: float, action_hz: float | None = None
+    ) -> None:
+        self._world, self._control_hz = world, control_hz
+        self.action_hz = control_hz if action_hz is None else float(action_hz)
+        self.controller = Controller(world, robots, space, self.action_hz)
+        # The number of actions that have begun, the number of control steps that have ended, and the physics steps at
+        # which the current action and the current control step end.
+        self.actions = self.steps = 0
+        self._now = self._action_end = 0
+        self._step_end = physics_steps(0, control_hz, world.timestep)
+
+    @property
+    def is_between_steps(self) -> bool:
+        """True if the last action ended within a control step."""
+        return self._step_end - self._now < physics_steps(self.steps, self._control_hz, self._world.timestep)
+
+    def act(self, action: Array) -> Iterator[int]:
+        """Execute an action, and yield the number of ended control steps whenever a control step has ended.
+
+        If the caller stops iterating, the rest of the action is not executed.
+        """
+        length = physics_steps(self.actions, self.action_hz, self._world.timestep)
+        self.actions += 1
+        self._action_end += length
+        self.controller.begin(action)
+        while self._now < self._action_end:
+            n = min(self._action_end, self._step_end) - self._now
+            self.controller.move(n / length)
+            self._world.step(n)
+            self._now += n
+            if self._now == self._step_end:
+                self.steps += 1
+                self._step_end += physics_steps(self.steps, self._control_hz, self._world.timestep)
+                yield self.steps

@@ -15,6 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from simfoundry.evaluate.actions import action_size, checked_actions
 from simfoundry.evaluate.policies.base import (
     Image,
     ImageSize,
@@ -22,19 +23,18 @@ from simfoundry.evaluate.policies.base import (
     Observation,
     Policy,
     PolicyError,
-    action_size,
-    checked_actions,
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.clearance import Clearances
-from simfoundry.evaluate.rollouts.control import Controller, check_cameras, physics_steps, pictures, readings
+from simfoundry.evaluate.rollouts.control import Execution, camera_images, check_cameras, check_rate, pictures, readings
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import parse_call, texts
-from simfoundry.worlds.base import World, WorldRobot
+from simfoundry.spec.models.signals import ImageKind
+from simfoundry.worlds.base import World
 
 # Number of consecutive control steps (0.2 s at 15 Hz) for which the goal must be true, so that states in which it holds
 # only momentarily do not count.
@@ -147,7 +147,9 @@ class Rollout:
         subtasks: The step at which each sub-task was completed, counted from 1, or None if it was not completed.
         end: The reason why the rollout ended.
         reason: The details of a failure.
-        actions: The actions that were executed, shape (steps, action size).
+        actions: The actions that were executed, shape (actions, action size). There is one per step, unless the policy
+            has a different control frequency.
+        action_hz: The number of actions per second [Hz].
         digest: A hash that identifies the trajectory exactly.
         chunks: The number of requests to the policy.
         timings: The time spent on each part of the rollout.
@@ -166,6 +168,7 @@ class Rollout:
     end: RolloutEnd
     reason: str
     actions: Array
+    action_hz: float
     digest: str
     chunks: int
     timings: Timings
@@ -201,6 +204,7 @@ def rollout(
     need_robots(task)
     video = video or Video({})
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
+    check_rate(policy.control_hz, f"policy `{policy.name}`")
     check_cameras(task.scene, video.cameras, "the video")
     run = _Run(task, start, policy, world, judge or Judge(task.scene), video)
     return run.result(*run.play())
@@ -236,8 +240,8 @@ class _Run:
         with self.clock("physics"):
             world.reset(start.state)
             self.state = world.state()
-        self.robots: dict[str, WorldRobot] = {name: world.robot(name) for name in task.robots}
-        self.controller = Controller(self.robots, policy.action_space, task.control_hz)
+        self.execution = Execution(world, task.robots, policy.action_space, task.control_hz, policy.control_hz)
+        self.robots = self.execution.controller.robots
         with self.clock("judge"):
             self.progress = Progress(task, judge, self.state)
         objects = task.scene.objects
@@ -246,7 +250,8 @@ class _Run:
         named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
         self.judged = [item.name for item in objects if item.name in named and not item.fixed]
         self.actions: list[Array] = []
-        self.chunks = 0
+        self.steps = self.chunks = 0
+        self._unhashed = 0
         self.frames: dict[str, list[Image]] = {name: [] for name in video.cameras}
         self.hash = hashlib.sha256()
         self._note()
@@ -260,8 +265,8 @@ class _Run:
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
-            while len(self.actions) < self.task.horizon:
-                ended = self._carry_out(self._ask()[: self.task.horizon - len(self.actions)])
+            while self.steps < self.task.horizon:
+                ended = self._carry_out(self._ask())
                 if ended is not None:
                     return ended
         except InvalidAnswerError as error:
@@ -279,51 +284,57 @@ class _Run:
         Returns:
             The reason why the rollout ended, along with details, or None if the rollout continues.
         """
-        first, states, ended = len(self.actions), list[SceneState](), None
+        first, states, ended = self.steps, list[SceneState](), None
         marks = []
-        for action in actions:
-            ended = self._act(action)
+        for ended in self._control_steps(actions):
             if ended is not None and ended[0] is RolloutEnd.DIVERGED:
                 break
             states.append(self.state)
-            marks.append((self.hash.copy(), {name: len(frames) for name, frames in self.frames.items()}))
-            if ended is not None:
+            frames = {name: len(pictures) for name, pictures in self.frames.items()}
+            marks.append((len(self.actions), self.hash.copy(), frames))
+            if ended is not None or self.steps == self.task.horizon:
                 break
         with self.clock("judge"):
             last = self.progress.see_all(first + 1, states) if states else None
         if last is None:
             return ended
-        self.actions = self.actions[: first + last + 1]
-        self.state = states[last]
-        self.hash, frames = marks[last]
+        self.steps, self.state = first + last + 1, states[last]
+        count, self.hash, frames = marks[last]
+        self.actions = self.actions[:count]
         self.frames = {name: pictures[: frames[name]] for name, pictures in self.frames.items()}
         return RolloutEnd.SUCCESS, ""
 
     def _ask(self) -> Array:
         with self.clock("render"):
-            images = pictures(self.world, self.policy.cameras)
+            images = camera_images(self.world, self.policy.cameras, self.policy.image_kinds)
         observation = Observation(
-            time=len(self.actions) / self.task.control_hz,
+            time=len(self.actions) / self.execution.action_hz,
             instruction=self.task.instruction,
             robots=readings(self.world, self.robots),
-            images=images,
-            state=self.state,
+            images=images.get(ImageKind.COLOR, {}),
+            depths=images.get(ImageKind.DEPTH, {}),
+            masks=images.get(ImageKind.MASK, {}),
+            state=self.world.state() if self.execution.is_between_steps else self.state,
         )
         self.chunks += 1
         with self.clock("policy"):
-            return checked_actions(self.policy.infer(observation), self.robots)
+            return checked_actions(self.policy.infer(observation), self.robots, self.policy.action_space)
 
-    def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
-        """Execute one action.
+    def _control_steps(self, actions: Array) -> Iterator[tuple[RolloutEnd, str] | None]:
+        """Execute actions, and yield after each control step the reason if the rollout ends, otherwise None."""
+        for action in actions:
+            self.actions.append(action)
+            steps = self.execution.act(action)
+            while True:
+                with self.clock("physics"):
+                    if next(steps, None) is None:
+                        break
+                self.steps += 1
+                yield self._observed()
 
-        Returns:
-            The reason if the rollout ends, otherwise None.
-        """
-        step = len(self.actions)
-        self.actions.append(action)
+    def _observed(self) -> tuple[RolloutEnd, str] | None:
+        """Read the state at the end of a control step, and return the reason if the rollout ends, otherwise None."""
         with self.clock("physics"):
-            self.controller.apply(action)
-            self.world.step(physics_steps(step, self.task.control_hz, self.world.timestep))
             trouble = self.world.trouble()
             if trouble:
                 return RolloutEnd.DIVERGED, trouble
@@ -342,18 +353,19 @@ class _Run:
         state = self.state
         numbers = [np.concatenate([pose.p, pose.q]) for pose in (*state.poses.values(), *state.motions.values())]
         robots = [[*robot.positions().values(), robot.gripper()] for robot in self.robots.values()]
-        parts = [*numbers, np.array(list(state.joints.values())), *map(np.array, robots), *self.actions[-1:]]
+        new, self._unhashed = self.actions[self._unhashed :], len(self.actions)
+        parts = [*numbers, np.array(list(state.joints.values())), *map(np.array, robots), *new]
         self.hash.update(np.concatenate(parts).tobytes())
 
     def _film(self) -> None:
-        if (len(self.actions) - 1) % self.video.every == 0:
+        if (self.steps - 1) % self.video.every == 0:
             with self.clock("render"):
                 for name, picture in pictures(self.world, self.video.cameras).items():
                     self.frames[name].append(picture)
 
     def result(self, end: RolloutEnd, reason: str) -> Rollout:
         """Collect the result of the rollout."""
-        actions = np.array(self.actions).reshape(len(self.actions), action_size(self.robots))
+        size = action_size(self.robots, self.policy.action_space)
         return Rollout(
             task=self.task.name,
             step=self.task.step,
@@ -361,11 +373,12 @@ class _Run:
             index=self.start.index,
             seed=self.start.seed,
             success=end is RolloutEnd.SUCCESS,
-            steps=len(self.actions),
+            steps=self.steps,
             subtasks=self.progress.subtasks,
             end=end,
             reason=reason,
-            actions=actions,
+            actions=np.array(self.actions).reshape(len(self.actions), size),
+            action_hz=self.execution.action_hz,
             digest=self.hash.hexdigest()[:16],
             chunks=self.chunks,
             timings=self.clock.timings(),

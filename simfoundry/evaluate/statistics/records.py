@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.policies.base import ActionSpace
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd
 from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.models.signals import ActionSpace
 
 VERSION = "rollout/2"
 _MISSING = ".missing.json"
@@ -72,7 +72,9 @@ class RecordSlot:
             write_atomically(self.missing, _text(record))
             return record
         stored = io.BytesIO()
-        np.savez_compressed(stored, actions=result.actions, action_space=np.array(str(space)))
+        np.savez_compressed(
+            stored, actions=result.actions, action_space=np.array(str(space)), control_hz=np.array(result.action_hz)
+        )
         write_atomically(self.path.with_suffix(".npz"), stored.getvalue())
         write_atomically(self.path, _text(record))
         self.missing.unlink(missing_ok=True)

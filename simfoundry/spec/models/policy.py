@@ -25,6 +25,7 @@ from simfoundry.spec.models.base import (
     consistent,
     fault,
 )
+from simfoundry.spec.models.signals import ActionSpace
 
 # Key in a message to the policy, such as ``observation/wrist_image_left``.
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
@@ -41,7 +42,8 @@ def _variable(text: str) -> str:
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
 
 Whole = Annotated[int, Field(ge=0, le=100)]
-Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
+
+Reading = Literal["joints", "gripper", "joints_gripper", "hand", "hand_quat", "hand_rotvec", "hand_rot6d", "hand_world"]
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,10 @@ class CameraView(Model):
 
     camera: Name = Field(description="A camera in the scene.")
     size: ImageSize = Field(description="Width and height that the policy expects [px].")
+    kind: Literal["image", "depth", "mask"] = Field(
+        "image",
+        description="Color image, depth [m], or instance mask. Depth and masks are resized to the nearest pixel.",
+    )
     render: ImageSize | None = Field(
         None, description="Width and height of the rendered image before resizing [px]; default: `size`."
     )
@@ -162,8 +168,22 @@ class PolicySpec(DocumentSpec):
     address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
         description="Server address, such as `localhost:8000`, `wss://policies.example.org` or `tcp://10.0.0.7:5555`."
     )
-    action_space: Literal["joint_position", "joint_velocity"] = Field(
+    action_space: Literal["joint_position", "joint_velocity", "joint_delta", "hand_pose", "hand_delta"] = Field(
         description="How to interpret the arm values in an action; protocols do not specify this."
+    )
+    frame: Literal["base", "world", "hand"] | None = Field(
+        None, description="Frame of a hand pose or of its change; default: `base`."
+    )
+    rotation: Literal["quat_wxyz", "rotvec", "rpy", "rot6d"] | None = Field(
+        None,
+        description="Rotation in a hand pose or its change; default: `quat_wxyz` for `hand_pose`, `rotvec` for "
+        "`hand_delta`.",
+    )
+    normalized: bool = Field(
+        False, description="Whether arm values range from -1 to 1, which stand for the limits of the action space."
+    )
+    control_hz: Positive | None = Field(
+        None, le=1000, description="Number of actions per second [Hz]; default: the control frequency of the task."
     )
     velocity_unit: Positive | None = Field(
         None,
@@ -194,13 +214,27 @@ class PolicySpec(DocumentSpec):
         None, description="Name of the environment variable that contains the server's API key, not the key itself."
     )
 
+    @property
+    def space(self) -> ActionSpace:
+        """The full meaning of an action."""
+        words = (self.action_space, self.frame, self.rotation, "normalized" if self.normalized else None)
+        return ActionSpace.parse(":".join(word for word in words if word is not None))
+
     @consistent
     def _fits(self) -> None:
         try:
             address_uri(self.protocol, self.address)
         except ValueError as error:
             raise fault("sf104", str(error), "address") from None
-        if self.velocity_unit is not None and self.action_space != "joint_velocity":
-            raise fault("sf107", "`velocity_unit` has no effect on joint positions", "velocity_unit")
+        if self.velocity_unit is not None and (self.action_space != "joint_velocity" or self.normalized):
+            kind = f"{'normalized ' * self.normalized}{self.action_space}"
+            raise fault("sf107", f"`velocity_unit` has no effect on {kind.replace('_', ' ')}s", "velocity_unit")
+        for key in ("frame", "rotation"):
+            if getattr(self, key) is not None and not self.action_space.startswith("hand"):
+                raise fault("sf107", f"`{key}` has no effect on {self.action_space.replace('_', ' ')}s", key)
+        if self.frame == "hand" and self.action_space == "hand_pose":
+            raise fault(
+                "sf104", "a pose of the hand cannot be in the frame of the hand; use `base` or `world`", "frame"
+            )
         if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
             raise fault("sf107", f"a {self.protocol} server defines its own robot state; remove `state`", "state")
