@@ -68,7 +68,7 @@ def analyzed(path: Path, lines: Lines, version: int | None, documents: OpenDocum
     return Analysis(path, lines, version, loaded, tuple(loaded.all_findings()))
 
 
-def linted(analysis: Analysis, checkpoint: Callable[[], None]) -> Analysis:
+def linted(analysis: Analysis, checkpoint: Callable[[], None], earlier: DraftScene | None = None) -> Analysis:
     """Return an analysis with its lowered scene and the findings of the lints.
 
     The documents that it uses are not linted: their findings are shown where they are written.
@@ -76,11 +76,12 @@ def linted(analysis: Analysis, checkpoint: Callable[[], None]) -> Analysis:
     Args:
         analysis: The analysis.
         checkpoint: Function that is called before each step. It can raise an exception to stop.
+        earlier: An earlier draft of the same document, whose objects are reused if they have not changed.
     """
     if analysis.has_errors:
         return analysis
     from simfoundry.lint.lints import lint_subject, subject_of  # numpy is loaded after the first findings are shown
 
-    subject, errors = subject_of(analysis.loaded, checkpoint)
+    subject, errors = subject_of(analysis.loaded, checkpoint, earlier)
     findings = (*analysis.findings, *lint_subject(analysis.loaded, subject, errors))
     return replace(analysis, findings=findings, draft=subject.draft if subject is not None else None)

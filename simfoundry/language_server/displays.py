@@ -20,6 +20,7 @@ from simfoundry.language_server.links import document_links
 from simfoundry.language_server.older import LineShift
 from simfoundry.language_server.outline import document_symbols, folding_ranges, selection_ranges
 from simfoundry.language_server.preview import Previews
+from simfoundry.language_server.tokens import LEGEND, semantic_tokens
 from simfoundry.language_server.workspace import is_ours, path_of
 from simfoundry.spec.models.kinds import KINDS
 
@@ -203,6 +204,11 @@ def _add_decorations(server: Server, displays: _Displays) -> None:
     @server.feature(types.TEXT_DOCUMENT_DOCUMENT_LINK)
     async def links(params: types.DocumentLinkParams) -> list[types.DocumentLink] | None:
         return await displays.answer(params.text_document.uri, document_links)
+
+    @server.feature(types.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, LEGEND)
+    async def tokens(params: types.SemanticTokensParams) -> types.SemanticTokens | None:
+        analysis = await displays.analysis(params.text_document.uri)  # an editor keeps the tokens that it has
+        return None if analysis is None or analysis.source is None else semantic_tokens(analysis)
 
     @server.feature(types.TEXT_DOCUMENT_INLAY_HINT)
     async def hints(params: types.InlayHintParams) -> list[types.InlayHint] | None:

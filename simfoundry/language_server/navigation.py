@@ -8,7 +8,11 @@ from pathlib import Path
 
 from lsprotocol import types
 
+from simfoundry.language_server.positions import Lines
+from simfoundry.language_server.protocol import RequestFailedError
+from simfoundry.language_server.workspace import Workspace
 from simfoundry.spec.names.project import Occurrence, ProjectNames
+from simfoundry.spec.names.rename import DocumentEdit
 from simfoundry.spec.names.symbols import Symbol
 
 # Returns the location of the characters between two offsets of a document, which is given by its resolved path.
@@ -65,6 +69,33 @@ def highlights(names: ProjectNames, path: Path, offset: int, locate: Locate) -> 
         for each in names.references(symbol)
         if each.file == file
     ]
+
+
+def renameable(names: ProjectNames, path: Path, offset: int, lines: Lines) -> types.PrepareRenamePlaceholder | None:
+    """Return the range and the text of the name at an offset, or None if there is nothing that can be renamed."""
+    found = names.at(path, offset)
+    if found is None or found.symbol is None:
+        return None
+    return types.PrepareRenamePlaceholder(lines.range(found.start, found.end), found.symbol.name)
+
+
+def workspace_edit(edits: Iterable[DocumentEdit], documents: Workspace) -> types.WorkspaceEdit:
+    """Return edits of documents for the editor, each for the version of the text that it was made for.
+
+    Raises:
+        RequestFailedError: If the user has edited one of the documents meanwhile.
+    """
+    changes: list[types.TextDocumentEdit] = []
+    for edit in edits:
+        path = documents.shown(str(edit.file))
+        buffer, lines = documents.buffer_of(path), Lines(edit.before, documents.encoding)
+        if buffer is not None and buffer.lines.text != edit.before:
+            raise RequestFailedError(f"{path.name} has been edited meanwhile; try again")
+        version = buffer.version if buffer is not None else None
+        identifier = types.OptionalVersionedTextDocumentIdentifier(documents.uri(path), version)
+        replaced = [types.TextEdit(lines.range(each.start, each.end), each.new) for each in edit.edits]
+        changes.append(types.TextDocumentEdit(identifier, replaced))
+    return types.WorkspaceEdit(document_changes=changes)
 
 
 def project_symbols(projects: Iterable[ProjectNames], query: str, locate: Locate) -> list[types.WorkspaceSymbol]:

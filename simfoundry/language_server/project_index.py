@@ -6,9 +6,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.names.mentions import DocumentNames
 from simfoundry.spec.names.project import ProjectNames
+from simfoundry.spec.names.rename import DocumentEdit, RenameError, new_findings, rename_edits, shown_path
 from simfoundry.spec.open_documents import OpenDocuments, Stamp
 from simfoundry.spec.project import document_files
 from simfoundry.spec.yaml.nodes import YamlError
@@ -40,6 +41,25 @@ class ProjectIndex:
     def dependents(self, file: str) -> frozenset[str]:
         """Return the documents that use a document, given and returned by their resolved paths."""
         return (self._current(file) or self._read_all()).dependents(file)
+
+    def rename(self, file: Path, offset: int, new: str) -> tuple[DocumentEdit, ...]:
+        """Return the edits that rename what is named at an offset of a document, in all documents of the project.
+
+        Raises:
+            RenameError: If nothing with a name of its own is there, if the new name is not possible, or if a document
+                cannot be parsed.
+        """
+        names = self.names()
+        found = names.at(file, offset)
+        if found is None or found.symbol is None:
+            raise RenameError("cannot rename", ["nothing that documents define is named here"])
+        what = f"cannot rename {found.symbol} to `{new}`"
+        if self.broken:
+            raise RenameError(what, [f"{shown_path(path)}: {error}" for path, error in sorted(self.broken.items())])
+        edits = rename_edits(names, found.symbol, new)
+        if errors := new_findings(names, edits, self._documents.read)[Severity.ERROR]:
+            raise RenameError(f"{what}, because `check` would find new errors", errors)
+        return edits
 
     def _current(self, edited: str) -> ProjectNames | None:
         """Return the names that were read last, if no document has changed since, except perhaps the given one."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 from urllib.parse import urlsplit
 
+from lsprotocol import types
 from pygls.exceptions import JsonRpcException, JsonRpcInvalidParams, JsonRpcMethodNotFound
 from pygls.protocol import LanguageServerProtocol
 
@@ -28,6 +29,13 @@ class Protocol(LanguageServerProtocol):
             raise
 
 
+class RequestFailedError(JsonRpcException):
+    """Raised if a request is valid but cannot be met. Editors show the message to the user."""
+
+    CODE = types.LSPErrorCodes.RequestFailed.value
+    MESSAGE = "the request cannot be met"
+
+
 def _has_valid_uri(params: object) -> bool:
     """Return False if parameters name a document by something that cannot be split as a URI."""
     document = params.get("textDocument") if isinstance(params, dict) else None
@@ -46,4 +54,4 @@ def is_fault_of_client(error: Exception, source: object) -> bool:
         error: The error.
         source: What failed, as pygls states it: reading a message, or handling it.
     """
-    return source is JsonRpcException or isinstance(error, JsonRpcMethodNotFound)
+    return source is JsonRpcException or isinstance(error, JsonRpcMethodNotFound | RequestFailedError)

@@ -26,10 +26,11 @@ from simfoundry.language_server import navigation
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.diagnostics import published
 from simfoundry.language_server.displays import add_displays
-from simfoundry.language_server.protocol import Protocol, is_fault_of_client
+from simfoundry.language_server.protocol import Protocol, RequestFailedError, is_fault_of_client
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
 from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
 from simfoundry.spec.names.project import ProjectNames
+from simfoundry.spec.names.rename import RenameError
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -125,7 +126,9 @@ class Server(LanguageServer):
             return
         if not analysis.has_errors:
             try:
-                analysis = await self.run(linted, analysis, partial(self._stop_for_newer_text, path))
+                lowered = self.documents.lowered(path)
+                earlier = lowered.draft if lowered is not None else None
+                analysis = await self.run(linted, analysis, partial(self._stop_for_newer_text, path), earlier)
             except _NewerTextError:
                 self._queue.setdefault(path, changed)
                 return
@@ -241,6 +244,7 @@ def _add_synchronization(server: Server) -> None:
         concerned = {each.path for each in documents.buffers.values()}
         for path in tuple(concerned):
             concerned |= await ls.run(documents.dependents, path)
+        concerned |= {each.path for each in documents.buffers.values()}  # those that were opened meanwhile
         for path in documents.analyzed_files() - concerned:
             ls.withdraw(path)
         ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
@@ -254,7 +258,9 @@ def _add_synchronization(server: Server) -> None:
                 ls.check(buffer.path, changed=False)
 
 
-_PositionParams = types.DefinitionParams | types.ReferenceParams | types.DocumentHighlightParams
+_PositionParams = (
+    types.DefinitionParams | types.ReferenceParams | types.DocumentHighlightParams | types.PrepareRenameParams
+)
 
 
 def _add_navigation(server: Server) -> None:
@@ -284,6 +290,25 @@ def _add_navigation(server: Server) -> None:
     async def highlight(params: types.DocumentHighlightParams) -> list[types.DocumentHighlight]:
         at = await names_at(params)
         return navigation.highlights(*at, documents.location) if at is not None else []
+
+    @server.feature(types.TEXT_DOCUMENT_PREPARE_RENAME)
+    async def prepare_rename(params: types.PrepareRenameParams) -> types.PrepareRenamePlaceholder | None:
+        at = await names_at(params)
+        if at is None:
+            return None
+        return navigation.renameable(*at, documents.buffers[params.text_document.uri].lines)
+
+    @server.feature(types.TEXT_DOCUMENT_RENAME, types.RenameOptions(prepare_provider=True))
+    async def rename(params: types.RenameParams) -> types.WorkspaceEdit | None:
+        buffer = documents.buffers.get(params.text_document.uri)
+        if buffer is None:
+            return None
+        project, offset = documents.project(buffer.path), buffer.lines.offset(params.position)
+        try:
+            edits = await server.run(project.rename, buffer.path, offset, params.new_name)
+        except RenameError as error:
+            raise RequestFailedError(str(error)) from None
+        return navigation.workspace_edit(edits, documents)
 
     @server.feature(types.WORKSPACE_SYMBOL)
     async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:

@@ -8,8 +8,8 @@ are certain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.cameras import lower_cameras
+from simfoundry.scene.earlier import EarlierLowering
 from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_surroundings
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
@@ -50,12 +51,14 @@ class DraftScene:
         scene: The lowered scene.
         approximate: Names of the objects for which only the convex hulls are known.
         unplaced: Names of the objects whose poses are uncertain.
+        lowered: The objects before they were placed, by name, as far as a later draft can reuse them.
     """
 
     spec: SceneSpec
     scene: Scene
     approximate: frozenset[str]
     unplaced: frozenset[str]
+    lowered: Mapping[str, SceneObject] = field(default_factory=dict)
 
     @cached_property
     def shapes(self) -> dict[str, Hulls]:
@@ -116,7 +119,9 @@ def _is_usable(shape: Hulls) -> bool:
     return bool(np.abs(shape.corners).max() + shape.radius.max() < FARTHEST)
 
 
-def drafted_start(loaded: Loaded, checkpoint: Callable[[], None] = lambda: None) -> DraftScene | None:
+def drafted_start(
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None, earlier: DraftScene | None = None
+) -> DraftScene | None:
     """Return the draft of a scene document or of the initial state of a task.
 
     Returns:
@@ -126,7 +131,7 @@ def drafted_start(loaded: Loaded, checkpoint: Callable[[], None] = lambda: None)
         SpecError: If lowering fails.
     """
     if isinstance(loaded.spec, SceneSpec):
-        return drafted(loaded, checkpoint=checkpoint)
+        return drafted(loaded, (), checkpoint, earlier)
     from simfoundry.spec.models.task import TaskSpec
 
     assert isinstance(loaded.spec, TaskSpec)
@@ -134,14 +139,20 @@ def drafted_start(loaded: Loaded, checkpoint: Callable[[], None] = lambda: None)
     return (
         None
         if scene is None or not isinstance(scene.spec, SceneSpec)
-        else drafted(scene, [loaded.spec.start], checkpoint)
+        else drafted(scene, [loaded.spec.start], checkpoint, earlier)
     )
 
 
-def drafted(loaded: Loaded, starts: Sequence[Start] = (), checkpoint: Callable[[], None] = lambda: None) -> DraftScene:
+def drafted(
+    loaded: Loaded,
+    starts: Sequence[Start] = (),
+    checkpoint: Callable[[], None] = lambda: None,
+    earlier: DraftScene | None = None,
+) -> DraftScene:
     """Return the draft of a scene document after applying the changes in ``starts``, in order.
 
-    ``checkpoint`` is called before each object is lowered. It can raise an exception to stop.
+    ``checkpoint`` is called before each object is lowered. It can raise an exception to stop. Objects that have not
+    changed are taken from an ``earlier`` draft of the same document.
 
     Raises:
         SpecError: If lowering fails.
@@ -153,8 +164,11 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = (), checkpoint: Callable[[
 
         spec = with_starts(spec, starts)
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), lambda *_: checkpoint(), fetch=False, draft=True)
+    if earlier is not None:
+        lowering.earlier = EarlierLowering(earlier.spec, earlier.scene.viewer, earlier.lowered, earlier.scene.by_name)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))
-    return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
+    lowered = lowering.lowered if loaded.reuse is None else {}  # the category of a copy is that of what it repeats
+    return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced), lowered)
 
 
 def pictured(loaded: Loaded, starts: Sequence[Start] = ()) -> Scene:

@@ -197,13 +197,14 @@ def _lints(loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic]
 
 
 def subject_of(
-    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None
+    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None, earlier: DraftScene | None = None
 ) -> tuple[Subject | None, list[Diagnostic]]:
     """Return the drafts of a document, or None if it has none or cannot be lowered; and the errors from lowering.
 
     Args:
         loaded: The document, which has no errors.
         checkpoint: Function that is called before each step, here and in the lints. It can raise an exception to stop.
+        earlier: An earlier draft of the same document, whose objects are reused if they have not changed.
     """
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
@@ -215,7 +216,7 @@ def subject_of(
         return Subject(loaded, links=links, checkpoint=checkpoint), errors
     steps, errors = draft.drafted_steps(loaded, checkpoint) if kind == "task/1" else ({}, [])
     try:
-        return Subject(loaded, draft.drafted_start(loaded, checkpoint), steps, checkpoint=checkpoint), errors
+        return Subject(loaded, draft.drafted_start(loaded, checkpoint, earlier), steps, checkpoint=checkpoint), errors
     except SpecError as error:
         starts: Starts | None = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
         return None, list(dict.fromkeys([*draft.own_findings(loaded, error, starts), *errors]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -24,10 +24,11 @@ from simfoundry.scene import model
 from simfoundry.scene.attachments import Options
 from simfoundry.scene.cameras import lower_cameras
 from simfoundry.scene.carriers import PlaceError
+from simfoundry.scene.earlier import EarlierLowering
 from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import LeftOut, Light, Scene, SceneObject
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.place import RELATIONS, Placement, needs, order, place_all
+from simfoundry.scene.place import RELATIONS, KnownPlacement, Placement, needs, order, place_all
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
@@ -44,7 +45,8 @@ class Lowering:
     If ``fetch`` is set, robot models are downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
     parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
     depends on an approximate object may then fail without an error; ``unplaced`` contains the objects whose poses are
-    uncertain for this reason. A draft that is ``shown`` has the same visuals as a build.
+    uncertain for this reason. A draft that is ``shown`` has the same visuals as a build. Objects that have not changed
+    are taken from the ``earlier`` draft. ``lowered`` contains the objects before they are placed.
     """
 
     loaded: Loaded
@@ -55,6 +57,8 @@ class Lowering:
     shown: bool = False
     approximate: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
+    earlier: EarlierLowering | None = None
+    lowered: dict[str, SceneObject] = field(default_factory=dict)
 
     @property
     def spec(self) -> SceneSpec:
@@ -166,9 +170,14 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     first = () if is_late else _containers_and_contents(lowering)
     misfits = _certain_misfits(lowering, first) if first else []
     work.cuts = not misfits
+    # The category of a copy depends on the object that is repeated.
+    earlier = lowering.earlier if lowering.earlier is not None and lowering.loaded.reuse is None else None
+    if earlier is not None and not earlier.has_same_materials(spec):
+        earlier = None
     for name in (*first, *(name for name in spec.objects if name not in first)):
         work.report(name)
-        found[name] = work.lower(name)
+        known = earlier.lowered_object(name, spec) if earlier is not None else None
+        found[name] = known if known is not None else work.lower(name)
         work.done += 1
         if first and len(found) == len(first) and not work.findings and not misfits:
             # These objects do not depend on any others, so their placements can be solved before the rest is lowered.
@@ -179,6 +188,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     if work.findings or misfits:
         raise SpecError([*work.findings, *misfits])
     lowering.approximate |= work.approximate
+    lowering.lowered = {name: item for name, item in found.items() if item is not None}
     return replace(scene, objects=tuple(item for name in spec.objects if (item := found[name]) is not None))
 
 
@@ -228,7 +238,10 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
         scene = replace(scene, viewer=_moving_viewer(lowering, scene))
     if not places:
         return scene
-    solved, errors = place_all(scene.by_name, places, scene.viewer, frames)
+    known: KnownPlacement = lambda item, place, placed: None  # noqa: E731
+    if (earlier := lowering.earlier) is not None and earlier.has_same_frames(lowering.spec, scene.viewer):
+        known = partial(earlier.placed_object, frames=frames)
+    solved, errors = place_all(scene.by_name, places, scene.viewer, frames, known)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
             # Solve for the pose of each variant separately, with all other objects unchanged.

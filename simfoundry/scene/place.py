@@ -8,7 +8,7 @@ objects do not move it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
@@ -29,6 +29,9 @@ from simfoundry.spec.models.scene import Place
 
 # A placement relative to other objects, or a pose in a frame that may move with an object.
 Placement = Place | FramedPose
+
+# Function that returns an object that has been placed before, given the objects placed so far, or None.
+KnownPlacement = Callable[[SceneObject, Placement, Mapping[str, SceneObject]], SceneObject | None]
 
 # The frames of a scene without named frames.
 WORLD_FRAME = FrameTree()
@@ -86,10 +89,12 @@ def place_all(
     places: Mapping[str, Placement],
     viewer: Pose | None,
     frames: FrameTree = WORLD_FRAME,
+    known: KnownPlacement = lambda item, place, placed: None,
 ) -> tuple[dict[str, SceneObject], dict[str, PlaceError]]:
     """Place all objects that have a placement.
 
-    Objects that depend on a failed placement are not placed either, but no errors are reported for them.
+    Objects that depend on a failed placement are not placed either, but no errors are reported for them. ``known``
+    returns an object that has been placed before, so that its placement is not solved again.
 
     Returns:
         All objects with their placements solved, and the errors for failed placements.
@@ -98,6 +103,9 @@ def place_all(
     errors: dict[str, PlaceError] = {}
     for name in order(places, frames):
         if all(other in placed for other in needs(places[name], frames)):
+            if (found := known(objects[name], places[name], placed)) is not None:
+                placed[name] = found
+                continue
             try:
                 X_WO = solve(objects[name], places[name], placed, viewer, frames)
                 placed[name] = replace(objects[name], X_WO=X_WO)

@@ -72,8 +72,11 @@ def address(vscode: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     project = folder / "project"
     program = project / ".venv" / "bin" / "simfoundry"
     program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nPYTHONPATH="{REPOSITORY}" exec "{sys.executable}" -m simfoundry "$@"\n')
-    program.chmod(0o755)
+    program.write_text("#!/bin/sh\necho 'Error: the module pygls is missing.' >&2\nexit 1\n")
+    mended = program.with_name("mended")  # what the driver puts in its place
+    mended.write_text(f'#!/bin/sh\nPYTHONPATH="{REPOSITORY}" exec "{sys.executable}" -m simfoundry "$@"\n')
+    for each in (program, mended):
+        each.chmod(0o755)
     (project / "simfoundry.yaml").touch()
     (project / "desk.scene.yaml").write_text(SCENE)
     (project / ".vscode").mkdir()
@@ -118,6 +121,11 @@ def seen(address: str, browser: str, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_a_scene_is_of_the_language(seen: dict[str, Any]) -> None:
     assert seen["trust"] == "SimFoundry"
+
+
+def test_a_server_that_does_not_start_says_why_once(seen: dict[str, Any]) -> None:
+    words = "The language server (simfoundry lsp) stopped: Error: the module pygls is missing."
+    assert seen["missing"] == [f'{words} If a package is missing, install it with pip install "simfoundry[editor]".']
 
 
 def test_a_finding_appears_and_goes(seen: dict[str, Any]) -> None:

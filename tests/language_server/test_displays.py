@@ -223,6 +223,21 @@ def test_hints_show_resolved_values(desk: Shown) -> None:
     assert [one["label"] for one in few] == ["1.01 kg"]
 
 
+def test_names_and_predicates_are_tokens(desk: Shown) -> None:
+    legend = desk.server.capabilities["semanticTokensProvider"]["legend"]["tokenTypes"]
+    data = desk.ask("semanticTokens/full")["data"]
+    found, line, column = list[tuple[int, str, str, int]](), 0, 0
+    for k in range(0, len(data), 5):
+        down, right, length, kind, modifiers = data[k : k + 5]
+        line, column = line + down, right + (column if down == 0 else 0)
+        word = desk.text.splitlines()[line][column : column + length]
+        found.append((line, word, legend[kind], modifiers))
+    assert found[:3] == [(4, "gap", "parameter", 1), (6, "oak", "type", 1), (7, "clay", "type", 1)]
+    assert (12, "clay", "type", 0) in found and (13, "desk", "variable", 0) in found
+    assert (17, "$gap", "parameter", 0) in found
+    assert found[-3:] == [(21, "OnTop", "function", 0), (21, "mug", "variable", 0), (21, "desk", "variable", 0)]
+
+
 def test_colors_keep_their_spelling(desk: Shown) -> None:
     rows, hexadecimal = desk.ask("documentColor")
     assert desk.covered(rows["range"]) == "[0.6, 0.4, 0.2]" and rows["color"]["green"] == 0.4

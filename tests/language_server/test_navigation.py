@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
 
 from tests.editor.client import Message, Server
 from tests.language_server.conftest import DESK
@@ -78,3 +81,47 @@ def test_symbols_of_the_project(server: Server, project: Path) -> None:
     found = server.ask("workspace/symbol", query="drw")
     here = [one for one in found if project.name in one["location"]["uri"]]
     assert [(one["name"], one["containerName"]) for one in here] == [("drawer", "joint in cabinet.asset.yaml")]
+
+
+def applied(edit: Message) -> dict[str, str]:
+    """The texts after an edit of files on disk."""
+    texts = {}
+    for change in edit["documentChanges"]:
+        path = Path(unquote(urlsplit(change["textDocument"]["uri"]).path))
+        lines = path.read_text().split("\n")
+        for one in sorted(change["edits"], key=lambda one: one["range"]["start"]["character"], reverse=True):
+            start, end = one["range"]["start"], one["range"]["end"]
+            row = lines[start["line"]]
+            lines[start["line"]] = row[: start["character"]] + one["newText"] + row[end["character"] :]
+        texts[path.name] = "\n".join(lines)
+    return texts
+
+
+def test_rename_across_documents(server: Server, project: Path) -> None:
+    paths = make(server, project)
+    drawer = spot(paths["open.task"], "Open", "drawer")
+    ready = server.ask("textDocument/prepareRename", **drawer)
+    assert ready["placeholder"] == "drawer" and ready["range"]["start"] == drawer["position"]
+    assert applied(server.ask("textDocument/rename", **drawer, newName="tray_slide")) == {
+        "cabinet.asset.yaml": CABINET.replace("  drawer:", "  tray_slide:"),
+        "open.task.yaml": OPEN.replace("cabinet.drawer", "cabinet.tray_slide"),
+    }
+    mug = spot(paths["desk.scene"], "  mug:", "mug")
+    assert applied(server.ask("textDocument/rename", **mug, newName="cup")) == {
+        "desk.scene.yaml": SCENE.replace("mug", "cup"),
+        "heavy.scene.yaml": OVERLAY.replace("mug", "cup"),
+        "open.task.yaml": OPEN.replace("LeftOf(mug", "LeftOf(cup"),
+    }
+
+
+def test_renames_that_are_refused(server: Server, project: Path) -> None:
+    paths = make(server, project)
+    mug = spot(paths["desk.scene"], "  mug:", "mug")
+    for name, reason in {"desk": "desk.scene.yaml:6:3", "My Mug": "name", "world": "world"}.items():
+        with pytest.raises(RuntimeError, match=reason):
+            server.ask("textDocument/rename", **mug, newName=name)
+    nothing = spot(paths["open.task"], "instruction", "Lift")
+    assert server.ask("textDocument/prepareRename", **nothing) is None
+    server.change(paths["open.task"], OPEN + "subtasks: {")
+    with pytest.raises(RuntimeError, match=r"open\.task\.yaml"):
+        server.ask("textDocument/rename", **mug, newName="cup")

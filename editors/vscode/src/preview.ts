@@ -8,6 +8,9 @@ const STEEPEST_DEG = 89;
 /** More pixels take longer to render than a person waits, and fewer show nothing [px]. */
 const SIZE = { min: 64, max: 1600 };
 
+/** Height of a picture by its width. The server fits the scene into the height, so a taller picture would cut off its sides. */
+const TALLEST = 3 / 4;
+
 /** Closer and farther than any scene of a table or a room [m]. */
 const DISTANCE = { min: 0.02, max: 1000 };
 
@@ -95,7 +98,7 @@ export class Preview {
       case "resize":
         this.size = {
           width: Math.round(within(message.width, SIZE.min, SIZE.max)),
-          height: Math.round(within(message.height, SIZE.min, SIZE.max)),
+          height: Math.round(within(Math.min(message.height, message.width * TALLEST), SIZE.min, SIZE.max)),
         };
     }
     this.refresh();

@@ -51,11 +51,12 @@ export class ServerProcess {
 
   private explanation(): string {
     const lines = this.words.split("\n").map((line) => line.trim()).filter(Boolean);
-    const said = this.failure ?? lines.slice(-2).join(" ");
+    const kept = this.words.includes("Traceback (most recent call last)") ? 1 : 2;
+    const said = this.failure ?? lines.slice(-kept).join(" ");
     if (/No such command/.test(said)) {
       return `${this.command} has no language server because it is too old. Update it with ${INSTALL}.`;
     }
-    const reason = said ? `: ${said}` : ".";
+    const reason = said ? `: ${said.replace(/\.$/, "")}.` : ".";
     const advice = said.includes("simfoundry[editor]") ? "" : ` If a package is missing, install it with ${INSTALL}.`;
     return `The language server (${basename(this.command)} lsp) stopped${reason}${advice}`;
   }

@@ -72,6 +72,8 @@ test("a program that does not start, is too old, or stops says so in sentences",
   const needs = program("needs", "#!/bin/sh\necho 'error: the language server needs pygls: pip install simfoundry[editor]' >&2\nexit 2\n");
   const sentence = await (await ServerProcess.start(needs, folder, () => {})).lastWords();
   assert.equal(sentence.split("simfoundry[editor]").length, 2);
+  const fault = program("fault", "#!/bin/sh\nprintf 'Traceback (most recent call last):\\n  x = (\\n      ^\\nSyntaxError: bad\\n' >&2\nexit 1\n");
+  assert.match(await (await ServerProcess.start(fault, folder, () => {})).lastWords(), /\(fault lsp\) stopped: SyntaxError: bad\. If/);
   const silent = await ServerProcess.start(program("silent", "#!/bin/sh\nexit 1\n"), folder, () => {});
   assert.match(await silent.lastWords(), /^The language server \(silent lsp\) stopped\. If a package is missing/);
 });

@@ -150,6 +150,9 @@ test("the size of the panel is asked for, within bounds", async () => {
   server.preview.receive({ type: "resize", width: 1e6, height: 1.2 });
   await server.answer();
   assert.deepEqual([server.asked[1]!.width, server.asked[1]!.height], [1600, 64]);
+  server.preview.receive({ type: "resize", width: 400, height: 900 }); // a panel beside the text is often tall
+  await server.answer();
+  assert.deepEqual([server.asked[2]!.width, server.asked[2]!.height], [400, 300]);
 });
 
 test("a closed preview asks and shows no more", async () => {

@@ -38,7 +38,7 @@ _DOTTED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\.([A-Za-z_][A-Za-z0-9_]*))?\Z
 
 # Predicate with the argument list that is open at its name, also while it is being typed.
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(")
-_ARGUMENT = re.compile(r"([(,])\s*(?:([a-z][a-z0-9_]*)(?:\.([a-z][a-z0-9_]*))?)?(?=\s*(?:[,)]|\Z))")
+_ARGUMENT = re.compile(r"([(,])\s*+(?:([a-z][a-z0-9_]*)(?:\.([a-z][a-z0-9_]*))?)?(?=\s*(?:[,)]|\Z))")
 
 # Sections in which each kind of argument of a predicate is looked up, and those of its tail.
 _KINDS: dict[str, tuple[Sections, Sections]] = {

@@ -185,16 +185,20 @@ def edited_reader(edits: tuple[DocumentEdit, ...], reader: Read) -> Read:
     return read_edited
 
 
-def new_findings(names: ProjectNames, edits: tuple[DocumentEdit, ...]) -> dict[Severity, list[str]]:
+def new_findings(
+    names: ProjectNames, edits: tuple[DocumentEdit, ...], reader: Read | None = None
+) -> dict[Severity, list[str]]:
     """Return the findings that the edited documents, and all documents that use them, would have and do not have now.
 
-    Findings of geometry are not included.
+    Findings of geometry are not included. Documents are read with ``reader``, by default that of ``names``. Loading a
+    document changes its nodes, so the reader must not return documents that are used otherwise.
     """
+    reader = reader or names.reader
     affected = {str(edit.file) for edit in edits}
     affected |= {user for file in affected for user in names.dependents(file)}
-    before = _findings(affected, names.reader)
+    before = _findings(affected, reader)
     new: dict[Severity, list[str]] = {severity: [] for severity in Severity}
-    for key, d in _findings(affected, edited_reader(edits, names.reader)).items():
+    for key, d in _findings(affected, edited_reader(edits, reader)).items():
         if key not in before:
             new[d.severity].append(f"{shown_path(d.file)}:{d.line}:{d.column}: {d.message}")
     return new

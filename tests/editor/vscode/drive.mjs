@@ -1,10 +1,11 @@
 // Uses the extension in VS Code as a person does, and prints what a person sees as JSON, step by step.
 // node drive.mjs ADDRESS BROWSER FOLDER-FOR-PICTURES
+import { renameSync } from "node:fs";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
 
 const [address, executablePath, pictures] = process.argv.slice(2);
-const PATIENCE = 60_000;
+const PATIENCE = 30_000;
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
 const page = await browser.newPage({ viewport: { width: 1400, height: 800 } });
 page.setDefaultTimeout(PATIENCE);
@@ -27,6 +28,18 @@ async function until(read, wanted) {
     if (wanted(value) || Date.now() > end) return value;
     await page.waitForTimeout(50);
   }
+}
+
+/** Return a value once it has not changed for a second, such as the picture after the last of many. */
+async function settled(read) {
+  let value = await read();
+  for (let same = 0; same < 10; ) {
+    await page.waitForTimeout(100);
+    const next = await read();
+    same = next === value ? same + 1 : 0;
+    value = next;
+  }
+  return value;
 }
 
 async function command(title) {
@@ -69,7 +82,18 @@ await step("trust", async () => {
   await page.getByText("Yes, I trust the authors").click();
   await page.getByText("desk.scene.yaml").first().click();
   await page.waitForSelector(".view-line");
-  return page.locator("#status\\.editor\\.mode").textContent();
+  return until(() => page.locator("#status\\.editor\\.mode").textContent(), (text) => text === "SimFoundry");
+});
+
+await step("missing", async () => {
+  const toasts = page.locator(".notification-toast");
+  await toasts.getByText("language server").first().waitFor();
+  await page.waitForTimeout(1000); // a second one would come now
+  const said = await toasts.locator(".notification-list-item-message").allTextContents();
+  const programs = join(new URL(address).searchParams.get("folder"), ".venv", "bin");
+  renameSync(join(programs, "mended"), join(programs, "simfoundry"));
+  await toasts.getByText("Try again").first().click();
+  return said.filter((text) => text.includes("language server"));
 });
 
 await step("finding", async () => {
@@ -104,12 +128,13 @@ await step("rename", async () => {
 await step("picture", async () => {
   await command("SimFoundry: Show scene");
   await until(source, (text) => text.startsWith("data:image/png;base64,"));
+  await settled(source);
   const image = await preview("#picture");
   return { ...(await image.evaluate(async (each) => (await each.decode(), { width: each.naturalWidth, height: each.naturalHeight }))), message: await message() };
 });
 
 await step("keystroke", async () => {
-  const before = await source();
+  const before = await settled(source);
   await page.locator(".monaco-editor .view-lines").first().click();
   await cursor("0.1, 0.1, 0.1", 2);
   await page.keyboard.type("3");
@@ -118,17 +143,19 @@ await step("keystroke", async () => {
 });
 
 await step("invalid", async () => {
-  const before = await until(source, (text) => Boolean(text));
+  const before = await settled(source);
   await cursor("mass", 0);
   await page.keyboard.type("x");
+  const found = await until(problems, (text) => !none(text));
   const words = await until(message, Boolean);
-  const kept = (await source()) === before;
+  const kept = (await settled(source)) === before;
+  await page.screenshot({ path: join(pictures, "invalid.png") });
   await page.keyboard.press("Backspace");
-  return { words, kept, gone: await until(message, (text) => !text) };
+  return { found, words, kept, gone: await until(message, (text) => !text) };
 });
 
 await step("orbit", async () => {
-  const before = await source();
+  const before = await settled(source);
   const box = await (await preview("#picture")).boundingBox();
   await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
   await page.mouse.down();
@@ -138,8 +165,7 @@ await step("orbit", async () => {
 });
 
 await step("zoom", async () => {
-  await page.waitForTimeout(1500); // the last pictures of the drag
-  const before = await source();
+  const before = await settled(source);
   await page.mouse.wheel(0, -300);
   return (await until(source, (text) => text !== before)) !== before;
 });

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from simfoundry.spec.change.diff.generated import generated_names
+from simfoundry.spec.compose.parameters import PARAMETER, holds_text, is_expression
 from simfoundry.spec.models.types import EXPRESSIONS, REFERENCES
 
 Path_ = tuple[str, ...]
@@ -302,7 +303,13 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
     key = path[-1] if local and path else ""
     if key in BESIDE:
         return local.get((*path[:-1], BESIDE[key]), {}).get(value, value) if isinstance(value, str) else value
-    return copied(value, lambda item: renamed_reference(key, item, spaces))
+
+    def scalar(item: Any) -> Any:
+        if "parameters" in spaces and isinstance(item, str) and is_expression(item) and not holds_text(path):
+            return PARAMETER.sub(lambda m: f"${_name(m[1], ('parameters',), spaces)}", item)
+        return renamed_reference(key, item, spaces)
+
+    return copied(value, scalar)
 
 
 def renamed_reference(key: str, value: Any, spaces: Mapping[str, Mapping[str, str]]) -> Any:

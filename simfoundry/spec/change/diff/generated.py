@@ -29,6 +29,8 @@ def generated_names(
     repeated = section == ("objects",)
     if not isinstance(source, dict) or (repeated and "repeat" not in source):
         return
+    if not repeated and "pose" in source:  # the include is also a frame
+        yield ("frames",), old, new
     pattern = re.compile(re.escape(old) + ("(?:_[0-9]+)+" if repeated else "_[a-z0-9_]+"))
     for word in sorted({word for word in _words(data) if pattern.fullmatch(word)}):
         for place in ("objects",) if repeated else _INCLUDED:
