@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from simfoundry.api.build import Build as Build
+    from simfoundry.api.demonstrations import demonstrations as demonstrations
+    from simfoundry.api.demonstrations import record as record
     from simfoundry.api.entries import UnknownNameError as UnknownNameError
     from simfoundry.api.evaluation import Evaluation as Evaluation
     from simfoundry.api.evaluation import evaluate as evaluate
@@ -31,9 +33,11 @@ _MODULES = {
     "SpecError": "spec.diagnostics",
     "TaskDocument": "api.tasks",
     "UnknownNameError": "api.entries",
+    "demonstrations": "api.demonstrations",
     "evaluate": "api.evaluation",
     "load": "api.scenes",
     "load_task": "api.tasks",
+    "record": "api.demonstrations",
 }
 
 __all__ = [*_MODULES, "__version__"]

@@ -40,6 +40,7 @@ COMMANDS = {
     "migrate": ("documents", "Update documents that were written for older versions."),
     "new": ("language", "Create a document of any kind, with comments that explain its keys."),
     "propose": ("cousins", "Propose tasks for a scene, each verified to be feasible."),
+    "record": ("data", "Record demonstrations of a task."),
     "rename": ("rename", "Rename an object, joint, material or other name in all documents of a project."),
     "render": ("scenes", "Render an image from a camera in a scene."),
     "schema": ("language", "Print the JSON Schemas for documents."),

@@ -19,6 +19,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Policy, PolicyError
 from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
 from simfoundry.evaluate.task import Task, load_task
+from simfoundry.predicates import Judge
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
@@ -98,6 +99,15 @@ def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) 
         return PythonPolicy(choice)
     policy: Policy = PROTOCOLS.running(choice.protocol, PolicyError)(PROTOCOLS.load(choice.protocol).open)(choice)
     return policy
+
+
+def create_policy(choice: Choice, task: Task, judge: Judge) -> Policy:
+    """Create any selected policy for a task."""
+    if isinstance(choice, ExpertChoice):
+        from simfoundry.evaluate.expert.policy import ExpertPolicy
+
+        return ExpertPolicy(task, judge)
+    return open_policy(choice)
 
 
 def _python(rest: str) -> PythonClass:

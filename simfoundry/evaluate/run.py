@@ -14,7 +14,7 @@ from typing import Any
 from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.evaluate.entries import Contender, ExpertChoice, TaskEntry, TaskPart, open_policy
+from simfoundry.evaluate.entries import Contender, ExpertChoice, TaskEntry, TaskPart, create_policy
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import check_cameras
@@ -324,12 +324,7 @@ def _policy(job: RolloutJob, setting: _Setting) -> Policy:
     if key not in _open:
         for stale in [k for k in _open if k[0] is not None]:
             _open.pop(stale).close()
-        if isinstance(choice, ExpertChoice):
-            from simfoundry.evaluate.expert.policy import ExpertPolicy
-
-            _open[key] = ExpertPolicy(setting.task, setting.judge)
-        else:
-            _open[key] = open_policy(choice)
+        _open[key] = create_policy(choice, setting.task, setting.judge)
     return _open[key]
 
 

@@ -143,6 +143,12 @@ class Cursor:
                 if found.start() <= at <= found.end():
                     return Word(self.start + found.start(), self.start + found.end(), found.group())
             return Word(self.offset, self.offset, "")
+        if (
+            self.slot is Slot.VALUE
+            and _SUM.match(self.text)
+            and not _IN_NUMBER.match(self.text[max(at - 1, 0) : at + 1])
+        ):
+            return Word(self.offset, self.offset, "")
         name = _CALL.match(self.text)
         if name is not None and self.slot is Slot.VALUE and name.start("name") <= at <= name.end("name"):
             start, end = name.span("name")
@@ -166,6 +172,9 @@ class Cursor:
 
 _CALL = re.compile(r"""["']?\s*(?P<name>[A-Za-z]\w*)\s*\(""")
 _PARAMETER = re.compile(r"\$\w*|\w+")
+# Arithmetic in which a parameter or number may be missing, and the characters beside an offset inside of a number.
+_SUM = re.compile(r"[-+*/(). 0-9]*[-+*/(][-+*/(). 0-9]*\Z")
+_IN_NUMBER = re.compile(r".?[\w.]")
 _OTHER_BREAKS = str.maketrans("\r\x85\u2028\u2029", "\n\n\n\n")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -188,7 +189,8 @@ def _add_structure(server: Server, displays: _Displays) -> None:
     @server.feature(types.TEXT_DOCUMENT_FORMATTING)
     async def formatting(params: types.DocumentFormattingParams) -> list[types.TextEdit] | None:
         analysis = await displays.analysis(params.text_document.uri)
-        return None if analysis is None else await server.run(format_edits, analysis.path, analysis.lines)
+        # On a thread of its own, because comparing thousands of lines takes longer than a check may wait.
+        return None if analysis is None else await asyncio.to_thread(format_edits, analysis.path, analysis.lines)
 
 
 def _add_decorations(server: Server, displays: _Displays) -> None:

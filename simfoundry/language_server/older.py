@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, TypeVar
 
-import attrs
 from lsprotocol import types
 
 from simfoundry.language_server.positions import Lines
@@ -68,12 +68,20 @@ class LineShift:
             first, last = self.line(value.start_line), self.line(value.end_line)
             if first is None or last is None:
                 raise _ChangedError
-            return attrs.evolve(value, start_line=first, end_line=last)
-        if attrs.has(type(value)):
-            changes = {f.name: self._moved(getattr(value, f.name)) for f in attrs.fields(type(value))}
-            return attrs.evolve(value, **changes)
-        return value
+            return _changed(value, start_line=first, end_line=last)
+        fields = getattr(type(value), "__attrs_attrs__", ())
+        return _changed(value, **{field.name: self._moved(getattr(value, field.name)) for field in fields})
 
     def _moved_range(self, value: types.Range) -> types.Range:
         """Return a range whose ends are moved. A range of several lines may contain the change."""
         return types.Range(self._moved(value.start), self._moved(value.end))
+
+
+def _changed(value: Any, **fields: Any) -> Any:
+    """Return a copy of a type of the protocol with other fields."""
+    if not fields:
+        return value
+    new = copy.copy(value)
+    for name, field in fields.items():
+        setattr(new, name, field)
+    return new

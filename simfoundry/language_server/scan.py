@@ -81,6 +81,8 @@ _ON_LINES = {
 _KEY_LINE = re.compile(r"\n[ \t]*(?:- +)*\w+:(?:\s|\Z)")
 _UNCLOSED = re.compile(r"[^\n,\]}]*")
 _PROPERTIES = re.compile(r"[ \t]*(?:[&!][^\s,\[\]{}]*(?:[ \t]+|(?=\n|\Z)))*")
+# Operators after which an expression goes on.
+_OPERATORS = ("+", "-", "*", "/")
 _BLOCK_PLAIN = re.compile(r"(?:[^\n#]|(?<=\S)#)*")
 _BLOCK_HEADER = re.compile(r"[|>][-+0-9]*[ \t]*(?:(?<=\s)#[^\n]*)?(?=\n|\Z)")
 _NEXT_LINE = re.compile(r"\n(?:[ \t]*\n)*(?P<indent> *)(?=[^\s#])")
@@ -127,7 +129,7 @@ def find_in_value(text: str, start: int, offset: int, indent: int) -> TokenPlace
         end = _block_end(text, header.end(), indent)
         return TokenPlace(Slot.VALUE, (), start, end, "block") if offset <= end else None
     end = _plain_end(text, start, indent)
-    goes_on = _is_open(text[start:end]) or text[end - 1] in "+*/-"
+    goes_on = _is_open(text[start:end]) or text[start:end].endswith(_OPERATORS)
     if offset > end and goes_on and not text[end:offset].strip(" \t"):
         end = offset
     style: Style = "alias" if char == "*" else "plain"
@@ -283,6 +285,7 @@ def _in_flow(text: str, start: int, offset: int) -> TokenPlace | None:
     if offset == start:
         return TokenPlace(Slot.NONE, (), offset, offset)
     flow = _Flow(text, start)
+    last = (start, start)  # the token before the cursor, which goes on behind an operator
     for kind, first, end in flow.tokens():
         scalar = kind in ("plain", "quoted", "alias")
         if offset < first or (offset == first and not scalar):
@@ -293,8 +296,11 @@ def _in_flow(text: str, start: int, offset: int) -> TokenPlace | None:
         if kind in ("comment", "property") and offset <= end:
             return TokenPlace(Slot.NONE, _path(flow), offset, offset, opening=flow.stack[-1].opening)
         flow.read(kind, first, end)
+        last = (first, end) if kind == "plain" else (end, end)
         if not flow.stack:
             return None if offset > end else TokenPlace(Slot.NONE, (), offset, offset)
+    if text[last[0] : last[1]].endswith(_OPERATORS) and not text[last[1] : offset].strip(" \t"):
+        return TokenPlace(Slot.VALUE, _path(flow), last[0], offset, opening=flow.stack[-1].opening)
     return _found(flow, offset, offset)
 
 

@@ -24,6 +24,7 @@ from pygls.lsp.server import LanguageServer
 from simfoundry import __version__
 from simfoundry.language_server import navigation
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
+from simfoundry.language_server.completion import SIGNATURE_TRIGGERS, TRIGGERS, complete, has_snippets, signature
 from simfoundry.language_server.diagnostics import published
 from simfoundry.language_server.displays import add_displays
 from simfoundry.language_server.protocol import Protocol, RequestFailedError, is_fault_of_client
@@ -189,6 +190,7 @@ def make_server() -> Server:
     server = Server()
     _add_synchronization(server)
     add_displays(server)
+    _add_completion(server)
     _add_navigation(server)
     return server
 
@@ -256,6 +258,26 @@ def _add_synchronization(server: Server) -> None:
         for buffer in documents.buffers.values():
             if is_ours(buffer):
                 ls.check(buffer.path, changed=False)
+
+
+def _add_completion(server: Server) -> None:
+    """Register completion and the signatures of predicates. Both use the current text, without waiting for checks."""
+    documents = server.documents
+
+    @server.feature(types.TEXT_DOCUMENT_COMPLETION, types.CompletionOptions(trigger_characters=list(TRIGGERS)))
+    async def completion(ls: Server, params: types.CompletionParams) -> types.CompletionList | None:
+        buffer = documents.buffers.get(params.text_document.uri)
+        if buffer is None:
+            return None
+        snippets = has_snippets(ls.client_capabilities)
+        return complete(buffer.path, buffer.lines, params.position, documents.parsed(buffer.path), snippets)
+
+    @server.feature(
+        types.TEXT_DOCUMENT_SIGNATURE_HELP, types.SignatureHelpOptions(trigger_characters=list(SIGNATURE_TRIGGERS))
+    )
+    async def signature_help(_: Server, params: types.SignatureHelpParams) -> types.SignatureHelp | None:
+        buffer = documents.buffers.get(params.text_document.uri)
+        return signature(buffer.lines, params.position) if buffer is not None else None
 
 
 _PositionParams = (

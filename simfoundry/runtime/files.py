@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 import json
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -178,6 +179,40 @@ def _lock(folder: Path) -> int | None:
         os.close(handle)
         return None
     return handle
+
+
+@contextmanager
+def locked_folder(folder: Path, complaint: str) -> Iterator[None]:
+    """Lock a folder while the block runs. The lock also ends when the process is killed.
+
+    Systems that cannot lock folders proceed without a lock.
+
+    Raises:
+        OutputError: If another process has locked the folder. ``complaint`` continues the name of the folder.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(f"{folder} {complaint}") from None
+        except OSError:  # some network file systems
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
+def clear_staged_files(folder: Path) -> None:
+    """Remove files that killed runs left behind in :func:`writing_atomically`, from a folder that no other run uses."""
+    for path in folder.glob(".*.*"):
+        if path.is_file() and re.fullmatch(r"\..+\.[a-z0-9_]{8}", path.name):
+            path.unlink(missing_ok=True)
 
 
 def replace_folder(new: Path, folder: Path) -> None:

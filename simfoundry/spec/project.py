@@ -150,7 +150,7 @@ def common_project(*files: Path) -> Project:
     except ValueError:  # on different drives
         raise NoProjectError(f"no folder contains {_listed(files)}; move them into one folder") from None
     here = Path.cwd()
-    below = closest.is_relative_to(here) and not _is_shared(here)
+    below = closest.is_relative_to(here) and not is_shared(here)
     project = find_project(closest) or Project(here if below else closest)
     for file, folder in zip(files, folders, strict=True):
         inner = find_project(folder)
@@ -158,7 +158,7 @@ def common_project(*files: Path) -> Project:
             others = [f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root)]
             message = f"`{file}` belongs to the project {inner.root}, which does not contain {_listed(others)}"
             raise NoProjectError(f"{message}; move all files into {inner.root}, or its {MARKER} to {project.root}")
-    if not project.is_marked and len({*folders}) > 1 and _is_shared(project.root):
+    if not project.is_marked and len({*folders}) > 1 and is_shared(project.root):
         raise NoProjectError(
             f"the closest folder that contains {_listed(files)} is {project.root}, "
             f"which also contains unrelated files; move them into a separate folder"
@@ -175,10 +175,10 @@ def markers(project: Project) -> dict[Path, str]:
 
     The result is empty if the project already has a marker file or if its folder is shared.
     """
-    return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
+    return {} if project.is_marked or is_shared(project.root) else {project.marker: MARKING}
 
 
-def _is_shared(folder: Path) -> bool:
+def is_shared(folder: Path) -> bool:
     """Return True for folders that do not belong to a single project: system, home, and temporary folders."""
     return any(Path(os.path.realpath(owned)).is_relative_to(folder) for owned in (Path.home(), gettempdir()))
 

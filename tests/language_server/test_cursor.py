@@ -5,16 +5,15 @@ from __future__ import annotations
 
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import pytest
-import yaml
 
 from simfoundry.language_server.cursor import Cursor, cursor_at
 from simfoundry.language_server.scan import Slot
 from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.text import Path_, parse
 from tests.conftest import REPOSITORY
+from tests.language_server.tokens import joined, leaves
 
 DOCUMENTS = sorted(
     path
@@ -45,62 +44,6 @@ ODD = {
 
 def with_breaks(text: str, name: str) -> str:
     return text.replace("\n", {"lf": "\n", "crlf": "\r\n", "cr": "\r", "bom": "\n"}[name])
-
-
-def leaves(text: str) -> list[tuple[Slot, Path_, int, int, str]]:
-    """Each scalar of a text: a key or a value, its path, its offsets, and its style."""
-    out: list[tuple[Slot, Path_, int, int, str]] = []
-    stack: list[list[Any]] = []  # path, and the index or the key
-
-    def path() -> Path_:
-        return tuple(entry[0] for entry in stack)
-
-    def after() -> None:
-        if stack and isinstance(stack[-1][0], int):
-            stack[-1][0] += 1
-        elif stack:
-            stack[-1][0] = None
-
-    for event in yaml.parse(text, yaml.SafeLoader):
-        assert event.start_mark is not None and event.end_mark is not None
-        start, end = event.start_mark.index, event.end_mark.index
-        match event:
-            case yaml.MappingStartEvent():
-                stack.append([None])
-            case yaml.SequenceStartEvent():
-                stack.append([0])
-            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
-                stack.pop()
-                after()
-            case yaml.ScalarEvent() | yaml.AliasEvent():
-                style = "*" if isinstance(event, yaml.AliasEvent) else event.style or ""
-                start += len(text[start:end]) - len(text[start:end].lstrip("&")) and text[start:end].find(" ") + 1
-                if stack and stack[-1][0] is None:
-                    stack[-1][0] = getattr(event, "value", "")
-                    out.append((Slot.KEY, path(), start, end, style))
-                else:
-                    if start < end:
-                        out.append((Slot.VALUE, path(), start, end, style))
-                    after()
-    return out
-
-
-def joined(text: str, found: list[tuple[Slot, Path_, int, int, str]]) -> list[tuple[Slot, Path_, int, int, str]]:
-    """The scalars with the predicates in brackets and braces put together, as our reader does."""
-    out: list[tuple[Slot, Path_, int, int, str]] = []
-    shift: dict[Path_, int] = {}
-    for slot, path, start, end, style in found:
-        if out:
-            _, before, first, last, other = out[-1]
-            piece = text[first:last]
-            apart = text[last:start].strip() == ","
-            if other == style == "" and piece.count("(") > piece.count(")") and apart and len(path) == len(before):
-                out[-1] = (out[-1][0], before, first, end, "")
-                shift[path[:-1]] = shift.get(path[:-1], 0) + 1
-                continue
-        moved = tuple(part - shift.get(path[:k], 0) if isinstance(part, int) else part for k, part in enumerate(path))
-        out.append((slot, moved, start, end, style))
-    return out
 
 
 def check(text: str, step: int = 1) -> None:
@@ -202,7 +145,9 @@ def test_arguments_of_predicates(text: str, name: str, index: int, argument: str
 def test_words() -> None:
     assert at("on: shelf.bo|ard").owner == "shelf"
     assert at("gap: 2 * $ga|p + 1").word.text == "$gap"
-    assert at("gap: 2 * |").typed == "2 * "
+    assert at("gap: 2 * |").text == at("a: {gap: 2 * |}").text == "2 * "
+    assert at("gap: 2 * |").word.text == ""
+    assert at("gap: -0.|3").word.text == "-0.3"
     assert at('on: "ta|ble"').word.text == "table"
     assert at("goal: On|Top(a, b)").word.text == "OnTop"
 

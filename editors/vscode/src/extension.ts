@@ -98,6 +98,7 @@ class Server {
       {
         documentSelector: [{ language: LANGUAGE, scheme: "file" }, { language: LANGUAGE, scheme: "untitled" }],
         outputChannel: this.output,
+        initializationFailedHandler: () => false, // `complain` says why, once
         errorHandler: {
           error: () => ({ action: ErrorAction.Continue, handled: true }),
           closed: async () => {

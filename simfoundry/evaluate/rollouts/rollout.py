@@ -23,6 +23,7 @@ from simfoundry.evaluate.policies.base import (
     Observation,
     Policy,
     PolicyError,
+    RobotReading,
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.clearance import Clearances
@@ -137,6 +138,10 @@ class Video:
     every: int = 1
 
 
+# A state with the readings of the robots.
+Moment = tuple[SceneState, Mapping[str, RobotReading]]
+
+
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """The result of a rollout.
@@ -155,6 +160,7 @@ class Rollout:
         timings: The time spent on each part of the rollout.
         final: The last state.
         frames: The recorded images, keyed by camera.
+        trace: The state and the readings of the robots at the start and after each step, if requested.
     """
 
     task: str
@@ -174,6 +180,7 @@ class Rollout:
     timings: Timings
     final: SceneState
     frames: Mapping[str, tuple[Image, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    trace: tuple[Moment, ...] = ()
 
 
 def rollout(
@@ -183,6 +190,7 @@ def rollout(
     world: World,
     judge: Judge | None = None,
     video: Video | None = None,
+    trace: bool = False,
 ) -> Rollout:
     """Run a policy from an initial state in a world with the task's scene.
 
@@ -197,6 +205,7 @@ def rollout(
         world: A world with the scene of the task.
         judge: A judge to reuse across rollouts. By default, a new judge is created.
         video: The images to record.
+        trace: Whether to record all states.
 
     Raises:
         SimfoundryError: If robots or cameras are missing.
@@ -206,7 +215,7 @@ def rollout(
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
     check_rate(policy.control_hz, f"policy `{policy.name}`")
     check_cameras(task.scene, video.cameras, "the video")
-    run = _Run(task, start, policy, world, judge or Judge(task.scene), video)
+    run = _Run(task, start, policy, world, judge or Judge(task.scene), video, trace)
     return run.result(*run.play())
 
 
@@ -233,7 +242,7 @@ class _Run:
     """A rollout in progress."""
 
     def __init__(
-        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video
+        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video, trace: bool
     ) -> None:
         self.task, self.start, self.policy, self.world, self.video = task, start, policy, world, video
         self.clock = _Clock()
@@ -254,6 +263,7 @@ class _Run:
         self._unhashed = 0
         self.frames: dict[str, list[Image]] = {name: [] for name in video.cameras}
         self.hash = hashlib.sha256()
+        self.trace: list[Moment] | None = [] if trace else None
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
@@ -356,6 +366,8 @@ class _Run:
         new, self._unhashed = self.actions[self._unhashed :], len(self.actions)
         parts = [*numbers, np.array(list(state.joints.values())), *map(np.array, robots), *new]
         self.hash.update(np.concatenate(parts).tobytes())
+        if self.trace is not None:
+            self.trace.append((state, readings(self.world, self.robots)))
 
     def _film(self) -> None:
         if (self.steps - 1) % self.video.every == 0:
@@ -384,4 +396,5 @@ class _Run:
             timings=self.clock.timings(),
             final=self.state,
             frames=MappingProxyType({name: tuple(frames) for name, frames in self.frames.items()}),
+            trace=tuple((self.trace or [])[: self.steps + 1]),
         )

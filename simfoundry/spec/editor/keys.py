@@ -12,7 +12,8 @@ from pydantic import BaseModel
 
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.reference import default_text, type_text
-from simfoundry.spec.editor.schema import Schema, title
+from simfoundry.spec.editor.schema import Schema
+from simfoundry.spec.editor.snippets import title
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.types import former_keys, models_at
 

@@ -78,17 +78,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
         raise NewError(str(error)) from None
-    values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
-    if extends is not None:
-        template, more = "overlay", _overlay(kind, path, extends, project.root)
-    elif kind in ("task", "cousins"):
-        template, more = kind, (_task if kind == "task" else _cousins)(path, source, project.root)
-    elif source is not None:
-        raise NewError(f"`--from` is for tasks and recipes; use `--extends` to base a {kind} on another {kind}")
-    else:
-        template, more = kind, {}
-    text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
-    text = format_text(Template(text).substitute(values | more), str(path))
+    text = _text(kind, path, name, source, extends, project.root)
     line, schemas = schema_line(path, parse(text), project.root), dict[Path, str]()
     if line is None:
         from simfoundry.spec.editor.schema import schemas as texts
@@ -97,6 +87,34 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
         schemas = {folder / file: content for file, content in texts().items()}
         line = f"{_relative(folder / f'{kind}.schema.json', path)}#/$defs/{EDITOR}"
     return New(path, format_text(text, str(path), line), schemas, markers(project))
+
+
+def starter(kind: str, path: Path) -> str:
+    """Return the text with which an editor fills the empty file ``path``, without a line that names a schema.
+
+    ``kind`` is one of :data:`WORDS`. If the folder contains no scene for a task or recipe, the text is the example.
+    """
+    from simfoundry.spec.editor.reference import example
+
+    try:
+        return _text(kind, path, None, None, None, common_project(path).root)
+    except (NewError, NoProjectError, SpecError):
+        return example(f"{kind}/1")
+
+
+def _text(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None, root: Path) -> str:
+    """Return the formatted text of a new file."""
+    values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
+    if extends is not None:
+        template, more = "overlay", _overlay(kind, path, extends, root)
+    elif kind in ("task", "cousins"):
+        template, more = kind, (_task if kind == "task" else _cousins)(path, source, root)
+    elif source is not None:
+        raise NewError(f"`--from` is for tasks and recipes; use `--extends` to base a {kind} on another {kind}")
+    else:
+        template, more = kind, {}
+    text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
+    return format_text(Template(text).substitute(values | more), str(path))
 
 
 def _name(path: Path, name: str | None) -> str:

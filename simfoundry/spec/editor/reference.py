@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any
 
-from simfoundry.spec.editor.schema import Schema, literal, title
+from simfoundry.spec.editor.schema import Schema
+from simfoundry.spec.editor.snippets import literal, title
 from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
 

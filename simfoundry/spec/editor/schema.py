@@ -15,12 +15,20 @@ from functools import cache
 from typing import Any
 
 from simfoundry.spec.editor import snippets
-from simfoundry.spec.editor.snippets import Body, predicates, robots, sentence
+from simfoundry.spec.editor.snippets import (
+    Body,
+    literal,
+    one_line,
+    predicates,
+    robots,
+    sentence,
+    title,
+    without_placeholders,
+)
 from simfoundry.spec.editor.strict import EDITOR, strict_schema
 from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
-from simfoundry.spec.yaml.write import number
 
 Schema = dict[str, Any]
 
@@ -160,7 +168,7 @@ class _Parts:
         words = _words(key, text)
         if "enum" in core or "const" in core:
             return words | core
-        first = snippets.lookup("first", f"{owner}.{key}", key) if plain is None else _holes(plain)
+        first = snippets.initial_value(owner, key, plain)
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
@@ -301,40 +309,10 @@ def _words(title: str, text: str) -> Schema:
     return {"title": title, "description": text, **markdown}
 
 
-def title(model: str) -> str:
-    """Return the title of a model: ``camera`` for ``CameraSpec``, ``depth image`` for ``DepthImage``."""
-    return " ".join(re.findall(r"[A-Z][a-z]+", model.removesuffix("Spec"))).lower()
-
-
-def literal(value: Any) -> str:
-    """Format a plain value as YAML on one line."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{', '.join(map(literal, value))}]"
-    return number(value) if isinstance(value, int | float) else str(value)
-
-
-def _holes(value: Any) -> str:
-    """Format a value as a snippet with a placeholder for each number and word."""
-    if isinstance(value, list):
-        return f"[{', '.join(f'${{{k}:{literal(item)}}}' for k, item in enumerate(value, 1))}]"
-    return f"${{1:{literal(value)}}}"
-
-
 def _snippet(body: Body, text: str) -> Schema:
     """Return a suggestion for editors, with a one-line label that has no placeholders."""
-    label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
+    label = without_placeholders(one_line(body))
     return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
-
-
-def _flow(body: Body) -> str:
-    match body:
-        case dict():
-            return "{" + ", ".join(f"{key}: {_flow(value)}" for key, value in body.items()) + "}"
-        case tuple():
-            return f"[{', '.join(map(_flow, body))}]"
-    return body
 
 
 @cache

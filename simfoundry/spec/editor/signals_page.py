@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.signals import ACTIONS, GRIPPER, OBSERVATIONS, ROTATION_ORDER, ROTATIONS, Signal
 
 _PAGE = """\
@@ -40,7 +41,7 @@ The default is `quat_wxyz` for `hand_pose` and `rotvec` for `hand_delta`.
 - **Frames.** `hand_delta` shifts the target along the axes of the base, the world or the hand's previous target, and
   rotates it about the origin of the hand. The `hand` frame is described in [Robots](robots.md#known-robots).
 - **Inverse kinematics** converts targets of the hand to targets of the joints, starting at the previous targets. If
-  the arm cannot reach a pose, it moves as close to it as it can. This requires `pip install 'simfoundry[expert]'`.
+  the arm cannot reach a pose, it moves as close to it as it can. This requires `{install}`.
 - **Limits** are the bounds of the Gymnasium space. Joint targets beyond the limits of a joint are clipped. Normalized
   values from -1 to 1 stand for the limits, including the gripper, where -1 is open; other values are clipped. Joints
   that turn without end have the limits ±π.
@@ -69,6 +70,7 @@ def signals_page() -> str:
     """Return the page as Markdown."""
     rotations = (f"| `{form}` | {', '.join(ROTATION_ORDER[form])} | {text} |" for form, text in ROTATIONS.items())
     return _PAGE.format(
+        install=install_line("expert"),
         actions=_table([*ACTIONS.values(), GRIPPER]),
         rotations="\n".join(rotations),
         observations=_table(OBSERVATIONS.values()),

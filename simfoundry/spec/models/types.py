@@ -48,6 +48,14 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
     return [kind for _, kind in current if isinstance(kind, type) and issubclass(kind, BaseModel)]
 
 
+def kinds_at(root: Any, path: tuple[Any, ...]) -> list[Any]:
+    """Return the possible types at a path in a document of the type ``root``, without unions and constraints."""
+    current = [kind for _, kind in flat(root)]
+    for part in path:
+        current = [each for kind in current for inner in inside(kind, part) for _, each in flat(inner)]
+    return current
+
+
 def inside(kind: Any, part: Any) -> Iterator[Any]:
     """Yield the types that a member of a type can have. ``part`` is the key or index of the member."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -61,6 +69,8 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 def field_type(model: type[BaseModel], name: str) -> Any:
     """Return the type of a field, annotated with its constraints."""
+    if not model.__pydantic_fields_complete__:  # a recursive type, which has not been resolved yet
+        model.model_rebuild()
     info = model.model_fields[name]
     return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from simfoundry.spec.diagnostics import Severity, SpecError
+from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.names.rename import (
     MAX_SHOWN,
@@ -21,7 +22,7 @@ from simfoundry.spec.names.rename import (
     shown_path,
 )
 from simfoundry.spec.names.symbols import Symbol
-from simfoundry.spec.project import document_files, project_root
+from simfoundry.spec.project import DocumentFiles, document_files, find_project, is_shared, project_root
 from simfoundry.spec.yaml.text import Document, read
 
 # Maximum number of documents in a project that is searched; a batch of cousins has 10,000.
@@ -96,13 +97,19 @@ class _Project:
     parsed: dict[Path, Document] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        found = document_files(self.root)
+        # Without a project, the files beside the document may be those of a home folder, with everything below it.
+        alone = find_project(self.root) is None and is_shared(self.root)
+        found = (
+            DocumentFiles([*filter(is_document, sorted(self.root.iterdir()))], [])
+            if alone
+            else document_files(self.root)
+        )
         if len(found.included) > MAX_DOCUMENTS:
             reason = f"the project {self.root} has more than {MAX_DOCUMENTS} documents"
             raise RenameError(f"cannot rename `{self.old}`", [reason])
         self.word = self.old.encode()
         self.contents = _contents(found.included)
-        self.foreign = [path for path in found.included if not path.resolve().is_relative_to(self.root)]
+        self.foreign = [path for path in found.included if not Path(os.path.realpath(path)).is_relative_to(self.root)]
         self.excluded = _contents(found.excluded)
 
     def read(self, path: Path) -> Document:
@@ -167,6 +174,15 @@ def _notes(
             f"to keep the old one, add `category: {symbol.name}`"
         )
     edited = {str(edit.file) for edit in edits}
+    policies = [
+        f"{shown_path(o.file)}:{o.line}:{o.column}"
+        for names_of in names.documents.values()
+        if names_of.kind == "policy" and symbol.kind == "camera"
+        for o in names.occurrences(names_of.file)
+        if o.symbol is None and o.name == symbol.name
+    ]
+    if policies:
+        yield f"these policies name a camera that several scenes have, and stay as they are:{_list(policies)}"
     if lines := remaining_lines(names, edits, symbol.name):
         yield f"these lines still contain the word `{symbol.name}`:{_list(lines)}"
     word = re.compile(rb"(?<![A-Za-z0-9_])" + re.escape(symbol.name.encode()) + rb"(?![A-Za-z0-9_])")

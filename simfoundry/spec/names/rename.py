@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,7 +181,7 @@ def edited_reader(edits: tuple[DocumentEdit, ...], reader: Read) -> Read:
     after = {str(edit.file): edit.after for edit in edits}
 
     def read_edited(path: Path) -> Document:
-        text = after.get(str(path.resolve()))
+        text = after.get(os.path.realpath(path))
         return reader(path) if text is None else parse(text, str(path))
 
     return read_edited
@@ -265,18 +267,20 @@ def _taken(names: ProjectNames, occurrences: tuple[Occurrence, ...], new: str) -
 
 def _fixed(names: ProjectNames, occurrences: tuple[Occurrence, ...]) -> Iterator[str]:
     """Yield the places that cannot be edited."""
+    others: dict[tuple[str, int], str] = {}  # what else an alias of a text names
+    symbols = {o.symbol for o in occurrences}
+    for file in {o.file for o in occurrences}:
+        for o in names.occurrences(file):
+            if o.symbol not in symbols:
+                others[file, o.start] = str(o.symbol) if o.symbol is not None else "something else"
+    root = names.root.resolve()
     for o in occurrences:
         if names.documents[o.file].index.text[o.start : o.end] != o.name:
             yield f"{_at(o)}: the name is written with escapes; write it as `{o.name}` first"
-        elif not Path(o.file).is_relative_to(names.root.resolve()):
-            yield f"{_at(o)}: this file is outside the project {names.root}"
-        elif any(
-            other.symbol != o.symbol and other.start < o.end and o.start < other.end
-            for other in names.occurrences(o.file)
-        ):
-            others = [p.symbol for p in names.occurrences(o.file) if p.start == o.start and p.symbol != o.symbol]
-            also = " and ".join(str(symbol) if symbol is not None else "something else" for symbol in others)
-            yield f"{_at(o)}: an alias of this text names {also or 'something else'} as well; write it out first"
+        elif not Path(o.file).is_relative_to(root):
+            yield f"{_at(o)}: this file is outside the project {root}"
+        elif (o.file, o.start) in others:
+            yield f"{_at(o)}: an alias of this text names {others[o.file, o.start]} as well; write it out first"
 
 
 def _changed_meanings(names: ProjectNames, edits: tuple[DocumentEdit, ...]) -> Iterator[str]:
@@ -298,7 +302,10 @@ def _changed_meanings(names: ProjectNames, edits: tuple[DocumentEdit, ...]) -> I
             )
             yield f"{_at(where) if where is not None else shown_path(file)}: the text would have another structure"
             continue
+        is_policy = names.documents[file].kind == "policy"
         for o, p in zip(old, now, strict=True):
+            if is_policy and None in (o.symbol, p.symbol):  # it can be used with several scenes
+                continue
             if there.setdefault(o.symbol, p.symbol) != p.symbol or back.setdefault(p.symbol, o.symbol) != o.symbol:
                 meaning = f"{o.symbol}" if o.symbol is not None else "nothing"
                 other = f"{p.symbol}" if p.symbol is not None else "nothing"
@@ -317,8 +324,6 @@ def _shift(edit: DocumentEdit | None) -> Callable[[int], int]:
     ends = [each.end for each in edit.edits]
 
     def shifted(offset: int) -> int:
-        from bisect import bisect_right
-
         passed = bisect_right(ends, offset)
         return offset + (grown[passed][1] if passed < len(grown) else total)
 

@@ -220,4 +220,54 @@ def test_links_to_documents_are_followed_and_links_out_of_the_project_refused(tm
     assert "lone.scene.yaml: this document contains `mug`, but it is a link out of the project" in _refused(
         folder, "desk.scene.yaml", "mug", "zz"
     )
+    (folder / "loop.scene.yaml").symlink_to("loop.scene.yaml")
+    (folder / "folder.scene.yaml").mkdir()
     assert plan_rename(folder / "desk.scene.yaml", "bowl", "zz").edits
+
+
+def test_a_policy_for_several_scenes_stays_and_is_listed(tmp_path: Path) -> None:
+    camera = "cameras: {portrait: {size: [64, 48], fov_deg: 60, pose: {xyz: [-1, 0, 1], look_at: [0, 0, 0]}}}\n"
+    files = FILES | {"alone.scene.yaml": f"simfoundry: scene/1\nname: alone\nobjects: {{}}\n{camera}"}
+    plan = plan_rename(write_project(tmp_path, files) / "desk.scene.yaml", "portrait", "zz")
+    assert "pi.policy.yaml" not in _after(plan)
+    assert any("pi.policy.yaml:8:31" in note for note in plan.notes)
+    back = plan_rename(tmp_path / "desk.scene.yaml", "bird", "portrait2")
+    assert list(_after(back)) == ["desk.scene.yaml", "evening.scene.yaml"]
+
+
+def test_paths_and_names_in_allow_follow(tmp_path: Path) -> None:
+    text = (
+        FILES["desk.scene.yaml"] + "allow:\n  SF402: {objects.mug.mass: heavy, mug: heavy, 'materials.clay': dense}\n"
+    )
+    over = FILES["hall.scene.yaml"] + "allow:\n  SF402: {west_mug: heavy, objects.west_mug.mass: heavy}\n"
+    folder = write_project(tmp_path, FILES | {"desk.scene.yaml": text, "hall.scene.yaml": over})
+    after = _after(plan_rename(folder / "desk.scene.yaml", "mug", "zz"))
+    assert "{objects.zz.mass: heavy, zz: heavy, 'materials.clay': dense}" in after["desk.scene.yaml"]
+    assert "{west_zz: heavy, objects.west_zz.mass: heavy}" in after["hall.scene.yaml"]
+    after = _after(plan_rename(folder / "desk.scene.yaml", "materials.clay", "zz"))
+    assert "'materials.zz': dense" in after["desk.scene.yaml"]
+
+
+def test_a_base_may_use_what_only_its_overlay_defines(tmp_path: Path) -> None:
+    files = {
+        "simfoundry.yaml": "",
+        "base.scene.yaml": "simfoundry: scene/1\nname: base\nobjects:\n"
+        "  cup: {shape: {sphere: 0.1}, mass: 1, place: {on: plate}}\n",
+        "over.scene.yaml": "simfoundry: scene/1\nextends: base.scene.yaml\nname: over\nobjects:\n"
+        "  plate: {shape: {box: [1, 1, 0.1]}, fixed: true}\n",
+    }
+    after = _after(plan_rename(write_project(tmp_path, files) / "over.scene.yaml", "plate", "zz"))
+    assert after == {name: files[name].replace("plate", "zz") for name in ("base.scene.yaml", "over.scene.yaml")}
+
+
+def test_links_of_an_extended_asset_follow(tmp_path: Path) -> None:
+    files = FILES | {
+        "tall.asset.yaml": "simfoundry: asset/1\nextends: cabinet.asset.yaml\nname: tall\n"
+        "links: {tray: {parts: {knob: {color: [1, 0, 0]}}}}\njoints: {slide: {damping: 2}}\n",
+    }
+    folder = write_project(tmp_path, files)
+    assert (
+        "links: {zz: {parts" in _after(plan_rename(folder / "lift.task.yaml", "commode.tray", "zz"))["tall.asset.yaml"]
+    )
+    assert "{zz: {color" in _after(plan_rename(folder / "cabinet.asset.yaml", "tray.knob", "zz"))["tall.asset.yaml"]
+    assert "joints: {zz: " in _after(plan_rename(folder / "tall.asset.yaml", "slide", "zz"))["tall.asset.yaml"]

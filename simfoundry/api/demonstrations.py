@@ -1,0 +1,106 @@
+"""Recording and reading of demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simfoundry.errors import SimfoundryError
+
+if TYPE_CHECKING:
+    from simfoundry.data.demonstrations import DemonstrationSet
+    from simfoundry.data.record import RecordPlan, RecordSummary
+
+# The smallest and the largest value of each numeric option, in Python and on the command line.
+RANGES = {"count": (1, 1_000_000), "seed": (0, 2**31), "jobs": (1, 256)}
+
+
+def default_attempts(count: int) -> int:
+    """Return the default maximum number of attempts: enough for a policy that succeeds in one attempt out of four."""
+    return 4 * count + 16
+
+
+def record(
+    task: str | Path,
+    policy: str = "expert",
+    *,
+    out: str | Path = "demos",
+    count: int = 50,
+    seed: int = 0,
+    max_attempts: int | None = None,
+    jobs: int = 1,
+) -> DemonstrationSet:
+    """Record demonstrations of a task, starting from different initial states.
+
+    Example: ``record("stack.task.yaml", count=10)``.
+
+    Demonstrations that are already in ``out`` are kept. To resume an interrupted recording, make the same call again.
+
+    Args:
+        task: A task document.
+        policy: The policy, named as on the command line.
+        out: Output folder.
+        count: Number of demonstrations.
+        seed: Seed for the initial states.
+        max_attempts: Maximum number of attempts; by default, four for each demonstration, and 16 more.
+        jobs: Number of parallel processes.
+
+    Raises:
+        SpecError: If the task document has errors.
+        SimfoundryError: If a policy or an option is invalid, or if there are too few successful attempts.
+    """
+    from simfoundry.data.record import record as run
+
+    for (name, (low, high)), value in zip(RANGES.items(), (count, seed, jobs), strict=True):
+        if not low <= value <= high:
+            raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
+    plan = record_plan(Path(task), policy, Path(out), count, seed, max_attempts)
+    summary = run(plan, workers=jobs)
+    if summary.kept < count:
+        raise SimfoundryError(shortage(plan, summary))
+    return demonstrations(out)
+
+
+def record_plan(
+    task: Path, policy: str, out: Path, count: int, seed: int = 0, max_attempts: int | None = None
+) -> RecordPlan:
+    """Return the plan of a recording."""
+    from simfoundry.data.record import RecordPlan
+    from simfoundry.evaluate.entries import contenders
+
+    (contender,) = contenders((policy,))
+    return RecordPlan(out, task, contender, count, max_attempts or default_attempts(count), seed)
+
+
+def shortage(plan: RecordPlan, summary: RecordSummary) -> str:
+    """Explain in one sentence why there are fewer demonstrations than requested."""
+    ends = "; ".join(f"{count} ended with `{end}` ({summary.reasons[end]})" for end, count in summary.failures.items())
+    return (
+        f"{summary.kept} of {plan.count} demonstrations were recorded in {summary.attempts} attempts of "
+        f"`{plan.contender.label}`: {ends}; use a better policy, or increase `--max-attempts`"
+    )
+
+
+def demonstrations(folder: str | Path) -> DemonstrationSet:
+    """Open recorded demonstrations.
+
+    Example: ``for demonstration in demonstrations("demos"): print(demonstration.actions.shape)``.
+
+    Raises:
+        SimfoundryError: If the folder does not contain demonstrations.
+    """
+    from simfoundry.data.demonstrations import read_demonstrations
+
+    return read_demonstrations(Path(folder))
+
+
+# Callback that receives a text with the current counts, and the fraction of demonstrations that are complete.
+Progress = Callable[[str, float], None]
+
+
+def run_record(plan: RecordPlan, jobs: int, progress: Progress) -> RecordSummary:
+    """Execute a plan."""
+    from simfoundry.data.record import record as run
+
+    return run(plan, lambda _, kept, of: progress(f"{kept} demonstrations, {of} attempts", kept / plan.count), jobs)

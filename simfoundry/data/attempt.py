@@ -1,0 +1,213 @@
+"""A single attempt: a rollout of the policy, and its replay in another process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.data.shards import Attempt
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.entries import Contender, create_policy
+from simfoundry.evaluate.observations import pose_numbers
+from simfoundry.evaluate.policies.base import Policy, RobotReading
+from simfoundry.evaluate.policies.open_loop import ReplayPolicy
+from simfoundry.evaluate.resets.starts import RolloutStart, state_from_json, state_to_json
+from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, rollout
+from simfoundry.evaluate.task import Task, load_task
+from simfoundry.geometry.frames import Array
+from simfoundry.predicates import Judge
+from simfoundry.runtime.workers import GRACE_S, Limits, Worker, WorkerError, at_worker_exit
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.signals import ActionSpace
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+
+# The simulator in which demonstrations are recorded; replay is bit-identical only there.
+ENGINE = "mujoco"
+
+# Maximum duration of an attempt [s], as in an evaluation; and of its replay, which takes no longer than the rollout.
+SILENCE_S = 3600.0
+
+NOT_REPRODUCED = "not reproduced"
+"""The end of an attempt whose replay differed from the rollout."""
+
+
+@dataclass(frozen=True)
+class AttemptJob:
+    """An attempt to carry out.
+
+    ``start`` is the exact initial state and ``cells`` are the cells of its objects, both as plain data.
+    """
+
+    document: Path
+    contender: Contender
+    index: int
+    seed: int
+    start: Mapping[str, Any]
+    cells: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, document: Path, contender: Contender, start: RolloutStart) -> AttemptJob:
+        """Return the job for an initial state."""
+        cells = {name: list(cell) for name, cell in start.cells.items()}
+        return cls(document, contender, start.index, start.seed, state_to_json(start.state), cells)
+
+    @property
+    def rollout_start(self) -> RolloutStart:
+        """The initial state."""
+        cells = {name: (int(i), int(j)) for name, (i, j) in self.cells.items()}
+        return RolloutStart(self.index, self.seed, cells, state_from_json(self.start))
+
+
+def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
+    """Run a rollout, and if it succeeds, replay it in another process.
+
+    Errors are returned, because workers report exceptions without their type.
+    """
+    at_worker_exit(close)
+    try:
+        opened = _opened(job.document)
+        done = rollout(opened.task, job.rollout_start, opened.policy(job.contender), opened.world, opened.judge)
+        about = _about(job, done)
+        if not done.success:
+            return Attempt(about)
+        said = {"space": str(opened.policy(job.contender).action_space), "hz": done.action_hz}
+        reply = _verifier().call(f"{__name__}:replay", job, done.actions, said["space"], said["hz"])
+    except WorkerError as error:
+        return SimfoundryError(f"the process that replays attempt {job.index} {error.how}")
+    except SimfoundryError as error:
+        return error
+    if isinstance(reply, SimfoundryError):
+        return reply
+    digest, steps, arrays = reply
+    if (digest, steps) != (done.digest, done.steps):
+        reason = f"the replay reached {digest} after {steps} steps, but the rollout {done.digest} after {done.steps}"
+        return Attempt({**about, "success": False, "kept": False, "end": NOT_REPRODUCED, "reason": reason})
+    kept = {"kept": True, "action_space": said["space"], "action_hz": said["hz"], "initial": dict(job.start)}
+    return Attempt({**about, **kept}, {"actions": done.actions, **arrays})
+
+
+def _about(job: AttemptJob, done: Rollout) -> dict[str, Any]:
+    return {
+        "index": job.index,
+        "seed": job.seed,
+        "cells": dict(job.cells),
+        "start": job.rollout_start.digest,
+        "success": done.success,
+        "kept": False,
+        "end": str(done.end),
+        "reason": done.reason,
+        "steps": done.steps,
+        "subtasks": dict(done.subtasks),
+        "trajectory": done.digest,
+    }
+
+
+def replay(
+    job: AttemptJob, actions: Array, space: str, action_hz: float
+) -> tuple[str, int, dict[str, Array]] | SimfoundryError:
+    """Execute recorded actions.
+
+    Returns:
+        The digest of the trajectory, the number of control steps, and the states as arrays.
+    """
+    at_worker_exit(close)
+    try:
+        opened = _opened(job.document)
+        policy = ReplayPolicy(actions, ActionSpace.parse(space), "replay", action_hz)
+        done = rollout(opened.task, job.rollout_start, policy, opened.world, opened.judge, trace=True)
+        return done.digest, done.steps, state_arrays(done.trace)
+    except SimfoundryError as error:
+        return error
+
+
+def state_arrays(trace: tuple[tuple[SceneState, Mapping[str, RobotReading]], ...]) -> dict[str, Array]:
+    """Return states as arrays whose first axis is time, keyed like observations.
+
+    ``motions`` contains the poses of ball and free joints, and ``ROBOT/model`` the positions of all joints of a robot.
+    """
+    states = [state for state, _ in trace]
+    found: dict[str, Array] = {
+        "objects": np.array([[pose_numbers(pose) for pose in state.poses.values()] for state in states]),
+        "joints": np.array([list(state.joints.values()) for state in states], dtype=np.float64),
+        "motions": np.array([[pose_numbers(pose) for pose in state.motions.values()] for state in states]),
+    }
+    for name in trace[0][1]:
+        readings = [robots[name] for _, robots in trace]
+        found[f"{name}/joints"] = np.array([reading.joints for reading in readings])
+        found[f"{name}/gripper"] = np.array([[reading.gripper] for reading in readings])
+        found[f"{name}/hand"] = np.array([pose_numbers(reading.X_WH) for reading in readings])
+        found[f"{name}/model"] = np.array([list(state.robots[name].values()) for state in states])
+    return found
+
+
+class _Opened:
+    """A task with its world, its judge and the policy that acts in it."""
+
+    def __init__(self, document: Path) -> None:
+        self.task: Task = load_task(document, Cache.default())
+        self.world: World = open_world(self.task.scene, ENGINE)
+        self.judge = Judge(self.task.scene)
+        self._policy: tuple[str, Policy] | None = None
+
+    def policy(self, contender: Contender) -> Policy:
+        """Return the policy, which is created on first use."""
+        if self._policy is None or self._policy[0] != contender.text:
+            self._close_policy()
+            self._policy = contender.text, create_policy(contender.choice(), self.task, self.judge)
+        return self._policy[1]
+
+    def close(self) -> None:
+        """Close the policy and the world."""
+        self._close_policy()
+        self.world.close()
+
+    def _close_policy(self) -> None:
+        if self._policy is not None:
+            self._policy[1].close()
+        self._policy = None
+
+
+class _Process:
+    """What this process keeps between attempts: the task that is open, and the process that replays."""
+
+    opened: tuple[Path, _Opened] | None = None
+    verifier: Worker | None = None
+
+
+def _opened(document: Path) -> _Opened:
+    if _Process.opened is None or _Process.opened[0] != document:
+        _close_task()
+        _Process.opened = document, _Opened(document)
+    return _Process.opened[1]
+
+
+def _verifier() -> Worker:
+    """Return the process that replays what this process recorded."""
+    if _Process.verifier is None:
+        _Process.verifier = Worker(Limits.shared(SILENCE_S, 1))
+    return _Process.verifier
+
+
+def close() -> None:
+    """Close the policy, the world and the replaying process of this process."""
+    _close_task()
+    if _Process.verifier is not None:
+        _Process.verifier.close(GRACE_S)
+        _Process.verifier = None
+
+
+def _close_task() -> None:
+    if _Process.opened is not None:
+        _Process.opened[1].close()
+        _Process.opened = None
+
+
+def is_answered(attempt: Attempt) -> bool:
+    """Return True if the policy responded, even if the response was invalid."""
+    return bool(attempt.about["end"] != RolloutEnd.NO_ANSWER)
