@@ -36,11 +36,14 @@ from simfoundry.worlds.base import Image
 class TaskEnv(gymnasium.Env[Any, Any]):
     """An environment that terminates once its goal has held, and truncates the episode at the task's horizon.
 
-    The reward is 1 if the goal has held and 0 otherwise. ``info`` contains:
+    The reward is 1 if the goal has held and 0 otherwise. With ``reward="dense"``, it is the score of the goal in the
+    current state, from -1 to 1 (:meth:`simfoundry.predicates.Judge.score`), 1 if the goal has held, and -1 if the
+    simulation diverged. ``info`` contains:
 
     - ``success``: True if the goal has held
     - ``subtasks``: the step at which each sub-task was completed, counted from 1, or 0 if it was not completed
     - ``start``: the index of the initial state
+    - ``scores``: the scores of the sub-tasks, only with ``reward="dense"``
     - ``trouble``: the reason why the simulation diverged, or an empty string (divergence also truncates the episode)
 
     ``reset`` uses its seed to draw one of ``starts`` initial states. ``options={"start": k}`` selects initial state k
@@ -82,10 +85,13 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         images: Iterable[str] = (ImageKind.COLOR,),
         normalize: bool = False,
         flat: bool = False,
+        reward: str = "sparse",
     ) -> None:
         find_world(engine)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise SimfoundryError(f"unknown render mode `{render_mode}`; the only available mode is rgb_array")
+        if reward not in ("sparse", "dense"):
+            raise SimfoundryError(f"unknown reward `{reward}`; available: sparse, dense")
         check_rate(control_hz, "the environment")
         if flat and cameras:
             raise SimfoundryError("a flat observation cannot contain images; remove `cameras` or `flat`")
@@ -96,7 +102,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if normalize:
             self._space = replace(self._space, normalized=True)
         self._images, self._normalize, self._flat = image_kinds(images, "the environment"), normalize, flat
-        self._rate = control_hz
+        self._rate, self._is_dense = control_hz, reward == "dense"
         self._cache = Cache.default() if cache else None
         self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
         need_robots(self._whole)
@@ -153,7 +159,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if not self._trouble:
             self._state = now.world.state()
         cut = bool(self._trouble) or (not success and self._steps >= now.task.horizon)
-        return self._observation(), float(success), success, cut, self._info(success)
+        return self._observation(), self._reward(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
         """Render the camera, and return a uint8 array of shape (h, w, 3), or None if no render mode is set."""
@@ -195,9 +201,18 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             return spaces.Box(low, high, dtype=np.float32)
         return spaces.Dict({key: spaces.Box(low, high, dtype=low.dtype.type) for key, (low, high) in limits.items()})
 
+    def _reward(self, success: bool) -> float:
+        if not self._is_dense or success:
+            return float(success)
+        return -1.0 if self._trouble else self._now.judge.score(self._now.task.goal, self._state)
+
     def _info(self, success: bool) -> dict[str, Any]:
         subtasks = dict.fromkeys(self._whole.subtasks, 0) | {n: s or 0 for n, s in self._progress.subtasks.items()}
-        return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
+        info = {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
+        if self._is_dense:
+            scores = {n: self._now.judge.score(s.goal, self._state) for n, s in self._now.task.subtasks.items()}
+            info["scores"] = dict.fromkeys(self._whole.subtasks, 0.0) | scores
+        return info
 
     def _opened(self, step: str) -> _Opened:
         """Open the world for the whole task or for a single step.

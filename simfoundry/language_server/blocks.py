@@ -19,12 +19,16 @@ from simfoundry.language_server.scan import (
     unquoted,
     value_start,
 )
+from simfoundry.spec.yaml.nodes import MAX_DEPTH
 from simfoundry.spec.yaml.text import Path_
 
 # Size [characters] of the first part of a text that is searched upward; each further part is four times as large.
 _FIRST_PART = 2_000
 # Overlap [characters] of these parts; lines that are indented further than this are not found at their border.
 _OVERLAP = 300
+
+# Largest number of lines in brackets that may be indented less than the line with the bracket.
+_MAX_LINES = 500
 
 _HEAD = re.compile(
     r"""[ \t]*(?:
@@ -116,7 +120,7 @@ def heads_at(text: str, line: int) -> list[Head]:
     """Return the dashes and the key at the start of a line."""
     heads: list[Head] = []
     position = line
-    while (found := _HEAD.match(text, position)) is not None:
+    while len(heads) < MAX_DEPTH and (found := _HEAD.match(text, position)) is not None:
         if found["dash"]:
             start, end = found.span("dash")
             heads.append(Head(line, start - line, None, start, end, end))
@@ -164,9 +168,9 @@ def flow_top(text: str, line: int, offset: int) -> int:
 
     The content of brackets may be indented less than the line on which they open.
     """
-    top = line
-    while (before := _above(text, top, _SIGNIFICANT)) >= 0 and _continues(text, before, top):
-        top = before
+    top, steps = line, 0
+    while steps < _MAX_LINES and (before := _above(text, top, _SIGNIFICANT)) >= 0 and _continues(text, before, top):
+        top, steps = before, steps + 1
     if top == line:
         return -1
     heads = heads_at(text, top)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from lsprotocol import types
@@ -93,8 +94,6 @@ def _first_item(context: CompletionContext) -> Iterator[Offer]:
 
 
 def _as_item(cursor: Cursor) -> Cursor:
-    from dataclasses import replace
-
     return replace(cursor, path=(*cursor.path, 0), alone=False, lead="- ")
 
 
@@ -111,7 +110,8 @@ def _starters(context: CompletionContext) -> Iterator[Offer]:
         except (NewError, SimfoundryError, OSError):
             continue
         word = f"new {kind}"
-        yield Offer(word, types.CompletionItemKind.File, text, f"simfoundry: {kind}/1", group=0, whole=True)
+        said = f"simfoundry: {kind}/1"
+        yield Offer(word, types.CompletionItemKind.File, text, said, group=0, whole=True, has_places=False)
 
 
 def _kinds(context: CompletionContext) -> Iterator[Offer]:

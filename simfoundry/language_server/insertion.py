@@ -32,6 +32,7 @@ class Offer:
         group: Offers of a lower group are shown first; inside a group, the order is kept.
         typed: What the user types to find it, by default the label.
         whole: True if it replaces the whole token and not only the word at the cursor.
+        has_places: False if the text has no placeholders, whatever it contains.
     """
 
     label: str
@@ -42,6 +43,7 @@ class Offer:
     group: int = 1
     typed: str = ""
     whole: bool = False
+    has_places: bool = True
 
 
 def placeholder(number: int, options: Iterable[str]) -> str:
@@ -154,7 +156,7 @@ class Insertion:
         if start < cursor.start:
             lead = " " * cursor.indent + lead
         before = self.lines.text[start : cursor.offset]
-        has_places = _PLACEHOLDER.search(insert) is not None
+        has_places = offer.has_places and _PLACEHOLDER.search(insert) is not None
         detail = offer.detail if isinstance(offer.detail, str) else offer.detail()
         return types.CompletionItem(
             label=offer.label,

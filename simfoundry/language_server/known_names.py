@@ -18,6 +18,9 @@ from simfoundry.spec.models.joint import JointSpec
 from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.yaml.spelling import number
 
+# Names that can be valid; others could not be inserted as they are.
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+
 # Key that names the document in which a document looks up names, by the kind of the document.
 _SCENE = {"task": "scene", "cousins": "twin", "capture": "truth"}
 
@@ -70,7 +73,7 @@ class KnownNames:
         if name not in self._sections:
             home = self.home
             data = home.document.section(name) if home is not None and home.document is not None else {}
-            found = {key: value for key, value in data.items() if value is not None}
+            found = {key: value for key, value in data.items() if value is not None and _NAME.match(key)}
             if home is self.loaded and (home is None or home.source is None or home.source.text != self._text):
                 found = {**found, **dict.fromkeys(key for key in self._new(name) if key not in found)}
             self._sections[name] = found

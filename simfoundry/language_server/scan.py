@@ -50,6 +50,13 @@ class TokenPlace:
     opening: int = -1
 
 
+# Largest number of tokens that are read to find the cursor in brackets, which takes about 50 ms. Brackets that close
+# before the cursor count as one token.
+MAX_TOKENS = 20_000
+
+# Longest predicate [characters] that is put together from parts.
+_MAX_JOINED = 1_000
+
 # Longest distance [characters] behind the cursor that is searched for other keys in the same braces.
 REACH = 20_000
 
@@ -68,6 +75,11 @@ _FLOW = re.compile(
     | (?P<plain>{_FLOW_PLAIN}) | (?P<colon>:) | (?P<other>.)
     """,
     re.VERBOSE,
+)
+# Brackets without comments that hold at most two levels of others.
+_SIMPLE = r"""[^\[\]{}"'#] | "[^"\\\n]*" | '[^'\n]*'"""
+_COMPLETE = re.compile(
+    rf"[\[{{](?: {_SIMPLE} | [\[{{](?: {_SIMPLE} | [\[{{](?: {_SIMPLE} )*[\]}}] )*[\]}}] )*[\]}}]", re.VERBOSE
 )
 # Next part of an unquoted text that is split at a comma inside parentheses; behind a key, only if it is not a key.
 _NEXT_PART = re.compile(rf"\s*,\s*(?P<part>{_FLOW_PLAIN})(?P<colon>\s*:(?=[\s{_INDICATOR}]|\Z))?", re.VERBOSE)
@@ -129,7 +141,7 @@ def find_in_value(text: str, start: int, offset: int, indent: int) -> TokenPlace
         end = _block_end(text, header.end(), indent)
         return TokenPlace(Slot.VALUE, (), start, end, "block") if offset <= end else None
     end = _plain_end(text, start, indent)
-    goes_on = _is_open(text[start:end]) or text[start:end].endswith(_OPERATORS)
+    goes_on = _depth(text[start:end]) > 0 or text[start:end].endswith(_OPERATORS)
     if offset > end and goes_on and not text[end:offset].strip(" \t"):
         end = offset
     style: Style = "alias" if char == "*" else "plain"
@@ -191,9 +203,9 @@ def _block_end(text: str, position: int, indent: int) -> int:
     return position
 
 
-def _is_open(text: str) -> bool:
-    """Return True if an unquoted text has an unclosed parenthesis."""
-    return text.count("(") > text.count(")")
+def _depth(text: str) -> int:
+    """Return the number of parentheses that are open at the end of an unquoted text."""
+    return text.count("(") - text.count(")")
 
 
 @dataclass
@@ -229,10 +241,15 @@ class _Flow:
     position: int
     stack: list[_Bracket] = field(default_factory=list)
 
-    def tokens(self) -> Iterator[tuple[str, int, int]]:
-        """Yield the kind, start and end of each token except spaces. The caller passes each one to :meth:`read`."""
+    def tokens(self, offset: int) -> Iterator[tuple[str, int, int]]:
+        """Yield the kind, start and end of each token except spaces. The caller passes each one to :meth:`read`.
+
+        Inner brackets that close before ``offset`` are a single token of the kind ``complete``.
+        """
         while (found := _FLOW.match(self.text, self.position)) is not None:
             kind, (start, end) = str(found.lastgroup), found.span()
+            if kind == "open" and self.stack and (whole := _COMPLETE.match(self.text, start, offset)) is not None:
+                kind, end = "complete", whole.end()
             if kind == "quote":
                 kind, end = "quoted", quoted_end(self.text, start)
             elif kind == "plain" and self.expects_value:
@@ -259,6 +276,8 @@ class _Flow:
             return
         elif kind == "comma":
             top.next()
+        elif kind == "complete":
+            top.state = "done"
         elif kind == "colon" and not top.in_list:
             top.state = "value"
         elif kind in ("plain", "quoted", "alias"):
@@ -269,14 +288,16 @@ class _Flow:
 
     def _joined(self, start: int, end: int) -> int:
         """Return the end of an unquoted text that YAML splits at commas, as in ``[OnTop(cup, desk)]``."""
-        while _is_open(self.text[start:end]):
-            part = _NEXT_PART.match(self.text, end)
+        depth, limit = _depth(self.text[start:end]), start + _MAX_JOINED
+        while depth > 0 and end < limit:
+            part = _NEXT_PART.match(self.text, end, limit)
             if part is None:
                 rest = _OPEN_END.match(self.text, end)
                 return rest.end() if rest is not None else end
             if part["colon"] and not self.stack[-1].in_list:
                 return end
             end = part.end("part")
+            depth += _depth(part["part"])
         return end
 
 
@@ -286,10 +307,12 @@ def _in_flow(text: str, start: int, offset: int) -> TokenPlace | None:
         return TokenPlace(Slot.NONE, (), offset, offset)
     flow = _Flow(text, start)
     last = (start, start)  # the token before the cursor, which goes on behind an operator
-    for kind, first, end in flow.tokens():
+    for count, (kind, first, end) in enumerate(flow.tokens(offset)):
         scalar = kind in ("plain", "quoted", "alias")
         if offset < first or (offset == first and not scalar):
             break
+        if count > MAX_TOKENS:
+            return TokenPlace(Slot.NONE, (), offset, offset)
         if offset <= end and scalar:
             style: Style = "alias" if kind == "alias" else "quoted" if kind == "quoted" else "plain"
             return _found(flow, first, end, style)
@@ -328,10 +351,10 @@ def flow_keys(text: str, opening: int, cursor: int) -> Iterator[tuple[str, int]]
     flow = _Flow(text, opening)
     line = text.rfind("\n", 0, opening) + 1
     indent = opening - line - len(text[line:opening].lstrip(" "))
-    for kind, start, end in flow.tokens():
+    for count, (kind, start, end) in enumerate(flow.tokens(cursor)):
         before = text.rfind("\n", 0, start) + 1
         outside = start > cursor and before > opening and start - before <= indent and kind in ("plain", "quoted")
-        if start > cursor + REACH or (outside and not text[before:start].strip()):
+        if count > MAX_TOKENS or start > cursor + REACH or (outside and not text[before:start].strip()):
             return
         depth = len(flow.stack)
         key = depth == 1 and flow.stack[0].state == "start" and kind in ("plain", "quoted")

@@ -1,7 +1,7 @@
 """The server: it receives what the editor tells and asks, and passes it on to the modules beside it.
 
-Messages are handled on one thread, and documents are checked on another. A check consists of two parts, the structure
-and the geometry, and stops in between if the editor has sent a newer text.
+Messages are handled on one thread, documents are checked on another, and names are looked up on a third. A check
+consists of two parts, the structure and the geometry, and stops if the editor has sent a newer text.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ class Server(LanguageServer):
         self._queue: dict[Path, bool] = {}  # documents to check, and whether their text has changed
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
+        self._names_worker = ThreadPoolExecutor(1, "names")
         self.checked: list[Callable[[Analysis], None]] = []  # called with each finished check
         self.closed: list[Callable[[str, Path], None]] = []  # called with each document that the editor has closed
 
@@ -72,6 +73,10 @@ class Server(LanguageServer):
         """Log an error. Editors interrupt the user with messages that are shown instead."""
         kind = types.MessageType.Warning if is_fault_of_client(error, source) else types.MessageType.Error
         self.window_log_message(types.LogMessageParams(kind, f"{type(error).__name__}: {error}"))
+
+    async def look_up(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Run a function on the thread that looks up names, which does not wait for documents to be checked."""
+        return await asyncio.get_running_loop().run_in_executor(self._names_worker, partial(function, *args, **kwargs))
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a function on the thread that checks documents, after what is already waiting there."""
@@ -141,7 +146,7 @@ class Server(LanguageServer):
         for listener in self.checked:
             listener(analysis)
         if changed:
-            self.check_dependents(path, await self.run(self.documents.dependents, path))
+            self.check_dependents(path, await self.look_up(self.documents.dependents, path))
 
     def check_dependents(self, path: Path, dependents: Collection[Path]) -> None:
         """Check the documents that depend on one that has changed: those that are open first, then a few others."""
@@ -230,7 +235,7 @@ def _add_synchronization(server: Server) -> None:
         documents.texts.forget()
         documents.rescan()
         path = path_of(params.text_document.uri)
-        ls.check_dependents(path, await ls.run(documents.dependents, path))
+        ls.check_dependents(path, await ls.look_up(documents.dependents, path))
 
     @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
     async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
@@ -239,13 +244,13 @@ def _add_synchronization(server: Server) -> None:
             return
         for listener in ls.closed:
             listener(buffer.uri, buffer.path)
-        dependents = await ls.run(documents.dependents, buffer.path)
+        dependents = await ls.look_up(documents.dependents, buffer.path)
         if documents.buffer_of(buffer.path) is not None:
             return  # it was opened again
         ls.withdraw(buffer.path)
         concerned = {each.path for each in documents.buffers.values()}
         for path in tuple(concerned):
-            concerned |= await ls.run(documents.dependents, path)
+            concerned |= await ls.look_up(documents.dependents, path)
         concerned |= {each.path for each in documents.buffers.values()}  # those that were opened meanwhile
         for path in documents.analyzed_files() - concerned:
             ls.withdraw(path)
@@ -294,7 +299,7 @@ def _add_navigation(server: Server) -> None:
         buffer = documents.buffers.get(params.text_document.uri)
         if buffer is None:
             return None
-        names = await server.run(documents.names, buffer.path)
+        names = await server.look_up(documents.names, buffer.path)
         return names, buffer.path, buffer.lines.offset(params.position)
 
     @server.feature(types.TEXT_DOCUMENT_DEFINITION)
@@ -327,14 +332,14 @@ def _add_navigation(server: Server) -> None:
             return None
         project, offset = documents.project(buffer.path), buffer.lines.offset(params.position)
         try:
-            edits = await server.run(project.rename, buffer.path, offset, params.new_name)
+            edits = await server.look_up(project.rename, buffer.path, offset, params.new_name)
         except RenameError as error:
             raise RequestFailedError(str(error)) from None
         return navigation.workspace_edit(edits, documents)
 
     @server.feature(types.WORKSPACE_SYMBOL)
     async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
-        projects = [await server.run(documents.names, folder) for folder in documents.folders()]
+        projects = [await server.look_up(documents.names, folder) for folder in documents.folders()]
         return navigation.project_symbols(projects, params.query, documents.location)
 
 

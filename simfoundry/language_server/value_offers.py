@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
@@ -88,7 +89,8 @@ def value_offers(context: CompletionContext) -> Iterator[Offer]:
         for robot in snippets.robots():
             yield Offer(robot["label"], _KIND.Module, text=robot["description"])
     elif key in REFERENCES and str in kinds and not (key == "joints" and not is_item):
-        yield from map(_name_offer, _references(context, key))
+        for known in _references(context, key):
+            yield _spelled(context, _name_offer(known))
     elif key == "engines":
         yield from (Offer(name, _KIND.EnumMember) for name in import_module("simfoundry.worlds").world_names())
     yield from _choices(kinds)
@@ -104,12 +106,10 @@ def _matches(pattern: tuple[str, ...], path: Path_) -> bool:
 
 
 def _spelled(context: CompletionContext, offer: Offer) -> Offer:
-    """Return an offer with quotes, if YAML readers need them and the token has none."""
-    if context.cursor.style == "quoted":
-        return offer
+    """Return an offer of a text, with quotes if YAML readers need them and the token has none."""
     where: Where = "item" if context.cursor.in_flow else "block"
-    text = string(offer.label, where)
-    return Offer(offer.label, offer.kind, text, offer.detail, offer.text, offer.group, offer.typed, offer.whole)
+    text = offer.label if context.cursor.style == "quoted" else string(offer.label, where)
+    return replace(offer, insert=text, has_places=False)
 
 
 # -- choices ----------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
-from simfoundry.spec.yaml.text import read
+from simfoundry.spec.yaml.text import read_text
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Workspace:
         if buffer is not None:
             return buffer.lines
         try:
-            return Lines(read(path).text, self.encoding)
+            return Lines(read_text(path), self.encoding)
         except YamlError:
             return None
 
@@ -155,7 +155,7 @@ class Workspace:
     # -- names ------------------------------------------------------------------------------------------------------
 
     def names(self, path: Path) -> ProjectNames:
-        """Return the names of the project that contains a document. Called on the thread that checks documents."""
+        """Return the names of the project that contains a document. Called on the thread that looks up names."""
         return self.project(path).names()
 
     def project(self, path: Path) -> ProjectIndex:

@@ -79,7 +79,8 @@ def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
         if closed:
             margin = np.where(margin == 0, np.nextafter(0.0, 1.0), -margin)  # the threshold itself counts as closed
         name = f"{joints.owner}.{joint.name}"
-        terms.require(share, margin, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range")  # type: ignore[misc]
+        # Half of the range, so that drawers and doors have the same scores.
+        terms.require(share, margin, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range", reach / 2)  # type: ignore[misc]
 
 
 OPEN = Predicate(

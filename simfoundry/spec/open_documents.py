@@ -29,7 +29,7 @@ class OpenDocuments:
     """The texts that an editor shows in place of files, and the documents that were loaded with them.
 
     A document is kept until a file that it was read from changes, in the editor or on disk. Documents with errors are
-    not kept, because files may be missing that are created later. One thread may edit texts while another one loads.
+    not kept, because files may be missing that are created later. Other threads may edit and read texts meanwhile.
     """
 
     def __init__(self) -> None:
@@ -38,9 +38,8 @@ class OpenDocuments:
         self._is_outdated = False
         self._known: dict[Path, Known] = {}  # by the folder of the project
         self._read: dict[str, Stamp] = {}  # state in which each file was last read
-        self._stamps: dict[
-            int, dict[str, Stamp]
-        ] = {}  # states of each kept document's files, by the document's identity
+        # States of the files of each document that is kept, by the identity of the document.
+        self._stamps: dict[int, dict[str, Stamp]] = {}
 
     def edit(self, path: Path, text: str | None) -> None:
         """Use ``text`` in place of the content of a file, or the file itself if ``text`` is None."""
@@ -59,8 +58,12 @@ class OpenDocuments:
         """
         file = os.path.realpath(path)
         shown = self._texts.get(file)
-        self._read[file] = self.stamp(path)
         return read(path) if shown is None else parse(shown.text, str(path))
+
+    def _noted(self, path: Path) -> Document:
+        """Read the text of a file, and note its state before, so that a change meanwhile is noticed."""
+        self._read[os.path.realpath(path)] = self.stamp(path)
+        return self.read(path)
 
     @property
     def files(self) -> frozenset[str]:
@@ -83,7 +86,7 @@ class OpenDocuments:
             kept = known.get((file, kind))
             if kept is not None and kept.path == path:
                 return kept
-        loaded = load(path, root, known, reader=self.read)
+        loaded = load(path, root, known, reader=self._noted)
         if loaded.spec is not None:
             known[file, str(getattr(loaded.spec, "simfoundry"))] = loaded  # noqa: B009
         self._keep()

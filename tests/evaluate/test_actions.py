@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -26,7 +26,9 @@ from simfoundry.evaluate.rollouts.control import FARTHEST, HAND_AHEAD, Execution
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.predicates import Judge
 from simfoundry.render.gl import Engine, choose_engine
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.signals import ACTIONS, ActionKind, ActionSpace, ImageKind, RotationForm
 from simfoundry.worlds.base import World, instances
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -171,6 +173,16 @@ def test_a_pose_out_of_reach_is_approached_and_a_delta_does_not_wind_up(world: M
     for _ in range(6):
         list(execution.act(np.array([0, 0, 0.05, 0, 0, 0, 0.0] * 2)))
     assert hands(world)[0].p[2] > down.p[2] + HAND_AHEAD
+
+
+def test_the_score_of_a_grasp_grows_as_the_hand_comes_near(cell: Task, world: MujocoWorld) -> None:
+    state, judge, X_WH = world.state(), Judge(cell.scene), hands(world)[0]
+    scores = []
+    for away in np.linspace(1.0, 0.1, 10):
+        pose = Pose.of(X_WH.p + away * np.array([0.3, -0.2, 0.5]))
+        near = SceneState.of({**state.poses, "cube": pose}, state.joints, state.motions, state.robots)
+        scores.append(judge.score("Grasped(cube, left)", near))
+    assert all(-1 < a < b < 0 for a, b in pairwise(scores))
 
 
 def test_joint_deltas_add_up(world: MujocoWorld) -> None:

@@ -69,6 +69,27 @@ def test_an_episode_ends_with_the_goal_or_at_the_horizon(env: TaskEnv) -> None:
     assert info == {"success": False, "subtasks": {"touch": 0, "away": 0}, "start": 1, "trouble": ""}
 
 
+def test_a_dense_reward_grows_as_the_block_moves_and_ends_with_one(push: Task) -> None:
+    dense = TaskEnv(push, starts=1, cache=False, reward="dense")
+    _, info = dense.reset(options={"start": 0})
+    assert info["scores"].keys() == {"touch", "away"} and info["scores"]["touch"] < 0
+    observation, _ = dense.reset(options={"start": 0})
+    (x, y, *_), rewards, at = observation["objects"][1], [], []
+    for k in range(60):
+        action = np.array([np.arctan2(y, x), min(0.008 * max(0, k - 5), 0.205), 0.0])
+        observation, reward, terminated, *_ = dense.step(action)
+        rewards.append(reward)
+        at.append(float(np.hypot(observation["objects"][1][0] - 0.45, observation["objects"][1][1])))
+        if terminated:
+            break
+    assert terminated and rewards[-1] == 1.0 and rewards[0] < -0.4
+    order = np.argsort(at[:-1])  # the nearer the block, the greater the reward
+    assert (np.diff(np.array(rewards[:-1])[order]) <= 1e-6).all()
+    dense.close()
+    with pytest.raises(SimfoundryError, match="unknown reward `shaped`; available: sparse, dense"):
+        TaskEnv(push, reward="shaped")
+
+
 def test_resets_are_the_starts_of_rollouts_and_repeat(env: TaskEnv, push_starts: tuple[RolloutStart, ...]) -> None:
     for k in (2, 0):
         observation, info = env.reset(options={"start": k})

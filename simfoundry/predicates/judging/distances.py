@@ -44,20 +44,21 @@ class Distances:
         The distance is negative if they overlap, and inf if either entity has no colliders. Distances below :data:`FAR`
         are exact; larger distances are returned as values between :data:`FAR` and the true distance. For more than
         :data:`FEW` states with a ``threshold`` [m], only the comparison with the threshold is exact: values below it
-        are upper bounds, and values above it are lower bounds.
+        are upper bounds, and values above it are lower bounds. In an exact view, all distances are exact.
         """
-        limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
+        far = np.inf if view.exact else FAR
+        limit = threshold if threshold is not None and self._is_bounded(view) else None
         balls, lowers = _balls_apart(view, a, b)
-        beyond = (lowers >= FAR).all(axis=0)
+        beyond = (lowers >= far).all(axis=0)
         out: Array = lowers[:, beyond].min(axis=1, initial=np.inf)
         for row, column in np.argwhere(~beyond).tolist():
             (i, one), (j, other) = balls[0].links[row], balls[1].links[column]
             X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
             lower = lowers[:, row, column]
-            some = np.flatnonzero(lower < np.minimum(out, FAR))
+            some = np.flatnonzero(lower < np.minimum(out, far))
             if len(some):
                 lower[some] = np.maximum(lower[some], ball_bound(X_WA.at(some), one, X_WB.at(some), other))
-            cut = FAR if limit is None else float(np.nextafter(limit, np.inf))
+            cut = far if limit is None else float(np.nextafter(limit, np.inf))
             close = np.flatnonzero((lower < np.minimum(out, cut)) & (out > (-np.inf if limit is None else limit)))
             out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
             if len(close):
@@ -68,6 +69,10 @@ class Distances:
                     found = self._decided(pair, limit)
                 out[close] = np.minimum(out[close], found)
         return np.asarray(out)
+
+    def _is_bounded(self, view: View) -> bool:
+        """Return True if bounds are sufficient in a view."""
+        return not view.exact and (view.n > FEW or self._bounds_first)
 
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
         """Return the distance from ``b`` to ``a``, and the cosine between the push of ``b`` and the vertical.
@@ -80,7 +85,7 @@ class Distances:
         Returns:
             The distance [m] and the cosine, shape (n,) each.
         """
-        many = view.n > FEW or self._bounds_first
+        many = self._is_bounded(view)
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
         cosine = np.full(view.n, -1.0)
         pushes: list[tuple[Index, Array, Array]] = []
@@ -93,7 +98,7 @@ class Distances:
             if not len(close):
                 continue
             pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-            apart, up, open_ = distance.bound_support(pair, limit, steepest, self._bounds_first)
+            apart, up, open_ = distance.bound_support(pair, limit, steepest, self._bounds_first and many)
             if not many:
                 open_ = np.arange(len(close))
             if len(open_):

@@ -88,9 +88,9 @@ def _carrier(body: CollisionBody, gripper: Gripper) -> int:
 def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Entity) -> Array:
     """Return the margin [m] by which any of the hands holds an object, as an array of shape (n,).
 
-    The margin is at least -:data:`FAR`.
+    The margin is at least -:data:`FAR`, except in an exact view.
     """
-    best = np.full(view.n, -FAR)
+    best = np.full(view.n, -np.inf if view.exact else -FAR)
     for hand in hands:
         margin = TOUCH - np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
         near = np.flatnonzero(margin > 0)

@@ -14,7 +14,7 @@ from simfoundry.geometry.frames import Array, Index
 from simfoundry.predicates.judging.bodies import Bodies, Entity, PredicateError
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.fingers import Fingers, fingers, grip_margin
-from simfoundry.predicates.judging.thresholds import SETTLED
+from simfoundry.predicates.judging.thresholds import SCORE_SCALES, SCORE_SPEED, SETTLED
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Scene
@@ -54,12 +54,13 @@ class Context:
 class Term(NamedTuple):
     """A quantity that contributes to the decision, with its ``value`` and its ``margin`` in n states.
 
-    Both are NaN in states in which an earlier term was decisive.
+    Both are NaN in states in which an earlier term was decisive. The score is one half at the margin ``scale``.
     """
 
     value: Array
     margin: Array
     explain: Explain
+    scale: float
 
     def text(self, k: int) -> str:
         """Return the explanation of the term in the k-th state."""
@@ -67,17 +68,40 @@ class Term(NamedTuple):
 
 
 class Terms:
-    """The terms of one predicate for the states in ``view``, in the order in which the predicate's rule adds them."""
+    """The terms of one predicate for the states in ``view``, in the order in which the predicate's rule adds them.
 
-    def __init__(self, context: Context, view: View) -> None:
-        self.context, self.view = context, view
+    For scores, ``scale`` is the predicate's scale, and ``for_score`` is True: terms that require rest then do not
+    prevent later terms from being measured, so that an object on its way has a distance from its goal.
+    """
+
+    def __init__(self, context: Context, view: View, scale: float = 1.0, for_score: bool = False) -> None:
+        self.context, self.view, self._scale, self._for_score = context, view, scale, for_score
         self.terms: list[Term] = []
         self.margin: Array = np.full(view.n, np.inf)
+        self._open: Array = np.full(view.n, np.inf)  # positive where later terms are measured
 
-    def require(self, value: Array, margin: Array, explain: Explain) -> None:
-        """Add a term whose value is known in every state."""
-        self.terms.append(Term(value, margin, explain))
+    @property
+    def score(self) -> Array:
+        """The scores of the states, shape (n,)."""
+        known = [score_of(np.where(np.isnan(t.margin), np.inf, t.margin), t.scale) for t in self.terms]
+        return np.asarray(np.min([*known, np.ones(self.view.n)], axis=0))
+
+    def require(
+        self, value: Array, margin: Array, explain: Explain, scale: float | None = None, is_decisive: bool = True
+    ) -> None:
+        """Add a term whose value is known in every state.
+
+        Args:
+            value: The values.
+            margin: The margins, which are positive where the term is satisfied.
+            explain: A function that explains a value.
+            scale: The margin at which the score of the term is one half. By default, that of the predicate.
+            is_decisive: If False, later terms are measured for scores even where this term is not satisfied.
+        """
+        self.terms.append(Term(value, margin, explain, self._scale if scale is None else scale))
         self.margin = np.minimum(self.margin, margin)
+        if is_decisive or not self._for_score:
+            self._open = np.minimum(self._open, margin)
 
     def require_if_open(
         self, measure: Callable[[View], Array], margin: Callable[[Array], Array], explain: Explain
@@ -87,17 +111,24 @@ class Terms:
         ``measure`` returns the values in these states, and ``margin`` converts values to margins.
         """
         value, margins = np.full(self.view.n, np.nan), np.full(self.view.n, np.nan)
-        left = np.flatnonzero(self.margin > 0)
+        left = np.flatnonzero(self._open > 0)
         if len(left):
             value[left] = measure(self.view if len(left) == self.view.n else self.view.at(left))
             margins[left] = margin(value[left])
             self.margin[left] = np.minimum(self.margin[left], margins[left])
-        self.terms.append(Term(value, margins, explain))
+            self._open[left] = np.minimum(self._open[left], margins[left])
+        self.terms.append(Term(value, margins, explain, self._scale))
 
     def require_at_rest(self, a: Entity) -> None:
         """Require that the object to which ``a`` belongs does not move faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
-        self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
+        self.require(
+            speed,
+            SETTLED - speed,
+            lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s",
+            scale=SCORE_SPEED,
+            is_decisive=False,
+        )
 
     def require_not_held(self, a: Entity) -> None:
         """Require that no gripper holds ``a``."""
@@ -119,6 +150,13 @@ class Terms:
         known = [term for term in self.terms if not np.isnan(term.margin[k])]
         failed = [term for term in known if not term.margin[k] > 0]
         return "; ".join(text for term in failed or known if (text := term.text(k)))
+
+
+def score_of(margin: Array, scale: float) -> Array:
+    """Map margins to scores between -1 and 1, which increase strictly and are one half at the margin ``scale``."""
+    size = np.abs(margin)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(np.isinf(margin), np.sign(margin), margin / (size + scale)))
 
 
 # Number of states evaluated at once, chosen so that their arrays fit in the processor's cache.
@@ -151,14 +189,37 @@ class Judge:
         self.scene = scene
         self._context = Context(Bodies(scene), bounds_first)
         self._calls: dict[str, tuple[str, Callable[..., None], list[Any]]] = {}
-        self._single: tuple[SceneState, View] | None = None
+        self._singles: dict[bool, tuple[SceneState, View]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
         """Evaluate a condition in a single state."""
-        if self._single is None or self._single[0] is not state:  # conditions often follow on the same state
-            self._single = state, View(self._context.bodies, StateBatch.of(self.scene, [state]))
-        value, margin, why = self._judged(condition, self._single[1])
+        value, margin, why = self._judged(condition, self._view_of(state))
         return Verdict(bool(value[0]), float(margin[0]), why(0))
+
+    def _view_of(self, state: SceneState, exact: bool = False) -> View:
+        known = self._singles.get(exact)
+        if known is None or known[0] is not state:  # conditions often follow on the same state
+            known = state, View(self._context.bodies, StateBatch.of(self.scene, [state]), exact)
+            self._singles[exact] = known
+        return known[1]
+
+    def score(self, condition: Any, state: SceneState) -> float:
+        """Return how well a condition holds in a single state, from -1 to 1. It holds where the score is positive.
+
+        The score of a predicate is the smallest score of its terms. A term with the margin m has the score m / (|m| +
+        s), where s is the scale of the term. The score of ``all`` is the smallest score of its parts, that of ``any``
+        the largest, and ``not`` negates the score.
+        """
+        tag, below = parts(condition)
+        if tag == "text":
+            view = self._view_of(state, exact=True)
+            call = parse_call(condition)
+            scale = call.declaration.scale or SCORE_SCALES.get(call.declaration.unit, 1.0)
+            return float(self._terms(condition, Terms(self._context, view, scale, for_score=True)).score[0])
+        if not below:
+            return self(condition, state).margin  # raises the error for an empty condition
+        scores = [self.score(one, state) for one in below]
+        return -scores[0] if tag == "not" else min(scores) if tag == "all" else max(scores)
 
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
         """Return the values and margins of a condition in n states, as arrays of shape (n,)."""
@@ -218,6 +279,16 @@ class Judge:
                 raise PredicateError(f"`{call}` refers to the same object twice")
         return found
 
+    def _terms(self, condition: str, terms: Terms) -> Terms:
+        """Add the terms of a predicate that is applied to arguments."""
+        if condition not in self._calls:
+            call = parse_call(condition)
+            self._calls[condition] = call.predicate, call.declaration.rule, self._arguments(call)
+        name, rule, arguments = self._calls[condition]
+        with PREDICATES.running(name):
+            rule(terms, *arguments)
+        return terms
+
     def _judged(self, condition: Any, view: View) -> _Judged:
         tag, below = parts(condition)
         known = condition.keys() == {tag} if isinstance(condition, dict) else isinstance(condition, str | Model)
@@ -225,13 +296,8 @@ class Judge:
             kinds = "a predicate, such as `OnTop(cup, desk)`, or a mapping with one of the keys `all`, `any` and `not`"
             raise PredicateError(f"`{condition}` is not a condition; write {kinds}")
         if tag == "text":
-            terms = Terms(self._context, view)
-            if condition not in self._calls:
-                call = parse_call(condition)
-                self._calls[condition] = call.predicate, call.declaration.rule, self._arguments(call)
-            name, rule, arguments = self._calls[condition]
-            with PREDICATES.running(name):
-                rule(terms, *arguments)
+            terms = self._terms(condition, Terms(self._context, view))
+            name = self._calls[condition][0]
             return _Judged(terms.margin > 0, terms.margin, lambda k: PREDICATES.running(name)(terms.explanation)(k))
         if not below:
             always = "true" if tag == "all" else "false"

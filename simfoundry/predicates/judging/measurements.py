@@ -129,7 +129,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
         gap = np.linalg.norm(X_WA.p + X_WA.R @ center - middle, axis=1) - radius - hole.size
         out = np.minimum(out, gap)
     out = -out
-    near = np.flatnonzero(out >= 0)
+    near = np.arange(view.n) if view.exact else np.flatnonzero(out >= 0)
     if len(near):
         counts = _counts(view, a)
         depths = []

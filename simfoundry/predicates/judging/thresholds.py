@@ -12,6 +12,14 @@ TOUCH = 0.001
 # Maximum speed [m/s] of an object at rest; contact jitter in the simulators stays below it.
 SETTLED = 0.01
 
+# Margins at which a score is one half, by the unit of the margin. Tasks on a table move objects by a few decimeters and
+# turn them by up to 90 deg, so scores between -1 and 1 remain distinguishable over the whole motion.
+SCORE_SCALES = {"m": 0.1, "deg": 30.0, "m or rad": 0.1}
+
+# Excess speed [m/s] at which the score of an object at rest is minus one half. Arms move objects at up to 0.4 m/s,
+# which therefore costs as much as a distance of 4 cm, so that the distance decides on most of the way.
+SCORE_SPEED = 1.0
+
 # Distance [m] beyond which an object supports another one only if no closer object does. For example, a plank over
 # three blocks rests on only two of them if the third is too low. Resting objects penetrate each other slightly in
 # simulators, and placement leaves a gap of 0.1 mm.

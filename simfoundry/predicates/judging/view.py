@@ -124,10 +124,13 @@ class Balls(NamedTuple):
 
 
 class View:
-    """A view of ``n`` states of the bodies in a scene."""
+    """A view of ``n`` states of the bodies in a scene.
 
-    def __init__(self, bodies: Bodies, batch: StateBatch) -> None:
-        self.bodies, self.batch, self.n = bodies, batch, batch.n
+    If ``exact`` is set, large distances are measured too, instead of being bounded.
+    """
+
+    def __init__(self, bodies: Bodies, batch: StateBatch, exact: bool = False) -> None:
+        self.bodies, self.batch, self.n, self.exact = bodies, batch, batch.n, exact
         self._links: dict[tuple[str, int], Poses] = {}
         self._boxes: dict[Entity, Boxes] = {}
         self._heights: dict[Entity, tuple[Array, Array]] = {}
@@ -135,7 +138,7 @@ class View:
 
     def at(self, index: Index) -> View:
         """Return a view of the selected states."""
-        view = View(self.bodies, self.batch.at(index))
+        view = View(self.bodies, self.batch.at(index), self.exact)
         view._links = {key: poses.at(index) for key, poses in self._links.items()}
         return view
 

@@ -62,6 +62,8 @@ class Predicate:
             must be imported inside the function.
         definition: Exact condition under which the predicate is true, including thresholds.
         unit: Unit of the margin.
+        scale: Margin at which the score is one half, in the unit of the margin. By default, it depends on the unit; see
+            :data:`simfoundry.predicates.judging.thresholds.SCORE_SCALES`.
         optional: Number of trailing arguments that may be omitted.
         effect: Change that a robot must make for the predicate to become true.
         aliases: Names of the predicate in other formats.
@@ -83,6 +85,7 @@ class Predicate:
     robot_first: tuple[str, ...] = ()
     before_motion: bool | None = None
     contact: bool = False
+    scale: float | None = None
 
     @property
     def counts(self) -> str:

@@ -149,7 +149,16 @@ Read = Callable[[Path], Document]
 
 
 def read(path: Path) -> Document:
-    """Read a file.
+    """Read and parse a file.
+
+    Raises:
+        YamlError: If the file could not be read; the error contains the position.
+    """
+    return parse(read_text(path), str(path))
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
 
     Raises:
         YamlError: If the file could not be read; the error contains the position.
@@ -161,7 +170,7 @@ def read(path: Path) -> Document:
         if size > MAX_BYTES:
             raise YamlError("SF005", f"the file is {size / 2**20:.0f} MiB; the limit is {MAX_BYTES // 2**20} MiB")
         data = path.read_bytes()
-        text = data.decode("utf-8")
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
         place = _position(data[: error.start].decode("utf-8"))
         message = f"the byte 0x{data[error.start]:02x} is not valid UTF-8"
@@ -171,7 +180,6 @@ def read(path: Path) -> Document:
             hint = "make one of the links point to a file, or remove them"
             raise YamlError("SF001", "the file could not be read: its symbolic links form a cycle", hint=hint) from None
         raise YamlError("SF001", f"the file could not be read: {error.strerror or error}") from None
-    return parse(text, str(path))
 
 
 def _position(before: str) -> tuple[int, int]:
