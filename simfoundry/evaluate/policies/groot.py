@@ -299,9 +299,8 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
         PolicyError: If an input is not provided.
     """
     if spec.space.of_hand:
-        raise PolicyError(
-            f"`action_space: {spec.action_space}` is not supported; this client executes {', '.join(ACTION)}"
-        )
+        known = " and ".join(ACTION)
+        raise PolicyError(f"`action_space: {spec.action_space}` is not supported; this client executes {known}")
     for key in takes["video"].keys:
         if key not in spec.cameras:
             raise PolicyError(f"the server needs the image `{key}`, which is missing from `cameras` in {spec.name}")
