@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 @click.option("--no-gallery", is_flag=True, help="Do not write the gallery page.")
 @click.option("--vlm", default="", metavar="MODEL", help="Model to use for recipes that require one.")
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
+@click.option("--split", default="", metavar="NAME", help="Draw the values of `vary` only from this split.")
 def cousins_command(
     recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
     shard: tuple[int, int] | None, where: str, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
-    force: bool, as_json: bool,
+    split: str, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
 
@@ -55,8 +56,8 @@ def cousins_command(
     from simfoundry.reports.gallery import write_gallery
 
     output.protect_output(stage, [recipe], force)
-    read, folder = _read(recipe, seed, out)
-    setup = recipe.absolute(), folder, read.seed, vlm
+    read, folder = _read(recipe, seed, out, split)
+    setup = recipe.absolute(), folder, read.seed, vlm, split
     with output.progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
@@ -71,7 +72,7 @@ def cousins_command(
                 click.echo(f"impossible: {reason.text}", err=True)
             return output.FINDINGS
         made = counts(read.spec.object, folder / ASSETS / "objects")
-        plan = replace(plan, most=sampler.pool.most, variants=made)
+        plan = replace(plan, most=sampler.pool.most, variants=made, varied=read.varied_summary)
 
         def report(ledger: Ledger) -> None:
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
@@ -87,16 +88,16 @@ def cousins_command(
     return _report_run(plan, ledger, read.remarks, as_json)
 
 
-def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
+def _read(recipe: Path, seed: int | None, out: Path | None, split: str) -> tuple[Recipe, Path]:
     """Read the recipe, choose the output folder, and make the folder part of the twin's project."""
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
 
-    read = read_recipe(recipe, seed)
+    read = read_recipe(recipe, seed, split)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     marker = claim_project(read, folder)
     if marker is not None:
         click.echo(f"wrote {marker}, which marks the root of the project", err=True)
-        read = read_recipe(recipe, seed)  # the marker may have added documents to the project
+        read = read_recipe(recipe, seed, split)  # the marker may have added documents to the project
     return read, folder
 
 

@@ -58,6 +58,9 @@ class Candidate:
         goal: Goal of the candidate's own task, or an empty string.
         unchecked: Checks that could not be performed.
         reasons: Reasons for rejection. There are none if the candidate was accepted.
+        vary: Values drawn for the axis `vary`, by path: a number, the text of a choice, or numbers by component.
+        split: Name of the split that the values were drawn from, or empty.
+        pictures_only: True if only pictures differ from the twin's.
     """
 
     index: int
@@ -66,6 +69,9 @@ class Candidate:
     goal: str = ""
     unchecked: tuple[str, ...] = ()
     reasons: tuple[Reason, ...] = ()
+    vary: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    split: str = ""
+    pictures_only: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -83,9 +89,17 @@ class Candidate:
             data |= {"documents": dict(self.documents), "asked": list(self.asked)}
             data |= {"goal": self.goal} if self.goal else {}
             data |= {"unchecked": list(self.unchecked)} if self.unchecked else {}
+            data |= self.drawn()
         else:
             data["reasons"] = [reason.to_json() for reason in self.reasons]
         return json.dumps(data, ensure_ascii=False, separators=(",", ":"))
+
+    def drawn(self) -> dict[str, Any]:
+        """Return the drawn values as plain data for logs and manifests. It is empty if no values vary."""
+        if not self.vary:
+            return {}
+        split = {"split": self.split} if self.split else {}
+        return {"vary": dict(self.vary), **split, "pictures_only": self.pictures_only}
 
     @classmethod
     def of(cls, line: str | bytes) -> Candidate:
@@ -101,7 +115,8 @@ class Candidate:
             if not reasons and not documents:
                 raise ValueError("neither documents nor reasons")
             asked, unchecked = tuple(data.get("asked", ())), tuple(data.get("unchecked", ()))
-            return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons)
+            drawn = dict(data.get("vary", {})), data.get("split", ""), data.get("pictures_only", False)
+            return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons, *drawn)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a candidate: {error}") from None
 

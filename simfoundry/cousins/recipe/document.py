@@ -8,10 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import simfoundry
@@ -20,18 +21,19 @@ from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.recipe.candidate import file_of
 from simfoundry.cousins.recipe.library import LibraryItem, default_folder, read_library, united
 from simfoundry.cousins.recipe.library_filters import filtered, remarks
-from simfoundry.errors import OutputError
+from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Scene
-from simfoundry.scene.state import SceneState, pose, pose_spec
-from simfoundry.spec.diagnostics import SpecError
+from simfoundry.scene.state import pose_spec
+from simfoundry.spec.check.varied_fields import FieldFinder
+from simfoundry.spec.check.vary import VariedValue, varied_values
+from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded, located
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.cousins import CousinsSpec
-from simfoundry.spec.models.scene import DEPTHS, SIDES, Place, SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.tree import plain_tree
@@ -46,12 +48,14 @@ class Recipe:
     """A validated recipe.
 
     ``scene`` is the twin's scene document. ``task`` is the twin's task document, or None if the twin is a scene.
+    ``split`` is the split of `vary` to draw from, or empty to draw from all splits.
     """
 
     loaded: Loaded
     scene: Loaded
     task: Loaded | None
     seed: int
+    split: str = ""
 
     @property
     def spec(self) -> CousinsSpec:
@@ -102,6 +106,24 @@ class Recipe:
         return items, remarks(library, items, steps)
 
     @cached_property
+    def varied(self) -> tuple[VariedValue, ...]:
+        """The values that vary.
+
+        Raises:
+            SpecError: If an entry of `vary` does not fit the twin.
+        """
+        values, problems = varied_values(self.spec, FieldFinder(self.scene, self.task), self.loaded)
+        if problems:
+            found = [self.loaded.finding(p.code, ("vary", *p.at), p.message, p.hint) for p in problems]
+            raise SpecError(found)
+        return tuple(values)
+
+    @property
+    def varied_summary(self) -> dict[str, dict[str, str]]:
+        """For each value that varies, its entry in the recipe and what depends on it, for manifests."""
+        return {v.field.name: {"entry": v.entry, "effect": v.field.effect} for v in self.varied}
+
+    @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The words that denote objects in the twin, in sorted order.
 
@@ -124,10 +146,14 @@ class Recipe:
         objects = self.spec.object
         library = None if objects is None or objects.library is None else located(objects.library, self.loaded.path)
         inputs["objects"] = {} if library is None else contents(library)
+        files = (name for value in self.varied if value.field.is_file for name in value.choices.values())
+        chosen = {name: located(name, self.loaded.path) for name in sorted(set(files))}
+        inputs |= {"files": {n: _digest(file) for n, file in chosen.items()}} if chosen else {}
         axes = {key: value for key, value in to_data(self.spec).items() if key not in (*NOT_COUNTED, "twin")}
         return {
             "recipe": self.spec.name,
             "seed": self.seed,
+            **({"split": self.split} if self.split else {}),
             "axes": _hash(axes),
             "twin": _hash(inputs),
             "generator": f"simfoundry {inputs['software']['simfoundry']}",
@@ -138,15 +164,21 @@ def _hash(data: object) -> str:
     return hashlib.sha256(json.dumps(data, ensure_ascii=False, sort_keys=True, default=list).encode()).hexdigest()
 
 
-def read_recipe(path: Path, seed: int | None = None) -> Recipe:
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def read_recipe(path: Path, seed: int | None = None, split: str = "") -> Recipe:
     """Read a recipe and its twin.
 
     Args:
         path: Path of the recipe document.
         seed: Seed that overrides the recipe's seed, or None.
+        split: The split of `vary` to draw from, or empty to draw from all splits.
 
     Raises:
         SpecError: If the recipe or its twin is invalid. The error contains all findings.
+        SimfoundryError: If the recipe has no such split.
     """
     loaded = load_kind(path, "cousins/1")
     spec = loaded.spec
@@ -160,7 +192,9 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     if spec.parameters:
         changed = load_kind(scene.path, "scene/1", parameters=spec.parameters)
         scene, task = changed, None if task is None else replace(task, uses={**task.uses, str(scene.path): changed})
-    return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
+    if split and split not in spec.splits:
+        raise SimfoundryError(f"{path} has no split `{split}`; {nearest(split, spec.splits) or 'it has no splits'}")
+    return Recipe(loaded, scene, task, spec.seed if seed is None else seed, split)
 
 
 def claim_project(recipe: Recipe, out: Path) -> Path | None:
@@ -188,13 +222,13 @@ def claim_project(recipe: Recipe, out: Path) -> Path | None:
     return None
 
 
-# Joint displacements [m or rad] up to this value are ignored: the joint keeps the position in its document.
-STILL = 1e-3
-
 # Maximum number of characters of the recipe's name in a cousin's name; an underscore and six digits are appended.
 MOST_NAME = 57
 
 Data = dict[str, Any]
+
+# The entries of documents in which no values are drawn.
+NO_ENTRIES: Mapping[str, Any] = MappingProxyType({})
 
 
 def scene_overlay(
@@ -205,6 +239,7 @@ def scene_overlay(
     poses: Mapping[str, Pose],
     joints: Mapping[str, Mapping[str, float]],
     relations: tuple[str, ...],
+    varied: Mapping[str, Any] = NO_ENTRIES,
 ) -> str:
     """Return the text of a scene document that extends the twin's scene.
 
@@ -216,6 +251,7 @@ def scene_overlay(
         poses: Poses X_WO to write, by object name.
         joints: Joint positions [m or rad] to write, by object and joint name.
         relations: All relations that hold in the scene.
+        varied: Entries with drawn values, which the other entries take precedence over.
     """
     objects: dict[str, Data] = {}
     for name in dict.fromkeys((*recipe.scene_spec.objects, *changes)):
@@ -223,11 +259,22 @@ def scene_overlay(
         moved = {"joints": dict(joints[name])} if joints.get(name) else {}
         objects |= {name: data} if (data := {**changes.get(name, {}), **pose, **moved}) else {}
     document = _overlay("scene/1", recipe, recipe.scene, out, index)
-    document |= {"parameters": dict(recipe.spec.parameters)} if recipe.spec.parameters else {}
+    parameters = {**recipe.spec.parameters, **varied.get("parameters", {})}
+    document |= {"parameters": parameters} if parameters else {}
     document |= {"objects": objects} if objects else {}
     document |= {"relations": relations} if relations != recipe.scene_spec.relations else {}
     document["origin"] = origin(recipe, index)
-    return write_tree(plain_tree(document), SceneSpec)
+    return write_tree(plain_tree(merged(varied, document)), SceneSpec)
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> Data:
+    """Return nested data in which ``over`` takes precedence over ``base``."""
+    both = {key: merged(base[key], over[key]) for key in base if _are_mappings(base[key], over.get(key))}
+    return {**base, **over, **both}
+
+
+def _are_mappings(*values: object) -> bool:
+    return all(isinstance(value, Mapping) for value in values)
 
 
 def _world_pose(recipe: Recipe, name: str, X_WO: Pose) -> Data:
@@ -237,28 +284,45 @@ def _world_pose(recipe: Recipe, name: str, X_WO: Pose) -> Data:
     return {**({"frame": None} if framed else {}), **to_data(pose_spec(X_WO))}
 
 
-def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
-    """Return the text of a task document that extends the twin's task and uses the matching scene cousin.
+def task_overlay(
+    recipe: Recipe,
+    out: Path,
+    index: int,
+    moved: Collection[str],
+    crowded: bool,
+    varied: Mapping[str, Any] = NO_ENTRIES,
+    own_scene: bool = True,
+) -> str:
+    """Return the text of a task document that extends the twin's task and contains the drawn values ``varied``.
 
-    The scene cousin has the same index. The twin's start conditions for ``moved`` objects are removed. The twin's start
-    regions are guaranteed to be free only in the twin's layout, so they are also removed if an object with a region
-    moved, or if the scene is ``crowded``, that is, contains added objects. Rollouts then start from the scene's own
-    layout.
+    If ``own_scene`` is set, the task uses the scene cousin with the same index. The twin's start conditions for
+    ``moved`` objects are removed. The twin's start regions are guaranteed to be free only in the twin's layout, so they
+    are also removed if an object with a region moved, or if the scene is ``crowded``, that is, contains added objects.
+    Rollouts then start from the scene's own layout.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
-    document = _overlay("task/1", recipe, recipe.task, out, index) | {"scene": file_of(index, "scene")}
+    document = _overlay("task/1", recipe, recipe.task, out, index)
+    document |= {"scene": file_of(index, "scene")} if own_scene else {}
     gone = {key: {name: None for name in getattr(spec.start, key) if name in moved} for key in ("place", "pose")}
     start = {key: names for key, names in gone.items() if names}
     document |= {"start": start} if start else {}
     if spec.reset.objects and (crowded or set(spec.reset.objects) & set(moved)):
         document["reset"] = None
     document["origin"] = origin(recipe, index)
-    return write_tree(plain_tree(document), TaskSpec)
+    return write_tree(plain_tree(merged(varied, document)), TaskSpec)
 
 
-def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
-    """Return the text of a new task document.
+def own_task(
+    recipe: Recipe,
+    out: Path,
+    index: int,
+    spec: TaskSpec,
+    moved: Collection[str],
+    own_scene: bool,
+    varied: Mapping[str, Any] = NO_ENTRIES,
+) -> str:
+    """Return the text of a new task document, with the drawn values ``varied``.
 
     If ``own_scene`` is set, the task uses the scene cousin with the same index, and otherwise the twin's scene. The
     task inherits the twin's start conditions, except those for ``moved`` objects. A task with its own scene has no
@@ -274,7 +338,13 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
     if own_scene:  # the start regions were computed for the twin's layout
         data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
-    return write_tree(plain_tree(data), TaskSpec)
+    return write_tree(plain_tree(merged(data, varied)), TaskSpec)
+
+
+def asset_overlay(recipe: Recipe, out: Path, index: int, asset: Path, varied: Mapping[str, Any]) -> str:
+    """Return the text of an asset document that extends an asset and contains the drawn values ``varied``."""
+    document = {"simfoundry": "asset/1", "extends": relative(asset, out), **varied, "origin": origin(recipe, index)}
+    return write_tree(plain_tree(document), AssetSpec)
 
 
 def _overlay(kind: str, recipe: Recipe, twin: Loaded, out: Path, index: int) -> Data:
@@ -296,42 +366,3 @@ def origin(recipe: Recipe, index: int) -> Data:
 def relative(file: Path, folder: Path) -> str:
     """Return the path to ``file`` as it is written in documents located in ``folder``."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
-
-
-def written(poses: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Round poses to the precision used in documents, which is 0.1 mm and 0.01 deg."""
-    return {name: pose(pose_spec(X_WO)) for name, X_WO in poses.items()}
-
-
-def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
-    """Return the objects whose `place` refers to an object in ``moved``.
-
-    The reference may be direct or indirect.
-    """
-    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
-    found, todo = set[str](), set(moved)
-    while todo:
-        todo = {name for name, place in places.items() if named_by(place) & todo} - found
-        found |= todo
-    return found
-
-
-def named_by(place: Place) -> set[str]:
-    """Return the names of the objects to which a `place` refers."""
-    values = (getattr(place, key) for key in ("on", "inside", *SIDES, *DEPTHS))
-    return {str(value).partition(".")[0] for value in values if value is not None}
-
-
-def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Return the joint positions that differ from those in the scene, keyed by object and joint.
-
-    Only joints with a single axis are included. The positions are in m or rad.
-    """
-    found: dict[str, dict[str, float]] = {}
-    for name in names:
-        for joint in scene.object(name).joints:
-            at = state.joints.get(f"{name}.{joint.name}", joint.position)
-            if joint.mimic is None and joint.has_axis and abs(at - joint.position) > STILL:
-                low, high = joint.limits or (at, at)  # clamp to the limits, because engines may exceed them slightly
-                found.setdefault(name, {})[joint.name] = round(min(max(at, low), high), 4) + 0.0
-    return found

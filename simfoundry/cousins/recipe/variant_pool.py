@@ -95,7 +95,7 @@ def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Varian
         ImpossibleError: An axis has no alternatives.
     """
     others, tasks = _choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
-    same_layout = recipe.spec.scene is None and recipe.spec.distractors is None
+    same_layout = recipe.spec.scene is None and recipe.spec.distractors is None and not recipe.spec.vary
     most = math.prod(map(len, others.values())) * max(1, len(tasks)) if same_layout else None
     return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 

@@ -6,7 +6,7 @@ sampled in this order: object variants, layout, distractors, task. The resulting
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -19,24 +19,25 @@ from simfoundry.cousins.layout.acceptance import Examined, examine
 from simfoundry.cousins.layout.constraints import placement_constraints, too_full
 from simfoundry.cousins.layout.propose import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.randomization.draws import DrawnValues
+from simfoundry.cousins.randomization.varied_twin import ASSET, ValueSampler
 from simfoundry.cousins.recipe import library
-from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected, free_name
+from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected, file_of, free_name
 from simfoundry.cousins.recipe.document import (
     Data,
     Recipe,
-    dependents,
-    moved_joints,
     own_task,
     read_recipe,
     scene_overlay,
     task_overlay,
-    written,
 )
+from simfoundry.cousins.recipe.moved_objects import dependents, moved_joints, written
 from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
 from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
+from simfoundry.spec.models.predicate import parse_call
 
 # Factory of the sampler that a worker calls for each candidate.
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
@@ -57,10 +58,11 @@ class CandidateSampler:
     out: Path
     twin: Twin
     pool: VariantPool
+    values: ValueSampler
     twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def load(cls, path: Path, out: Path, seed: int, vlm: str = "") -> CandidateSampler:
+    def load(cls, path: Path, out: Path, seed: int, vlm: str = "", split: str = "") -> CandidateSampler:
         """Read a recipe, settle its twin, and collect the variant pool.
 
         Args:
@@ -68,10 +70,11 @@ class CandidateSampler:
             out: Output folder.
             seed: Seed of the run.
             vlm: Name of the vision-language model that may be queried for the variant pool.
+            split: The split of `vary` to draw from, or empty to draw from all splits.
         """
-        recipe = read_recipe(path, seed)
+        recipe = read_recipe(path, seed, split)
         twin = Twin.of_document(recipe.task or recipe.scene, Cache.default())
-        return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm))
+        return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm), ValueSampler.of(recipe, out, twin))
 
     def require_possible(self) -> None:
         """Check that the recipe can be satisfied by at least one candidate.
@@ -93,20 +96,37 @@ class CandidateSampler:
         draw = _draw(self, index)
         if isinstance(draw, Rejected):
             return Candidate(index, reasons=draw.reasons)
+        lost = tuple(_lost_relations(self, draw))
+        if lost:
+            return Candidate(index, reasons=lost)
         found = examine(draw.twin, draw.layout) if draw.is_moved else None
         if found is not None and not found.accepted:
             return Candidate(index, reasons=found.reasons)
         return _written(self, draw, found, index)
 
-    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
-        """Return the twin with the objects in ``others`` replaced and those in ``added`` added but not yet placed."""
+    def extended(
+        self,
+        twin: Twin,
+        others: Mapping[str, Choice],
+        added: Mapping[str, library.LibraryItem],
+        varied: Mapping[str, SceneObject],
+    ) -> Twin:
+        """Return a twin with the objects in ``others`` replaced and those in ``added`` added but not yet placed.
+
+        Args:
+            twin: The twin, which has the drawn values of the candidate.
+            others: Replacements by object name.
+            added: Distractors by object name.
+            varied: Lowered replacements that have drawn values, by object name.
+        """
         if not others and not added:
-            return self.twin
+            return twin
+        if twin is not self.twin or varied:  # no other candidate has the same values
+            return twin.extended(_objects(twin, others, added, varied))
         files = {**{n: choice.file for n, choice in others.items()}, **{n: item.file for n, item in added.items()}}
         key = tuple(files.items())
         if key not in self.twins:
-            objects = [_in_place_of(self.twin.scene.object(name), choice) for name, choice in others.items()]
-            objects += [replace(library.lowered(item.file), name=name) for name, item in added.items()]
+            objects = _objects(self.twin, others, added, {})
             while len(self.twins) >= KEPT_TWINS:
                 del self.twins[next(iter(self.twins))]
             self.twins[key] = self.twin.extended(objects)
@@ -122,17 +142,24 @@ class _Draw:
         layout: The new poses.
         others: Replacements for objects in the twin, keyed by object name.
         added: Distractors, keyed by object name.
+        drawn: Values of the axis `vary`.
     """
 
     twin: Twin
     layout: Layout
     others: Mapping[str, Choice]
     added: Mapping[str, library.LibraryItem]
+    drawn: DrawnValues
 
     @property
     def is_moved(self) -> bool:
-        """True if the scene differs from the twin and must be settled."""
-        return bool(self.layout.poses or self.others or self.added)
+        """True if the scene differs from the twin and must be settled, or if cameras see it from elsewhere."""
+        return bool(self.layout.poses or self.others or self.added or not self.drawn.pictures_only or self.drawn.views)
+
+    @property
+    def pictures_only(self) -> bool:
+        """True if only pictures differ from the twin's."""
+        return not (self.layout.poses or self.others or self.added) and self.drawn.pictures_only
 
 
 def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
@@ -144,13 +171,57 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
     else:
         others = {name: of[int(by_object.integers(len(of)))] for name, of in pool.choices.items()}
     added = _distractors(shared, by_distractors)
-    twin = shared.extended(others, added)
+    replaced = {name: choice.file for name, choice in others.items()}
+    drawn = shared.values.draw(index, replaced)
+    base = shared.values.varied_twin(index, drawn, replaced)
+    if isinstance(base, Rejected):
+        return base
+    varied = {
+        kind.removesuffix(ASSET): text
+        for kind, text in shared.values.asset_documents(index, drawn, replaced).items()
+        if kind.removesuffix(ASSET) in replaced
+    }
+    objects = {n: shared.values.lowered_object(index, n, replaced[n], text) for n, text in varied.items()}
+    twin = shared.extended(base, others, added, objects)
     layout: Layout | Rejected = NOTHING
     if spec.scene is not None:
         layout = propose(twin, spec.scene, by_layout)
     if added and isinstance(layout, Layout):
         layout = scatter(twin, tuple(added), by_distractors, layout=layout)
-    return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added)
+    return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added, drawn)
+
+
+def _objects(
+    twin: Twin,
+    others: Mapping[str, Choice],
+    added: Mapping[str, library.LibraryItem],
+    varied: Mapping[str, SceneObject],
+) -> list[SceneObject]:
+    """Return the replaced and added objects of a candidate."""
+    new = {name: varied.get(name) or library.lowered(choice.file) for name, choice in others.items()}
+    replaced = [_in_place_of(twin.scene.object(name), item) for name, item in new.items()]
+    return replaced + [replace(library.lowered(item.file), name=name) for name, item in added.items()]
+
+
+def _lost_relations(shared: CandidateSampler, draw: _Draw) -> Iterator[Reason]:
+    """Yield a reason for each relation of the twin that the drawn values break.
+
+    Relations about a joint that varies need not hold.
+    """
+    if draw.drawn.pictures_only:
+        return
+    joints = {name for name in draw.drawn.values if name.count(".") == 1}
+    moved = {*draw.drawn.poses, *draw.others}
+    for text in shared.twin.relations:
+        call = parse_call(text)
+        names = {argument.partition(".")[0] for argument in call.args}
+        about_joint = call.predicate in ("Open", "Closed") and {arg.removesuffix(".deg") for arg in call.args} & joints
+        if about_joint or names & moved or names & draw.layout.poses.keys():
+            continue
+        verdict = draw.twin.judge(text, draw.twin.state)
+        if not verdict.value:
+            why = f"{text} no longer holds with the drawn values: {verdict.why}"
+            yield Reason("relation_lost", why, {"margin": verdict.margin})
 
 
 def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
@@ -170,18 +241,22 @@ def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str
     return found
 
 
-def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
-    new = library.lowered(choice.file)
+def _in_place_of(old: SceneObject, new: SceneObject) -> SceneObject:
     return replace(new, name=old.name, category=old.category, fixed=old.fixed, X_WO=old.X_WO, labels=old.labels)
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
     """Return the candidate for a draw that has settled, with either its documents or the reasons for rejection."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
-    documents, moved, goal = dict[str, str](), set[str](), ""
+    files = {name: choice.file for name, choice in draw.others.items()}
+    documents = shared.values.asset_documents(index, draw.drawn, files)
+    entries = {kind: draw.drawn.documents.get(kind, {}) for kind in ("scene", "task")}
+    moved, goal = set[str](), ""
+    changes = _changes(shared, draw, index)
     if found is not None:
         moved = {*draw.layout.poses, *draw.others, *draw.added}
-        moved |= dependents(spec, moved)
+        # What stands on an object whose height varies is placed on it again, unless its pose was written.
+        moved |= dependents(spec, moved) | draw.drawn.poses.keys()
         free = [n for n in moved if not draw.twin.scene.object(n).fixed]
         poses = {name: found.state.poses[name] for name in sorted(free)}
         state = replace(found.state, poses={**found.state.poses, **written(poses)})
@@ -192,23 +267,31 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
                 return Candidate(index, reasons=(Reason("too_close", why, {"margin": verdict.margin}),))
         joints = moved_joints(draw.twin.scene, found.state, poses)
         relations = _relations(draw, state, spec.relations)
-        changes = _changes(shared, draw)
-        documents["scene"] = scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
-    elif recipe.spec.parameters:
-        documents["scene"] = scene_overlay(recipe, shared.out, index, {}, {}, {}, spec.relations)
+        fixed = {name: pose for name, pose in draw.drawn.poses.items() if name not in poses}
+        documents["scene"] = scene_overlay(
+            recipe, shared.out, index, changes, {**fixed, **poses}, joints, relations, entries["scene"]
+        )
+    elif recipe.spec.parameters or changes or entries["scene"]:
+        documents["scene"] = scene_overlay(recipe, shared.out, index, changes, {}, {}, spec.relations, entries["scene"])
     if shared.pool.tasks:
         task = shared.pool.tasks[(index - 1) % len(shared.pool.tasks)]
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
         if reasons:
             return Candidate(index, reasons=reasons)
-        documents["task"] = own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
+        own_scene = "scene" in documents
+        documents["task"] = own_task(recipe, shared.out, index, task.spec, moved, own_scene, entries["task"])
         goal = task.goal
     elif recipe.task is not None:
         reasons = _undoable(recipe, draw, found)
         if reasons:
             return Candidate(index, reasons=reasons)
-        documents["task"] = task_overlay(recipe, shared.out, index, moved, bool(draw.added))
-    return Candidate(index, documents, draw.layout.asked, goal, found.unchecked if found is not None else ())
+        own_scene = "scene" in documents
+        documents["task"] = task_overlay(recipe, shared.out, index, moved, bool(draw.added), entries["task"], own_scene)
+    documents = {kind: documents[kind] for kind in sorted(documents, key=lambda kind: (kind.endswith(ASSET), kind))}
+    drawn = draw.drawn
+    unchecked = found.unchecked if found is not None else ()
+    is_picture = draw.pictures_only and not shared.pool.tasks
+    return Candidate(index, documents, draw.layout.asked, goal, unchecked, (), drawn.values, drawn.split, is_picture)
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
@@ -226,7 +309,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     )
 
 
-def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
+def _changes(shared: CandidateSampler, draw: _Draw, index: int) -> dict[str, Data]:
     """Return the document fields of replaced and added objects, without their poses."""
     found: dict[str, Data] = {}
     for name, choice in draw.others.items():
@@ -236,6 +319,8 @@ def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
         found[name] = {"asset": choice.reference, **dict.fromkeys(gone)}
     for name, item in draw.added.items():
         found[name] = item.data(shared.pool.references[item.name])
+    for name in (kind.removesuffix(ASSET) for kind in draw.drawn.documents if kind.endswith(ASSET)):
+        found[name] = {**found.get(name, {}), "asset": file_of(index, f"{name}{ASSET}")}
     return found
 
 

@@ -48,6 +48,7 @@ def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
         "reasons": dict(sorted(ledger.totals.items(), key=lambda pair: (-pair[1], pair[0]))),
         "unchecked": list(ledger.unchecked),
         "variants": {count.name: count.to_json() for count in plan.variants},
+        **({"vary": dict(plan.varied)} if plan.varied else {}),
     }
 
 
@@ -71,7 +72,7 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
     if not candidate.accepted:
         return {"index": candidate.index, "reasons": [reason.to_json() for reason in candidate.reasons]}
     entry: dict[str, Any] = {"index": candidate.index, "files": candidate.files(), "asked": list(candidate.asked)}
-    return entry | ({"goal": candidate.goal} if candidate.goal else {})
+    return entry | ({"goal": candidate.goal} if candidate.goal else {}) | candidate.drawn()
 
 
 def told(ledger: Ledger, top: int = 3) -> str:

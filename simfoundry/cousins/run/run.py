@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
@@ -156,6 +157,7 @@ class RunPlan:
             writing any cousins. The value is None for a full run.
         most: Number of candidates, or None if it is unbounded.
         variants: Variant counts of each object that varies.
+        varied: For each value that varies, its entry in the recipe and what depends on it.
     """
 
     out: Path
@@ -164,6 +166,7 @@ class RunPlan:
     shard: tuple[int, int] | None = None
     most: int | None = None
     variants: tuple[VariantCount, ...] = ()
+    varied: Mapping[str, Mapping[str, str]] = field(default_factory=lambda: MappingProxyType({}))
 
     def ledger(self) -> Ledger:
         """Return an empty ledger for this run.

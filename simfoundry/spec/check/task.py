@@ -143,6 +143,16 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             c.add("SF107", place, f"variants of `{name}` come from a library, but no library is given", "set `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")
+    if spec.vary and isinstance(names.scene.spec, SceneSpec):
+        _vary(c, spec, names.scene, twin)
+
+
+def _vary(c: Checker, spec: CousinsSpec, scene: Loaded, twin: Loaded | None) -> None:
+    from simfoundry.spec.check.varied_fields import FieldFinder  # only for recipes that vary values
+    from simfoundry.spec.check.vary import varied_values
+
+    for problem in varied_values(spec, FieldFinder(scene, twin), c.loaded)[1]:
+        c.add(problem.code, ("vary", *problem.at), problem.message, problem.hint)
 
 
 def _stays(goal: str | Model | dict[str, Any], names: SceneNames, moved: Mapping[str, object]) -> bool:

@@ -29,6 +29,8 @@ CODE = "^[A-Z]{2,8}[0-9]{3}$"
 JOINT_NAME = "^[A-Za-z_][A-Za-z0-9_./-]*$"
 WIRE_KEY = "^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
 VARIABLE = "^[A-Z_][A-Z0-9_]*$"
+# Names and keys separated by dots, in which `*` stands for any characters of a name.
+VARY_PATH = r"^[a-z*][a-z0-9_*]*(\.[A-Za-z0-9_*]+)*$"
 # Hexadecimal sRGB color, as in CSS: red, green, blue and optionally opacity, with two digits each.
 HEX_COLOR = "^#([0-9A-Fa-f]{6}|[0-9A-Fa-f]{8})$"
 
@@ -54,6 +56,11 @@ PATTERNS = {
     WIRE_KEY: PatternText("key", "key", "a key that the policy expects, such as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
         "VARIABLE", "environment variable", "the name of an environment variable (uppercase), not the key itself"
+    ),
+    VARY_PATH: PatternText(
+        "light.*.intensity",
+        "path",
+        "a path consists of names and keys separated by dots, such as `light.*.intensity` or `cabinet.drawer`",
     ),
     HEX_COLOR: PatternText(
         "#c8a070",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
@@ -20,6 +21,7 @@ from simfoundry.spec.models.base import (
     consistent,
     fault,
 )
+from simfoundry.spec.models.vary import AnyDistribution, SplitSpec, VaryPath
 
 Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
 Source = Literal["procedural", "library", "model"]
@@ -159,8 +161,28 @@ class CousinsSpec(DocumentSpec):
     object: ObjectAxis | None = Field(None, description="Vary the objects.")
     distractors: DistractorAxis | None = Field(None, description="Add distractors.")
     task: TaskAxis | None = Field(None, description="Vary the task.")
+    vary: dict[VaryPath, AnyDistribution] = Field(
+        {},
+        max_length=1000,
+        description="Draw values in the scene at random: paths such as `light.*.intensity` or `cabinet.drawer`, each "
+        "with a distribution.",
+    )
+    splits: dict[Name, SplitSpec] = Field(
+        {}, max_length=32, description="Shares of the distributions in `vary`, such as `train` and `held_out`, by name."
+    )
 
     @consistent
     def _varies(self) -> None:
-        if self.scene is None and self.object is None and self.distractors is None and self.task is None:
-            raise fault("sf107", "one of `scene`, `object`, `distractors`, `task` is needed")
+        axes = (self.scene, self.object, self.distractors, self.task)
+        if all(axis is None for axis in axes) and not self.vary:
+            raise fault("sf107", "one of `scene`, `object`, `distractors`, `task`, `vary` is needed")
+        if self.splits and not self.vary:
+            raise fault("sf107", "`splits` requires `vary`", "splits")
+
+    @consistent
+    def _splits_are_disjoint(self) -> None:
+        ends = sorted((split.ends, name) for name, split in self.splits.items())
+        for (a, first), (b, second) in pairwise(ends):
+            if b[0] < a[1]:
+                message = f"`{second}` starts at {b[0]:g}, but `{first}` ends at {a[1]:g}; splits must not overlap"
+                raise fault("sf104", message, "splits")

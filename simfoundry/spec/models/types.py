@@ -69,9 +69,10 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 def field_type(model: type[BaseModel], name: str) -> Any:
     """Return the type of a field, annotated with its constraints."""
-    if not model.__pydantic_fields_complete__:  # a recursive type, which has not been resolved yet
-        model.model_rebuild()
     info = model.model_fields[name]
+    if isinstance(info.annotation, typing.ForwardRef):  # a recursive type, which has not been resolved yet
+        model.model_rebuild()
+        info = model.model_fields[name]
     return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
 
 
@@ -140,8 +141,18 @@ def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
 
 def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
     """Yield patterns for the paths at which a kind of document refers to files."""
-    for name in model.model_fields:
-        yield from ((name, *below) for below in _files(field_type(model, name), (*seen, model)))
+    yield from _file_patterns(model, seen)
+
+
+@functools.cache
+def _file_patterns(model: type[Model], seen: tuple[type, ...]) -> tuple[Pattern, ...]:
+    fields = ((name, _files(field_type(model, name), (*seen, model))) for name in model.model_fields)
+    return tuple((name, *below) for name, found in fields for below in found)
+
+
+def is_file(kind: Any) -> bool:
+    """Return True if a value of this type is the path of a file."""
+    return () in set(_files(kind, ()))
 
 
 def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:

@@ -15,7 +15,8 @@ import pytest
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.recipe.document import claim_project, dependents, read_recipe, relative
+from simfoundry.cousins.recipe.document import claim_project, read_recipe, relative
+from simfoundry.cousins.recipe.moved_objects import dependents
 from simfoundry.cousins.run.candidates import CandidateSampler
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin

@@ -227,8 +227,10 @@ PURE = {
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
     *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
     *("noise", "cutoff", "solver_iterations", "gravity_compensation"),
+    *("uniform", "log_uniform", "times", "shift", "normal", "choose", "from", "until"),
 }
-"""Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor)."""
+"""Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor, and
+distributions are in that of the value that varies)."""
 
 
 def _numbers(kind: str, body: Any) -> bool:
