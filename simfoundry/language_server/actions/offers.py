@@ -102,7 +102,7 @@ def _is_sound(analysis: Analysis, text: str, finding: Diagnostic) -> bool:
 def _refactorings(analysis: Analysis, uri: str, within: types.Range) -> Iterator[types.CodeAction]:
     if analysis.source is None:
         return
-    from simfoundry.language_server.rewrites import rewrites  # loads numpy
+    from simfoundry.language_server.actions.rewrites import rewrites  # loads numpy
 
     start, _ = analysis.lines.span(within)
     for each in rewrites(analysis, path_at(analysis.source, analysis.lines, start)):
