@@ -118,7 +118,7 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
 # largest steps, so that a moving hand is not slowed down.
 HAND_AHEAD, HAND_TURN = 2 * MAX_TRANSLATION, 2 * MAX_ROTATION
 
-# Largest number in a hand target [m or rad]; squares of much larger ones overflow. It is the largest position in a scene.
+# Largest number in a hand target [m or rad], as in a scene; squares of much larger ones overflow.
 FARTHEST_NUMBER = 1e6
 
 # Tolerances of inverse kinematics for hand targets [m, rad]; small compared with the smallest useful motion in a step.
