@@ -14,7 +14,7 @@ from simfoundry.cli import output
 from simfoundry.cli.options import option, set_option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.report import FORMATS
-from simfoundry.spec.diagnostics import Diagnostic, SpecError
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable
 from simfoundry.spec.project import MARKER, document_files
 
 if TYPE_CHECKING:
@@ -56,8 +56,18 @@ MANY = 100
 @option("--format", "form", type=click.Choice(FORMATS), default="text",
         help="Output format: text, or a format for scripts, code scanning or GitHub.")  # fmt: skip
 @click.option("--lints/--no-lints", default=True, help="Also check the geometry, or only the structure.")
+@click.option("--fix", is_flag=True, help="First correct what is certain, such as misspelled keys and names.")
+@click.option("--diff", is_flag=True, help="With --fix: do not write anything; show the corrections.")
 @set_option
-def check_command(paths: tuple[Path, ...], form: str, lints: bool, parameters: dict[str, float], as_json: bool) -> int:
+def check_command(
+    paths: tuple[Path, ...],
+    form: str,
+    lints: bool,
+    fix: bool,
+    diff: bool,
+    parameters: dict[str, float],
+    as_json: bool,
+) -> int:
     """Check the given documents, and all documents below the given folders (default: the working folder).
 
     The exit code is 1 if there are errors or warnings. To see a detailed description of a finding, run `simfoundry
@@ -67,7 +77,13 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, parameters: d
     from simfoundry.spec.check.report import gather, renderer, summary
 
     form = "json" if as_json else form
+    if diff and not fix:
+        raise SimfoundryError("--diff shows corrections, and requires --fix")
     files = documents(paths or (Path(),))
+    if fix and _fix(files, diff, quiet=form != "text") and diff:
+        return output.FINDINGS
+    if diff:
+        click.echo("nothing can be corrected with certainty")
     _known.clear()
     _linted.clear()
     with output.progress_bar(len(files) < MANY or not sys.stderr.isatty()) as progress:
@@ -88,6 +104,26 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, parameters: d
     if form == "text" and report.findings and sys.stdout.isatty():
         click.echo(f"run `simfoundry explain {report.findings[0].code}` for details")
     return output.FINDINGS if report.findings else output.DONE
+
+
+def _fix(files: list[Path], diff: bool, quiet: bool) -> bool:
+    """Correct what is certain in documents, and return True if there was anything. With ``diff``, only show it."""
+    from simfoundry.runtime.files import write_all_in_place
+    from simfoundry.spec.change.fixes import certain_fix, fix_documents
+    from simfoundry.spec.change.format import Formatted
+
+    fixed = fix_documents(files)
+    if diff:
+        for path, (before, after) in fixed.texts.items():
+            click.echo(_difference(path, Formatted(before, after), "fixed"), nl=False)
+        return bool(fixed.texts)
+    write_all_in_place({path: (old.encode(), new.encode()) for path, (old, new) in fixed.texts.items()})
+    for finding in fixed.done if not quiet else ():
+        instead = certain_fix(finding)
+        assert instead is not None
+        place = f"{finding.file}:{finding.line}:{finding.column}"
+        click.echo(printable(f"fixed {place}: replaced `{finding.word}` by `{instead.text.rstrip()}`"))
+    return bool(fixed.texts)
 
 
 # Documents that this process has read while running the command, by project; shared documents are read only once.
@@ -246,6 +282,6 @@ def _format_stream(check: bool, diff: bool) -> int:
     return output.FINDINGS if check and text.changed else output.DONE
 
 
-def _difference(path: Path, text: Formatted) -> str:
-    """Return a unified diff between a document and its formatted version."""
-    return output.unified_diff(text.before, text.after, f"{path}", f"{path} (formatted)")
+def _difference(path: Path, text: Formatted, what: str = "formatted") -> str:
+    """Return a unified diff between a document and its changed version."""
+    return output.unified_diff(text.before, text.after, f"{path}", f"{path} ({what})")

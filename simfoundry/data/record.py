@@ -37,6 +37,9 @@ from simfoundry.spec.models.predicate import Condition
 
 INDEX, SHARDS, UNFINISHED = "demonstrations.json", "shards", "unfinished"
 
+# Maximum size of an index to read [bytes]; real ones take a few kilobytes.
+MOST_BYTES = 2**24
+
 # Number of demonstrations per shard; a shard is rewritten at most once, and takes about 5 MB.
 SHARD = 25
 
@@ -295,6 +298,8 @@ def read_index(path: Path) -> dict[str, Any]:
         OutputError: If the file is not such an index.
     """
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError
         found = json.loads(path.read_text(encoding="utf-8"))
         if found["simfoundry"] != FORMAT:
             raise ValueError

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.errors import OutputError
+from simfoundry.evaluate.policies.codec import from_npy
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import write_atomically
 
@@ -96,7 +97,7 @@ def _arrays(files: zipfile.ZipFile, index: int) -> dict[str, Array]:
     start, found = f"{index:06d}/", {}
     for file in files.infolist():
         if file.filename.startswith(start) and file.filename.endswith(".npy"):
-            array = np.lib.format.read_array(io.BytesIO(files.read(file)), allow_pickle=False)
+            array = from_npy(files.read(file))
             if array.dtype != np.float64 or not np.isfinite(array).all():
                 raise ValueError(f"{file.filename} does not contain finite numbers in float64")
             array.setflags(write=False)

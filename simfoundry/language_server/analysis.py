@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from simfoundry.language_server.positions import Lines
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.open_documents import OpenDocuments
+from simfoundry.spec.yaml.spans import TextSpan, locate_values
 from simfoundry.spec.yaml.text import Document
 
 if TYPE_CHECKING:
@@ -41,6 +43,11 @@ class Analysis:
     def source(self) -> Document | None:
         """Return the parsed text itself, without its bases, or None if it could not be parsed."""
         return self.loaded.source
+
+    @cached_property
+    def spans(self) -> TextSpan:
+        """Return the place of every value in the text. It has no members if the text could not be parsed."""
+        return locate_values(self.lines.text) if self.source is not None else TextSpan(0, 0)
 
     @property
     def has_errors(self) -> bool:

@@ -117,12 +117,15 @@ def _relative(folder: Path, here: Path) -> str:
 
 
 def _folders(root: Path, here: Path) -> list[tuple[str, Path]]:
-    """Return the folders of a project with their paths relative to another one, those near it first."""
-    found, level = list[Path](), [root]
-    while level and len(found) < MAX_FOLDERS:
-        found += level
-        level = [folder / name for folder in level for name in _list(folder).folders]
-    return sorted(((_relative(folder, here), folder) for folder in found[:MAX_FOLDERS]), key=_distance)
+    """Return the folders of a project with their paths relative to one of them, those near it first."""
+    found = dict[Path, None]()
+    for start in (here, *here.parents):
+        level = [start] if start.is_relative_to(root) else []
+        while level and len(found) < MAX_FOLDERS:
+            found.update(dict.fromkeys(level))
+            below = (folder / name for folder in level for name in _list(folder).folders)
+            level = [folder for folder in below if folder not in found]
+    return sorted(((_relative(folder, here), folder) for folder in [*found][:MAX_FOLDERS]), key=_distance)
 
 
 def _distance(folder: tuple[str, Path]) -> int:

@@ -26,6 +26,7 @@ from simfoundry.language_server import navigation
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
 from simfoundry.language_server.completion import SIGNATURE_TRIGGERS, TRIGGERS, complete, has_snippets, signature
 from simfoundry.language_server.diagnostics import published
+from simfoundry.language_server.displays import add_displays
 from simfoundry.language_server.protocol import Protocol, RequestFailedError, is_fault_of_client
 from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
 from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
@@ -65,6 +66,8 @@ class Server(LanguageServer):
         self._checking: asyncio.Task[None] | None = None
         self._worker = ThreadPoolExecutor(1, "check")
         self._names_worker = ThreadPoolExecutor(1, "names")
+        self.checked: list[Callable[[Analysis], None]] = []  # called with each finished check
+        self.closed: list[Callable[[str, Path], None]] = []  # called with each document that the editor has closed
 
     def report_server_error(self, error: Exception, source: object) -> None:
         """Log an error. Editors interrupt the user with messages that are shown instead."""
@@ -92,6 +95,16 @@ class Server(LanguageServer):
             self.check(buffer.path)
         elif self.documents.latest(buffer.path) is not None:
             self.withdraw(buffer.path)
+
+    @property
+    def is_checking(self) -> bool:
+        """Return True while documents are checked."""
+        return self._checking is not None and not self._checking.done()
+
+    async def idle(self) -> None:
+        """Wait until no documents are checked."""
+        while self._checking is not None and not self._checking.done():
+            await asyncio.wait({self._checking})
 
     async def current(self, uri: str) -> Analysis | None:
         """Return the analysis of the current text of an open document, or None if it is not open."""
@@ -128,8 +141,12 @@ class Server(LanguageServer):
             self.documents.store(analysis)
         if path in self._queue:
             return
+        if changed:
+            self.documents.drop_outdated(path)
         for file in self.documents.report(path, analysis.findings):
             self._publish(file)
+        for listener in self.checked:
+            listener(analysis)
         if changed:
             self.check_dependents(path, await self.look_up(self.documents.dependents, path))
 
@@ -179,8 +196,10 @@ def make_server() -> Server:
     """Return a server with all features."""
     server = Server()
     _add_synchronization(server)
+    add_displays(server)
     _add_completion(server)
     _add_navigation(server)
+    _add_actions(server)
     return server
 
 
@@ -226,6 +245,8 @@ def _add_synchronization(server: Server) -> None:
         buffer = documents.close(params.text_document.uri)
         if buffer is None:
             return
+        for listener in ls.closed:
+            listener(buffer.uri, buffer.path)
         dependents = await ls.look_up(documents.dependents, buffer.path)
         if documents.buffer_of(buffer.path) is not None:
             return  # it was opened again
@@ -233,6 +254,7 @@ def _add_synchronization(server: Server) -> None:
         concerned = {each.path for each in documents.buffers.values()}
         for path in tuple(concerned):
             concerned |= await ls.look_up(documents.dependents, path)
+        concerned |= {each.path for each in documents.buffers.values()}  # those that were opened meanwhile
         for path in documents.analyzed_files() - concerned:
             ls.withdraw(path)
         ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
@@ -322,6 +344,20 @@ def _add_navigation(server: Server) -> None:
     async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
         projects = [await server.look_up(documents.names, folder) for folder in documents.folders()]
         return navigation.project_symbols(projects, params.query, documents.location)
+
+
+def _add_actions(server: Server) -> None:
+    """Register the corrections of findings, and the rewrites of values."""
+    from simfoundry.language_server.actions import KINDS, code_actions
+
+    @server.feature(types.TEXT_DOCUMENT_CODE_ACTION, types.CodeActionOptions(code_action_kinds=KINDS))
+    async def code_action(ls: Server, params: types.CodeActionParams) -> list[types.CodeAction]:
+        analysis = await ls.current(params.text_document.uri)
+        if analysis is None:
+            return []
+        findings = [*analysis.findings, *ls.documents.findings(analysis.path)]
+        uri, only = params.text_document.uri, params.context.only
+        return await ls.run(code_actions, analysis, findings, uri, params.range, only)
 
 
 def serve() -> None:

@@ -20,7 +20,7 @@ from simfoundry.language_server.known_names import KnownName
 from simfoundry.spec.change.diff.changes import BESIDE
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.snippets import Body, one_line
-from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.predicate import PREDICATES, canonical
 from simfoundry.spec.models.scene import DEFAULT_VARIANT
@@ -80,7 +80,7 @@ def value_offers(context: CompletionContext) -> Iterator[Offer]:
         yield from argument_offers(context)
     elif key in EXPRESSIONS and str in kinds:
         yield from predicate_offers(context)
-    elif any(_matches(pattern, path) for pattern in file_patterns(context.model)):
+    elif any(_matches(pattern, path) for pattern in _file_patterns(context.model)):
         for offer in file_offers(context.path, suffixes_of(context.kind, path), cursor.typed):
             yield _spelled(context, offer)
     elif key in BESIDE:
@@ -101,6 +101,11 @@ def value_offers(context: CompletionContext) -> Iterator[Offer]:
         yield Offer("null", _KIND.Keyword, detail="removes the inherited value", group=6)
 
 
+@cache
+def _file_patterns(model: type[DocumentSpec]) -> tuple[tuple[str, ...], ...]:
+    return tuple(file_patterns(model))
+
+
 def _matches(pattern: tuple[str, ...], path: Path_) -> bool:
     return len(pattern) == len(path) and all(a in ("*", b) for a, b in zip(pattern, path, strict=True))
 
@@ -109,6 +114,8 @@ def _spelled(context: CompletionContext, offer: Offer) -> Offer:
     """Return an offer of a text, with quotes if YAML readers need them and the token has none."""
     where: Where = "item" if context.cursor.in_flow else "block"
     text = offer.label if context.cursor.style == "quoted" else string(offer.label, where)
+    if text == offer.label and "$" not in text:
+        return offer
     return replace(offer, insert=text, has_places=False)
 
 

@@ -201,6 +201,12 @@ class Workspace:
             self._findings[path] = by_file
         return {path, *before, *by_file}
 
+    def drop_outdated(self, file: Path) -> None:
+        """Remove what documents that use a file found in its earlier text. They find it again when they are checked."""
+        for user, found in self._findings.items():
+            if user != file:
+                found.pop(file, None)
+
     def findings(self, file: Path) -> Iterator[Diagnostic]:
         """Yield the findings in a file, from all documents that use it."""
         for found in self._findings.values():

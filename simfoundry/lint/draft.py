@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import IDENTITY, Array, frozen_array
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates.judging.bodies import Bodies, NoCavityError, PredicateError
 from simfoundry.predicates.judging.distances import Distances
@@ -25,7 +25,7 @@ from simfoundry.predicates.judging.judge import Judge
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.cameras import lower_cameras
 from simfoundry.scene.earlier import EarlierLowering
-from simfoundry.scene.lower import OBJECT_PASSES, Lowering
+from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_surroundings
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering
@@ -171,6 +171,38 @@ def drafted(
     return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced), lowered)
 
 
+def pictured(loaded: Loaded, starts: Sequence[Start] = ()) -> Scene:
+    """Return a draft of a scene document that looks like a build, apart from robots and the background.
+
+    Raises:
+        SpecError: If lowering fails.
+    """
+    assert isinstance(loaded.spec, SceneSpec)
+    spec = loaded.spec
+    if starts:
+        from simfoundry.spec.models.task import with_starts
+
+        spec = with_starts(spec, starts)
+    spec = spec.model_copy(update={"background": None})
+    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True, shown=True)
+    return lowering.run((*OBJECT_PASSES, lower_cameras, lower_surroundings))
+
+
+def pictured_asset(loaded: Loaded) -> Scene:
+    """Return a scene with an asset document's object alone, fixed at the origin, with its joints at zero.
+
+    Raises:
+        SpecError: If lowering fails.
+    """
+    assert isinstance(loaded.spec, AssetSpec)
+    work, name = ObjectLowering(loaded, Cache.default(), draft=True, shown=True), loaded.spec.name
+    links, joints = work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), name)
+    if work.findings:
+        raise SpecError(work.findings)
+    item = SceneObject(name, loaded.spec.category or name, True, IDENTITY, tuple(links), joints)
+    return Scene(name, frozen_array((0.0, 0.0, -9.81)), (item,))
+
+
 def drafted_links(loaded: Loaded) -> tuple[tuple[Link, ...], list[Diagnostic]]:
     """Return the links of an asset document that could be lowered, and the errors of the others."""
     assert isinstance(loaded.spec, AssetSpec)
@@ -269,6 +301,16 @@ class StartJudge:
         value = self.value(condition)
         decisive = [item for item in below if self.value(item) is (value if tag != "not" else not value)]
         return "; ".join(why for item in decisive if (why := self.explanation(item)))
+
+    def margin(self, text: str) -> float | None:
+        """Return the margin of a predicate in its unit, or None if it is not measured. Its value must be certain."""
+        call = parse_call(text)
+        if call.declaration.before_motion is not None or self._is_apart(call):
+            return None
+        try:
+            return self._measure(str(call), self._state).margin
+        except PredicateError:
+            return None
 
     def missing_cavity(self, call: Call) -> str:
         """Explain that a predicate needs a cavity that its object lacks, or return an empty string."""

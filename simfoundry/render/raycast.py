@@ -6,15 +6,17 @@ are shaded in linear light (Lambertian, faint highlights, hemispherical ambient 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.ray_casts import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
-from simfoundry.render.shading import Points, background, encode_srgb, shade, studio
-from simfoundry.render.surface import SceneSurface, scene_surface
+from simfoundry.render.shading import Lamp, Points, background, encode_srgb, in_shadow, shade, studio
+from simfoundry.render.surface import FEW_SEGMENTS, SceneSurface, scene_surface
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
@@ -152,3 +154,85 @@ def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hit
         front = front * alpha[:, None] + behind[met] * (1 - alpha[:, None])
     color[met] = front
     return color
+
+
+def quick_image(
+    scene: Scene, camera: Camera, state: SceneState | None = None, checkpoint: Callable[[], None] = lambda: None
+) -> NDArray[np.uint8]:
+    """Render an image for an editor in about a quarter of the time that :func:`raycast` takes.
+
+    Round shapes have fewer segments, shadows are computed for one pixel of four, and translucent surfaces are opaque.
+    ``checkpoint`` is called before each step. It can raise an exception to stop.
+
+    Returns:
+        The sRGB color, as a uint8 array of shape (h, w, 3).
+    """
+    checkpoint()
+    surface = scene_surface(scene, state, FEW_SEGMENTS)
+    checkpoint()
+    rays = _pixels(camera, 1)
+    hits = _seen(surface, camera, rays)
+    checkpoint()
+    directions = _directions(rays, camera)
+    met = np.flatnonzero(hits.triangle >= 0)
+    missed = np.flatnonzero(hits.triangle < 0)
+    linear = np.zeros((camera.height * camera.width, 3))
+    linear[missed] = background(directions[missed])
+    if len(met):
+        some, along = hits.at(met), directions[met]
+        at = Points(
+            p=camera.X_WC.p + along / some.inverse_depth[:, None],
+            normals=_normals(surface, some, along),
+            to_eye=-unit(along),
+            group=np.zeros(len(met), dtype=np.int64),
+            groups=1,
+        )
+        row, column = np.divmod(met, camera.width)
+        block = row // 2 * camera.width + column // 2
+
+        def shadow(lamp: Lamp, points: NDArray[np.int64]) -> NDArray[np.bool_]:
+            """Return the shadow at the first of the points in each block of four pixels."""
+            checkpoint()
+            first = np.full(len(linear), -1, dtype=np.int64)
+            first[block[points[::-1]]] = points[::-1]
+            tested = first[first >= 0]
+            dark = np.zeros(len(linear), dtype=np.bool_)
+            dark[block[tested]] = in_shadow(surface, lamp, at.p[tested])
+            return np.asarray(dark[block[points]])
+
+        checkpoint()
+        linear[met] = shade(surface, studio(scene), some, at, camera.fx * camera.fy, shadow)
+    checkpoint()
+    linear *= _STEPS
+    image = _srgb_table()[np.minimum(linear, _STEPS, out=linear).astype(np.int32)]
+    image = image.reshape(camera.height, camera.width, 3)
+    labels = np.where(hits.triangle >= 0, surface.visual[hits.triangle] + 1 if len(surface.visual) else 0, 0)
+    return _smoothed(image, labels.reshape(camera.height, camera.width))
+
+
+# Number of steps of linear light in a table of sRGB bytes; in the dark, where bytes differ by 3e-4, several steps share
+# a byte.
+_STEPS = 2**14 - 1
+
+
+@cache
+def _srgb_table() -> NDArray[np.uint8]:
+    return encode_srgb(np.arange(_STEPS + 1) / _STEPS)
+
+
+def _smoothed(image: NDArray[np.uint8], labels: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Blend the pixels at the borders between visuals with their neighbors, so that outlines are not jagged."""
+    if min(labels.shape) < 3:
+        return image
+    edge = np.zeros((labels.shape[0] - 2, labels.shape[1] - 2), dtype=np.bool_)
+    around = ((0, 1), (2, 1), (1, 0), (1, 2))  # the first row and column of the neighbors of all inner pixels
+    for top, left in around:
+        neighbors = labels[top : top + edge.shape[0], left : left + edge.shape[1]]
+        edge |= neighbors != labels[1:-1, 1:-1]
+    row, column = np.nonzero(edge)
+    blend = 4 * image[row + 1, column + 1].astype(np.uint16)
+    for top, left in around:
+        blend += image[row + top, column + left]
+    smooth = image.copy()
+    smooth[row + 1, column + 1] = blend >> 3
+    return smooth

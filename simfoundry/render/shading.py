@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -116,10 +117,17 @@ class Points:
     groups: int
 
 
-def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
+# A function that returns a mask of the points, given by their indices, at which a lamp is blocked.
+Shadow = Callable[[Lamp, NDArray[np.int64]], NDArray[np.bool_]]
+
+
+def shade(
+    surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float, shadow: Shadow | None = None
+) -> Array:
     """Return the linear color of each of the n hits, as an array of shape (n, 3).
 
-    ``focal_squared`` [px^2] determines the size of a pixel on the surface.
+    ``focal_squared`` [px^2] determines the size of a pixel on the surface. By default, the shadow at each point is
+    computed exactly.
     """
     albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
     sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
@@ -131,7 +139,9 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
         cosine = np.maximum(dot(at.normals, direction), 0.0)
         for k in range(at.groups):
             facing = np.flatnonzero((at.group == k) & (cosine > 0))
-            cosine[facing[_in_shadow(surface, _spot(lamp, k, at.groups), at.p[facing])]] = 0.0
+            spot = _spot(lamp, k, at.groups)
+            dark = shadow(spot, facing) if shadow is not None else in_shadow(surface, spot, at.p[facing])
+            cosine[facing[dark]] = 0.0
         gloss = 0.10 * np.maximum(dot(at.normals, unit(direction + at.to_eye)), 0.0) ** 48
         light = light + cosine[:, None] * lamp.rgb
         shine = shine + np.where(cosine > 0, gloss, 0.0)[:, None] * lamp.rgb
@@ -171,13 +181,13 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
             cosine = np.maximum(dot(normals, direction), 0.0)
             facing = np.flatnonzero(cosine > 0)
             asked[facing] += cosine[facing]
-            cosine[facing[_in_shadow(surface, Lamp(direction, True, SKY), p[facing])]] = 0.0
+            cosine[facing[in_shadow(surface, Lamp(direction, True, SKY), p[facing])]] = 0.0
             seen[facing] += cosine[facing]
         open_sky[mine] = np.where(asked > 1e-6, seen / asked, 1.0)
     return open_sky
 
 
-def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
+def in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
     """Return a mask of the points at which an opaque surface blocks the lamp, as an array of shape (n,).
 
     Only the far sides of closed surfaces cast shadows. Other surfaces receive the same shadows as they would from the

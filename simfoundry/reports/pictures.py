@@ -11,22 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array, frozen_array, look_at
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.render.raycast import raycast
-from simfoundry.render.surface import scene_surface
+from simfoundry.render.views import overview, shrunk
 from simfoundry.runtime.files import MARK
 from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480  # Default and maximum image size [px]; two images fit side by side on a page 1320 px wide
-
-VIEW_DEG = 40.0  # Vertical field of view [deg] of the default camera; wider views distort upright objects at the edges
-
-# Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
-FROM = (-0.72, -0.62, 0.62)
-
-# Margin that the default camera leaves around the objects, as a factor of their radius; less would cut off outlines.
-MARGIN = 1.08
 
 RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales down an image
 
@@ -102,45 +94,9 @@ def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
     """Return the first chosen camera, scaled down if necessary, or a view of all objects if no camera is chosen."""
     camera = next((camera for camera in chosen if camera is not None), None)
-    return _shrunk(camera) if camera is not None else _overview([scene for scene in scenes if scene.objects])
-
-
-def _shrunk(camera: Camera) -> Camera:
-    scale = min(1.0, WIDTH / camera.width, HEIGHT / camera.height)
-    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-    x, y = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * x,
-        fy=camera.fy * y,
-        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centers are integers
-        cy=(camera.cy + 0.5) * y - 0.5,
-    )
-
-
-def _overview(scenes: list[Scene]) -> Camera:
-    """Return a three-quarter view of the movable objects, or of all objects if none can move."""
-    clouds = (np.concatenate([np.zeros((0, 3)), *(_corners(s, free) for s in scenes)]) for free in (True, False))
-    cloud = next((points for points in clouds if len(points)), np.array([[-0.5] * 3, [0.5] * 3]))
-    low, high = cloud.min(axis=0), cloud.max(axis=0)
-    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
-    away = np.array(FROM) / np.linalg.norm(FROM)
-    eye = center + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
-    focal = HEIGHT / 2 / np.tan(np.radians(VIEW_DEG / 2))
-    X_WC = look_at(eye, center)
-    return Camera("overview", WIDTH, HEIGHT, float(focal), float(focal), (WIDTH - 1) / 2, (HEIGHT - 1) / 2, X_WC)
-
-
-def _corners(scene: Scene, free: bool) -> Array:
-    """Return the corners of the visible triangles in the world [m], as an array of shape (n, 3).
-
-    If ``free`` is set, only free objects are included.
-    """
-    surface = scene_surface(scene)
-    wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
-    return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
+    if camera is not None:
+        return shrunk(camera, WIDTH, HEIGHT)
+    return overview([scene for scene in scenes if scene.objects], WIDTH, HEIGHT)
 
 
 def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:

@@ -78,9 +78,9 @@ class BodyBuilder:
 
     If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
     are neither shown nor decomposed. A mesh without cached convex parts is represented by its hull, and
-    ``is_approximate`` is set. ``texture_of`` returns the texture of a material, if it has one. ``hidden`` contains the
-    whole meshes of parts with native data that are not shown. ``drafts`` contains the mesh bodies of a draft, which are
-    shared by all objects with the same mesh.
+    ``is_approximate`` is set. If ``shown`` is set, a draft has the same visuals as a build. ``texture_of`` returns the
+    texture of a material, if it has one. ``hidden`` contains the whole meshes of parts with native data that are not
+    shown. ``drafts`` contains the mesh bodies of a draft, which are shared by all objects with the same mesh.
 
     Raises:
         MeshError: If a mesh is unusable.
@@ -92,6 +92,7 @@ class BodyBuilder:
     cache: Cache | None
     weighed: bool = False
     draft: bool = False
+    shown: bool = False
     is_approximate: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
@@ -156,7 +157,9 @@ class BodyBuilder:
 
         if self.draft:
             if (path, use) not in self.drafts:
-                self.drafts[path, use] = mesh_bodies.draft_body(path, use, self.cache)
+                body = mesh_bodies.draft_body(path, use, self.cache)
+                pieces = mesh_bodies.shown_pieces(path, use.scale) if self.shown else ()
+                self.drafts[path, use] = body._replace(pieces=pieces)
             return self.drafts[path, use]
         return mesh_bodies.read_body(path, use, self.cache, self.report)
 
@@ -164,9 +167,9 @@ class BodyBuilder:
         for k, piece in enumerate(pieces):
             label = name if len(pieces) == 1 else f"{name}_{k}"
             if piece.texture is None and piece.rgba is None:
-                self._show_surface(label, closed_mesh(piece.vertices, piece.faces, piece.uv), X_LG, part)
+                self._show_surface(label, _piece_mesh(piece), X_LG, part)
                 continue
-            mesh = closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
+            mesh = _piece_mesh(piece)
             # Textured meshes are white by default, so that the texture is unchanged.
             own = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
             self.visuals.append(Visual(label, mesh, self._rgba(part, own), X_LG))
@@ -174,7 +177,8 @@ class BodyBuilder:
     def _show_surface(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
         """Add a visual without a color of its own, which has the color and the texture of its material."""
         material = self._material_name(part)
-        texture = None if material is None or self.draft else self.texture_of(material)
+        hidden = self.draft and not self.shown
+        texture = None if material is None or hidden else self.texture_of(material)
         if texture is None:
             self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
             return
@@ -248,6 +252,11 @@ class BodyBuilder:
         """
         colors = part.color if part is not None else None, self.body.color, default, self._material(part).color
         return frozen((*next((color for color in colors if color is not None), GRAY), 1.0)[:4])
+
+
+@lru_cache(maxsize=64)  # pieces that are kept are rendered without being prepared again
+def _piece_mesh(piece: MeshPart) -> Mesh:
+    return closed_mesh(piece.vertices, piece.faces, piece.uv, piece.texture)
 
 
 def _use(part: Part | None) -> str:

@@ -45,8 +45,8 @@ class Lowering:
     If ``fetch`` is set, robot models are downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
     parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
     depends on an approximate object may then fail without an error; ``unplaced`` contains the objects whose poses are
-    uncertain for this reason. Objects that have not changed are taken from the ``earlier`` draft. ``lowered`` contains
-    the objects before they are placed.
+    uncertain for this reason. A draft that is ``shown`` has the same visuals as a build. Objects that have not changed
+    are taken from the ``earlier`` draft. ``lowered`` contains the objects before they are placed.
     """
 
     loaded: Loaded
@@ -54,6 +54,7 @@ class Lowering:
     progress: Progress | None = None
     fetch: bool = True
     draft: bool = False
+    shown: bool = False
     approximate: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
     earlier: EarlierLowering | None = None
@@ -160,7 +161,9 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         SpecError: If an object cannot be lowered. The error contains all findings.
     """
     spec = lowering.spec
-    work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft)
+    work = ObjectLowering(
+        lowering.loaded, lowering.cache, lowering.progress, draft=lowering.draft, shown=lowering.shown
+    )
     found: dict[str, SceneObject | None] = {}
     # A viewpoint that looks at an object is unknown until the object is placed.
     is_late = lowering.draft or bool(lowering.frames.viewer_needs(spec.viewpoint))

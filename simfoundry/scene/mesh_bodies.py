@@ -6,6 +6,7 @@ Meshes are decomposed for builds, but only looked up in the cache for drafts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 from simfoundry.assets import convex, mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Colliders
-from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, Scale, implausible_size, no_volume, not_closed
 from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
@@ -93,6 +94,26 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
         return MeshBody((), solid, _posed(found), found.error)
     found = Colliders(((np.array(summary.hull) * use.scale, np.array(summary.hull_faces, dtype=np.int32)),))
     return MeshBody((), solid, _posed(found), 0.0, use.collision != "hull" and not summary.is_nearly_convex)
+
+
+def shown_pieces(path: Path, scale: Scale) -> tuple[MeshPart, ...]:
+    """Return the visual pieces of a mesh file, which are kept until the file changes.
+
+    Raises:
+        MeshError: If the file cannot be read.
+    """
+    try:
+        state = path.stat()
+    except OSError:
+        return read_mesh(path, scale)
+    return _kept_pieces(path, scale, (state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=32)
+def _kept_pieces(path: Path, scale: Scale, version: tuple[int, int]) -> tuple[MeshPart, ...]:
+    """Read the pieces of a mesh file, which has been seen in a ``version``."""
+    del version  # part of the cache's key alone
+    return read_mesh(path, scale)
 
 
 def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:

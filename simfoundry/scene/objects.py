@@ -42,8 +42,9 @@ class ObjectLowering:
     """A pass that lowers the objects in a document and collects findings about their meshes.
 
     Unless ``cuts`` is set, meshes are represented by their convex hulls instead of being decomposed into convex parts.
-    In a ``draft``, meshes also have no visuals (see :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate``
-    contains the names of objects that are represented only by their bounds.
+    In a ``draft``, meshes also have no visuals, unless it is ``shown`` (see
+    :class:`~simfoundry.scene.bodies.BodyBuilder`). ``approximate`` contains the names of objects that are represented
+    only by their bounds.
     """
 
     loaded: Loaded
@@ -52,6 +53,7 @@ class ObjectLowering:
     done: int = 0
     draft: bool = False
     cuts: bool = True
+    shown: bool = False
     findings: list[Diagnostic] = field(default_factory=list)
     approximate: set[str] = field(default_factory=set)
     _textures: dict[Path, bytes | None] = field(default_factory=dict)
@@ -91,7 +93,7 @@ class ObjectLowering:
         """
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
-        builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft, drafts=self._drafts)
+        builder = BodyBuilder(name, body, materials, self.cache, weighed, self.draft, self.shown, drafts=self._drafts)
         builder.texture_of = lambda material: self._texture(source, material, materials[material])
         for material in materials if self.draft else ():  # a draft shows no meshes, but reports unusable textures
             self._texture(source, material, materials[material])

@@ -59,8 +59,10 @@ def main(count: int = 30, kills: int = 5) -> int:
         print(f"{seconds / spent:.1f} simulated seconds per second of processor time")
         draws = random.Random(0)
         for _ in range(kills):
-            process = _record(folder / "killed", count, jobs=2)
-            time.sleep(draws.uniform(3, max(4, wall / (kills + 1))))
+            process, before = _record(folder / "killed", count, jobs=2), _finished(folder / "killed")
+            while process.poll() is None and _finished(folder / "killed") == before:
+                time.sleep(0.02)
+            time.sleep(draws.uniform(0, 3))
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
             left = [len(list((folder / "killed" / name).glob("*.npz"))) for name in ("unfinished", "shards")]
@@ -71,6 +73,10 @@ def main(count: int = 30, kills: int = 5) -> int:
         print(f"{len(names)} files, {'the same bytes' if same else 'DIFFERENT BYTES'}")
         done = subprocess.run([sys.executable, "-c", REPLAY, str(folder / "killed")], check=False)
     return int(not same or done.returncode != 0)
+
+
+def _finished(folder: Path) -> int:
+    return len(list(folder.glob("*/*.npz")))
 
 
 def _record(out: Path, count: int, jobs: int = 1) -> subprocess.Popen[bytes]:

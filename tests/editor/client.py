@@ -45,9 +45,11 @@ class Server:
 
     process: subprocess.Popen[bytes]
     folder: Path
+    options: Message = field(default_factory=dict)
     answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
     published: defaultdict[str, queue.Queue[Message]] = field(default_factory=lambda: defaultdict(queue.Queue))
     logged: list[Message] = field(default_factory=list)
+    notices: dict[str, queue.Queue[Message]] = field(default_factory=dict)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
 
@@ -59,6 +61,7 @@ class Server:
             rootUri=self.folder.as_uri(),
             workspaceFolders=[{"uri": self.folder.as_uri(), "name": self.folder.name}],
             capabilities=CAPABILITIES,
+            initializationOptions=self.options,
         )
         self.capabilities: Message = answer["capabilities"]
         self.tell("initialized")
@@ -120,6 +123,14 @@ class Server:
         self.tell("textDocument/didChange", textDocument=document, contentChanges=changes)
         return self.count
 
+    def notice(self, method: str) -> Message:
+        """The next notification of a kind, once the server sends it."""
+        return self.notices.setdefault(method, queue.Queue()).get(timeout=PATIENCE)
+
+    def ask_about(self, method: str, path: Path, /, **params: Any) -> Any:
+        """The result of a request about a document."""
+        return self.ask(method, textDocument={"uri": path.as_uri()}, **params)
+
     def close(self, path: Path) -> None:
         """Close a document."""
         self.tell("textDocument/didClose", textDocument={"uri": path.as_uri()})
@@ -165,6 +176,8 @@ class Server:
                     self.published[uri].put(params)
                 case {"method": "window/logMessage" | "window/showMessage", "params": params}:
                     self.logged.append(params)
+                case {"method": method}:
+                    self.notices.setdefault(method, queue.Queue()).put(message.get("params") or {})
 
 
 def framed(body: bytes) -> bytes:
@@ -200,10 +213,15 @@ def _messages(stream: IO[bytes]) -> Iterator[Message]:
 
 
 @contextmanager
-def started(command: Sequence[str], folder: Path, errors: int | IO[bytes] = subprocess.DEVNULL) -> Iterator[Server]:
+def started(
+    command: Sequence[str],
+    folder: Path,
+    errors: int | IO[bytes] = subprocess.DEVNULL,
+    options: Message | None = None,
+) -> Iterator[Server]:
     """A server that has a folder open, and that writes its standard error to ``errors``."""
     with (
         subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as process,
-        Server(process, folder) as server,
+        Server(process, folder, options or {}) as server,
     ):
         yield server

@@ -6,6 +6,7 @@ import io
 import pickle
 import struct
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import msgpack
@@ -220,6 +221,34 @@ def test_readings() -> None:
     hand = reading("hand", robots, gripper)
     np.testing.assert_allclose(hand[:3], [0.4, 0.1, 0.3])
     np.testing.assert_allclose(turned(*hand[3:6]), next(iter(robots.values())).X_BH.rotation, atol=1e-12)
+
+
+def test_hands_in_every_representation_and_depths_have_their_keys() -> None:
+    shown = observation()
+    (robot,) = shown.robots.values()
+    gripper = spec_of("openpi", "a").gripper
+    for name, size in {"hand": 6, "hand_quat": 7, "hand_rotvec": 6, "hand_rot6d": 9, "hand_world": 7}.items():
+        found = reading(name, shown.robots, gripper)
+        assert found.shape == (size,)
+        np.testing.assert_array_equal(found[:3], robot.X_WH.p if name == "hand_world" else robot.X_BH.p)
+    np.testing.assert_allclose(reading("hand_rot6d", shown.robots, gripper)[3:], robot.X_BH.rotation[:2].ravel())
+    view = {"camera": "left", "size": (16, 18), "kind": "depth"}
+    spec = spec_of("openpi", "a", cameras={"depth": view, "color": {**view, "kind": "image"}})
+    depth = np.arange(18 * 32, dtype=np.float32).reshape(18, 32)
+    found_images = pictures(spec, replace(shown, depths={"left": depth}))
+    assert found_images["color"].shape == (18, 16, 3) and found_images["depth"].dtype == np.float32
+    assert set(np.unique(found_images["depth"])) <= {0.0, *np.unique(depth)}  # nothing is mixed
+    with pytest.raises(PolicyError, match="as `depth`, but it was not rendered"):
+        pictures(spec, shown)
+
+
+def test_actions_of_hands_and_normalized_ones() -> None:
+    spec = spec_of("openpi", "a", action_space="hand_delta", frame="hand", rotation="rpy", normalized=True, horizon=2)
+    assert str(spec.space) == "hand_delta:hand:rpy:normalized"
+    chunk = np.tile([0.1, 0.2, 0.3, -0.1, -0.2, -0.3, 1.0], (2, 1))
+    np.testing.assert_allclose(actions_of(spec, chunk, observation().robots), chunk)  # 1 is closed in both
+    chunk[:, 6] = 0.0
+    assert (actions_of(spec, chunk, observation().robots)[:, 6] == -1).all()
 
 
 def turned(roll: float, pitch: float, yaw: float) -> Any:

@@ -207,6 +207,18 @@ def test_an_empty_file_offers_a_whole_document(project: Path) -> None:
             assert parse(inserted("", item)).data["simfoundry"].endswith("/1")
 
 
+def test_near_files_are_offered_in_a_project_of_many_folders(room: Path) -> None:
+    for k in range(500):
+        (room.parent / "aside" / f"folder_{k}").mkdir(parents=True)
+    inner = room.parent / "z" / "scenes"
+    (inner / "meshes").mkdir(parents=True)
+    (inner / "meshes" / "near.obj").touch()
+    found = list(offered(inner / "new.scene.yaml", HEAD + "objects:\n  mug: {asset: |}"))
+    assert found[0] == "meshes/near.obj"
+    outside = offered(room, HEAD + "objects:\n  mug: {asset: ../|}")
+    assert not [label for label in outside if label.startswith("../")]
+
+
 def test_a_wrong_indentation_is_corrected(room: Path) -> None:
     text, offset = split(HEAD + "objects:\n  mug:\n    mass: 1\n      |")
     item = {item.label: item for item in ask(room, text, offset, None)}["friction"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.geometry.ray_casts import first_hits, pixel_rays, scattered_rays
 from simfoundry.geometry.shapes import Box, Geometry, Mesh, Sphere
-from simfoundry.render.raycast import Raycast, raycast
+from simfoundry.render.raycast import Raycast, quick_image, raycast
 from simfoundry.render.shading import encode_srgb
 from simfoundry.scene.model import Camera, Light, LightType, Link, Scene, SceneObject, Visual
 from simfoundry.scene.state import SceneState
@@ -313,3 +313,24 @@ def test_two_processes_draw_the_same_bytes() -> None:
     ]
     assert len(runs[0].strip()) == 64
     assert all(a == b for a, b in pairwise(runs))
+
+
+def test_a_quick_image_is_nearly_the_exact_one() -> None:
+    scene, camera = tabletop(), front_camera()
+    exact, quick = raycast(scene, camera, samples=2).color.astype(float), quick_image(scene, camera).astype(float)
+    assert quick.shape == exact.shape
+    assert np.abs(quick - exact).mean() < 8  # hard shadows, no dark corners, and blended outlines
+    assert (np.abs(quick - exact).max(axis=2) < 40).mean() > 0.93
+
+
+def test_a_quick_image_stops_when_it_is_told_to() -> None:
+    steps = 0
+
+    def checkpoint() -> None:
+        nonlocal steps
+        steps += 1
+        if steps == 3:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        quick_image(tabletop(), front_camera(), checkpoint=checkpoint)

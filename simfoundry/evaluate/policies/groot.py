@@ -298,6 +298,9 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
     Raises:
         PolicyError: If an input is not provided.
     """
+    if spec.space.of_hand:
+        known = " and ".join(ACTION)
+        raise PolicyError(f"`action_space: {spec.action_space}` is not supported; this client executes {known}")
     for key in takes["video"].keys:
         if key not in spec.cameras:
             raise PolicyError(f"the server needs the image `{key}`, which is missing from `cameras` in {spec.name}")

@@ -9,18 +9,16 @@ rewritten in canonical form, and its comments are kept.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from functools import cached_property, reduce
 from typing import Any
-
-import yaml
 
 from simfoundry.spec.change.diff.changes import Add, Path_, Remove, Rename, Reorder, Set, diff, members, same
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import KeyOrder, key_order
 from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.spans import TextSpan, locate_values
 from simfoundry.spec.yaml.spelling import call
 from simfoundry.spec.yaml.text import Document, parse
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
@@ -68,62 +66,19 @@ def _same_content(a: Any, b: Any) -> bool:
     return same(a, b)
 
 
-@dataclass(slots=True)
-class _Span:
-    """The position of a value in a text, as character indices.
+def _spans(text: str) -> TextSpan:
+    """Locate every value in a text, without the members of values that are replaced as a whole.
 
-    Attributes:
-        start: The start of the value.
-        end: The end of the value, exclusive.
-        key: The start of the value's key, or -1 if the value has no key.
-        flow: True for a collection in brackets or braces.
-        children: The members of a block collection or of a mapping in braces, or None for values that are replaced as a
-            whole: scalars, aliases, lists in brackets, and mappings in braces that contain a predicate.
+    These are lists in brackets, and mappings in braces that contain a predicate.
     """
-
-    start: int
-    end: int
-    key: int = -1
-    flow: bool = False
-    children: dict[str, _Span] | list[_Span] | None = None
-
-
-def _spans(text: str) -> _Span:
-    """Locate every value in a text."""
-    events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    for event in events:
-        if not isinstance(event, yaml.StreamStartEvent | yaml.DocumentStartEvent):
-            return _span(event, events, text)
-    return _Span(0, 0)
-
-
-# Events at the end of a collection.
-_ENDS: Any = (yaml.SequenceEndEvent, yaml.MappingEndEvent)
-
-
-def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
-    start, end, flow = event.start_mark.index, event.end_mark.index, getattr(event, "flow_style", False)
-    if isinstance(event, yaml.SequenceStartEvent):
-        items: list[_Span] = []
-        while not isinstance(event := next(events), _ENDS):
-            items.append(_span(event, events, text))
-        if flow:
-            return _Span(start, event.end_mark.index, flow=True)
-        return _Span(start, items[-1].end if items else end, children=items)
-    if isinstance(event, yaml.MappingStartEvent):
-        found: dict[str, _Span] = {}
-        while not isinstance(key := next(events), _ENDS):
-            span = _span(next(events), events, text)
-            span.key = key.start_mark.index
-            span.end = max(span.end, key.end_mark.index)
-            found[str(getattr(key, "value", ""))] = span
-        if flow:
-            end = key.end_mark.index
-            return _Span(start, end, flow=True, children=None if "(" in text[start:end] else found)
-        return _Span(start, max((s.end for s in found.values()), default=end), children=found)
-    if getattr(event, "style", None) in ("|", ">"):
-        end = start + len(text[start:end].rstrip())
-    return _Span(start, end)
+    root = locate_values(text)
+    todo = [root]
+    while todo:
+        span = todo.pop()
+        if span.flow and (isinstance(span.children, list) or "(" in text[span.start : span.end]):
+            span.children = None
+        todo += span.members
+    return root
 
 
 # A range of characters in a text (start, exclusive end), and the text that replaces it.
@@ -171,7 +126,7 @@ class _Round:
 
     # -- positions --------------------------------------------------------------------------------------------------
 
-    def _steps(self, path: Path_) -> list[_Span]:
+    def _steps(self, path: Path_) -> list[TextSpan]:
         """Return the existing spans along a path, starting with the span of the whole text."""
         spans, data = [self.root], self.document.data
         for k, part in enumerate(path):
@@ -220,7 +175,7 @@ class _Round:
         end = len(self.text) if end < 0 else end
         return end - (self.text[end - 1 : end] == "\r")
 
-    def _entry_end(self, span: _Span) -> int:
+    def _entry_end(self, span: TextSpan) -> int:
         """Return the end of the last line of a block entry, including more deeply indented comments below it."""
         end, column = self._line_end(span.end), span.key - self._line(span.key)
         while (start := self.text.find("\n", end) + 1) > 0:
@@ -342,7 +297,7 @@ class _Round:
             found[start, end] = found.get((start, end), "") + new
         return [(start, end, new) for (start, end), new in found.items()]
 
-    def _flow_addition(self, path: Path_, value: Any, parent: _Span, before: _Span | None) -> Splice | None:
+    def _flow_addition(self, path: Path_, value: Any, parent: TextSpan, before: TextSpan | None) -> Splice | None:
         """Return the edit that adds a member to a mapping in braces, after its neighbor."""
         new = inline_text(value, path, self.model, True)
         if new is None or not isinstance(parent.children, dict) or "\n" in self.text[parent.start : parent.end]:
@@ -353,7 +308,7 @@ class _Round:
         fits = self._line_end(before.end) - self._line(before.end) + len(path[-1]) + len(new) + 4 <= WIDTH
         return (before.end, before.end, f", {path[-1]}: {new}") if fits else self._entry(path[:-1])
 
-    def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice:
+    def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, TextSpan], before: TextSpan | None) -> Splice:
         """Insert a new entry into a block mapping, after its neighbor."""
         anchor = before or next(iter(siblings.values()))
         column = anchor.key - self._line(anchor.key)
@@ -372,12 +327,12 @@ class _Round:
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
     def _neighbors(
-        self, section: Path_, siblings: Mapping[str, _Span], names: Iterable[str]
-    ) -> list[tuple[str, _Span | None]]:
+        self, section: Path_, siblings: Mapping[str, TextSpan], names: Iterable[str]
+    ) -> list[tuple[str, TextSpan | None]]:
         """Return new names in canonical order with the entry that precedes each, or None if the new entry is first."""
         slot: KeyOrder = reduce(KeyOrder.member, section, key_order(self.model))
         spans, places = list(siblings.values()), {key: k for k, key in enumerate(siblings)}
-        found, last = list[tuple[str, _Span | None]](), -1
+        found, last = list[tuple[str, TextSpan | None]](), -1
         for key in slot.ordered([*siblings, *names]):
             if key in places:
                 last = max(last, places[key])

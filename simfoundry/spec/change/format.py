@@ -60,8 +60,21 @@ def format_file(path: Path) -> Formatted:
         SpecError: If the document could not be read.
     """
     document = _parsed(str(path))
+    return Formatted(document.text, _formatted_at(path, document))
+
+
+def format_open_text(text: str, path: Path) -> str:
+    """Return the canonical form of a text that an editor shows in place of a file; see :func:`format_file`.
+
+    Raises:
+        SpecError: If the text could not be parsed.
+    """
+    return _formatted_at(path, _parsed(str(path), text))
+
+
+def _formatted_at(path: Path, document: Document) -> str:
     model = _model(document)
-    return Formatted(document.text, _formatted(document, model, schema_line(path, document)))
+    return _formatted(document, model, schema_line(path, document))
 
 
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:

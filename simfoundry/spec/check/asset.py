@@ -8,6 +8,7 @@ from itertools import islice, takewhile
 from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Path_, volume
+from simfoundry.spec.check.outliers import check_asset_outliers
 from simfoundry.spec.check.plausible import check_friction, check_size, check_travel
 from simfoundry.spec.files import MESH_SUFFIXES
 from simfoundry.spec.models.base import WORLD, PoseSpec
@@ -47,6 +48,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         check_travel(c, joint.limits, places[name])
         if joint.drive is not None and joint.drive.target is not None:
             _within(c, f"the target of `{name}`", joint, joint.drive.target, (*places[name], "drive", "target"))
+    check_asset_outliers(c, spec)
     _attachments(c, spec)
     check_pairs(c, spec.no_contact, lambda link, path: c.name(link, c.names("links"), path, "link"))
 

@@ -11,9 +11,11 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.check.checker import Checker, Path_
+from simfoundry.spec.diagnostics import Fix
 from simfoundry.spec.models.base import BodySpec, Material, Model
 from simfoundry.spec.models.shapes import BoxShape
 from simfoundry.spec.yaml.nodes import Node
+from simfoundry.spec.yaml.text import Mark
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.surroundings import CameraSpec
@@ -66,7 +68,7 @@ def check_size(c: Checker, shape: Model, path: Path_, fixed: bool = False) -> No
     """Check that the dimensions of a primitive are plausible. A large, flat and ``fixed`` primitive is the ground."""
     if isinstance(shape, BoxShape) and THINNEST <= min(shape.box) <= max(shape.box) <= LARGEST:
         return  # most shapes, for which no path is needed
-    found = list(_dimensions(shape, path))
+    found = list(dimensions(shape, path))
     if not found:
         return
     (least_at, least), (most_at, most) = (pick(found, key=lambda each: each[1]) for pick in (min, max))
@@ -82,20 +84,20 @@ def check_size(c: Checker, shape: Model, path: Path_, fixed: bool = False) -> No
 _METERS = "lengths are in m; for 40 mm, write 0.04"
 
 
-def _dimensions(value: Any, path: Path_) -> Iterator[tuple[Path_, float]]:
+def dimensions(value: Any, path: Path_) -> Iterator[tuple[Path_, float]]:
     """Yield the lengths in a shape with their paths; an outline or profile has the extents of its points."""
     if isinstance(value, Model):
         for key in type(value).model_fields.keys() - {"pose", "color"}:
-            yield from _dimensions(getattr(value, key), (*path, key))
+            yield from dimensions(getattr(value, key), (*path, key))
     elif isinstance(value, Mapping):
         for key, member in value.items():
-            yield from _dimensions(member, (*path, key))
+            yield from dimensions(member, (*path, key))
     elif isinstance(value, tuple) and value and isinstance(value[0], tuple):
         for numbers in zip(*value, strict=True):
             yield path, max(numbers) - min(numbers)
     elif isinstance(value, tuple):
         for k, member in enumerate(value):
-            yield from _dimensions(member, (*path, k))
+            yield from dimensions(member, (*path, k))
     elif isinstance(value, float | int) and not isinstance(value, bool):
         yield path, value
 
@@ -202,7 +204,8 @@ def _check_scalar(c: Checker, path: Path_, node: Node) -> None:
     kinds = {bool: "the truth value", str: "the string", int: "the number", float: "the number"}
     read = f"{kinds.get(type(other), 'the date')} `{str(other).lower() if isinstance(other, bool) else other}`"
     hint = f"write `{quoted(ours) if isinstance(ours, str) else exact(ours)}`, which all readers agree on"
-    c.warn("SF441", path, f"`{node.plain}` is read as {read} by YAML 1.1 tools", hint)
+    fix = Fix(quoted(ours) if isinstance(ours, str) else exact(ours), certain=True)
+    c.warn("SF441", path, f"`{node.plain}` is read as {read} by YAML 1.1 tools", hint, Mark(fixes=(fix,)))
 
 
 def _yaml_1_1(text: str) -> Any:
@@ -225,8 +228,10 @@ def _check_angle(c: Checker, path: Path_, node: Node) -> None:
     for k, each in enumerate(node.members or (node,)):
         if isinstance(each.value, float) and in_radians(each.plain):
             at = (*path, k) if node.children is not None else path
-            hint = f"if it is in radians, write {round(math.degrees(float(each.plain))):g}; it is in degrees here"
-            c.warn("SF434", at, f"`{path[-1]}` is {each.plain} deg, which looks like an angle in radians", hint)
+            degrees = f"{round(math.degrees(float(each.plain))):g}"
+            hint = f"if it is in radians, write {degrees}; it is in degrees here"
+            message = f"`{path[-1]}` is {each.plain} deg, which looks like an angle in radians"
+            c.warn("SF434", at, message, hint, Mark(fixes=(Fix(degrees),)))
 
 
 def _check_limits(c: Checker, path: Path_, node: Node) -> None:
@@ -240,15 +245,16 @@ def _check_limits(c: Checker, path: Path_, node: Node) -> None:
         low, high = (math.degrees(value) for value in numbers)
         hint = f"`limits_deg` is in degrees; if these are in radians, write [{low:.1f}, {high:.1f}]"
         message = f"`{path[-2]}` turns only {numbers[1] - numbers[0]:.3g} deg, and its limits look like radians"
-        c.warn("SF435", path, message, hint)
+        c.warn("SF435", path, message, hint, Mark(fixes=(Fix(f"[{low:.1f}, {high:.1f}]"),)))
 
 
 # A full turn [rad], and a bit more for rounding.
 _TURN = 2 * math.pi + 0.01
 
 # Fraction of pi that an angle in radians is a multiple of, by the number of decimals from which it is recognized. Fewer
-# decimals would also find angles in degrees, such as 0.52.
-_FRACTIONS = {2: 2, 3: 4, 4: 12}
+# decimals would also find angles in degrees, such as 0.52. With four decimals, whole degrees are recognized: only 1 of
+# 170 angles that are really in degrees, and as precise, is a multiple by chance.
+_FRACTIONS = {2: 2, 3: 4, 4: 180}
 
 
 # A number below 10 that is written with at least two decimals.

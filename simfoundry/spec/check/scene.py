@@ -13,6 +13,7 @@ from simfoundry.spec.check.cameras import check_mount, check_target
 from simfoundry.spec.check.checker import Checker, Path_, piece_clash, volume
 from simfoundry.spec.check.frames import check_frames
 from simfoundry.spec.check.names import SceneNames, asset_in
+from simfoundry.spec.check.outliers import check_scene_outliers
 from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
@@ -59,6 +60,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     names.check_places(c, places, {name: ("objects", name, key) for name, key in keys.items()})
     check_frames(c, names, spec)
     check_gravity(c, spec.gravity)
+    check_scene_outliers(c, spec)
     for name, camera in spec.cameras.items():
         check_camera(c, camera, ("cameras", name))
         if camera.mount is not None:

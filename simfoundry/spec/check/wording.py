@@ -37,6 +37,8 @@ _JOINED = {"all", "any", "not"}
 _ALTERNATIVES = _JOINED.union(SHAPE_KEYS)
 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+# Name, number, file or predicate.
+_WHOLE = re.compile(r"[\w./-]+|[A-Za-z]\w*\([\w., ]*\)")
 # Number with a unit.
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
 
@@ -90,7 +92,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     kind: str = error["type"]
     loc = tuple(part for part in error["loc"] if part != "[key]")
     of_key = "[key]" in error["loc"] or kind in ("extra_forbidden", "missing")
-    message, hint, mark = _words(model, kind, loc, error)
+    message, hint, mark = _words(model, kind, loc, error, _keys_at(document.data, document.known(loc[:-1])))
     code = kind.upper() if kind.startswith("sf") else _CODES.get(kind, "SF103")
     path = document.known(loc)
     if kind == "missing" and isinstance(loc[-1], int):  # one finding for the list, not one per missing item
@@ -102,15 +104,27 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     return document.finding(code, path, message, hint, of_key=of_key, mark=mark)
 
 
-def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str, Mark]:
-    """Return the message and hint for one pydantic error, and the corrections of the key or value."""
+def _keys_at(data: Any, path: Path_) -> set[str]:
+    """Return the keys of the mapping at an existing path."""
+    for part in path:
+        data = data[part]
+    return {*data} if isinstance(data, dict) else set()
+
+
+def _words(
+    model: type[Model], kind: str, loc: tuple[Any, ...], error: Any, siblings: set[str]
+) -> tuple[str, str, Mark]:
+    """Return the message and hint for one pydantic error, and the corrections of the key or value.
+
+    ``siblings`` are the keys of the mapping that contains the value.
+    """
     given, context = error["input"], error.get("ctx", {})
     description, found = _description(model, loc), _shown(given)
     bare = found.removeprefix("the string ")
     if kind.startswith("sf"):
         return error["msg"], "", Mark()
     if kind == "extra_forbidden":
-        return _unknown_key(model, loc)
+        return _unknown_key(model, loc, siblings)
     if kind == "missing" and isinstance(loc[-1], int):
         return f"values are missing: the list has only {len(given)}", description, Mark()
     if kind == "missing" and loc[-1] in SHAPE_KEYS:
@@ -159,8 +173,8 @@ def _other_type(model: type[Model], loc: tuple[Any, ...], error: Any, descriptio
     if kind == "string_type" and isinstance(given, int | float):
         return "put it in double quotes", (Fix(f'"{given}"'),) if not isinstance(given, bool) else ()
     if kind == "model_type" and (key := _only_key(model, loc)):
-        scalar = isinstance(given, str | int | float)
-        return f"write `{{{key}: {given}}}`", (Fix(f"{{{key}: {given}}}", certain=True),) if scalar else ()
+        is_whole = _WHOLE.fullmatch(str(given)) is not None  # and not the rest of a line with another slip
+        return f"write `{{{key}: {given}}}`", (Fix(f"{{{key}: {given}}}", certain=True),) if is_whole else ()
     if kind == "dict_type" and isinstance(given, tuple | list) and description:
         return f"{description} Write `name: ...` for each, without `-`.", ()
     return description, ()
@@ -172,8 +186,11 @@ def _has_unit(description: str, rule: str) -> bool:
     return f"[{'deg' if unit == 'degrees' else unit}" in description
 
 
-def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str, Mark]:
-    """Return the message and hint for a key that is not in the model, and the keys that may be meant."""
+def _unknown_key(model: type[Model], loc: tuple[Any, ...], siblings: set[str]) -> tuple[str, str, Mark]:
+    """Return the message and hint for a key that is not in the model, and the keys that may be meant.
+
+    Keys that are present already are not meant.
+    """
     owners, last = models_at(model, loc[:-1]), loc[-1]
     names = {name for owner in owners for name in owner.model_fields}
     if loc[-2:-1] and loc[-2] in SHAPE_KEYS and any(owner.model_fields.keys() <= set(SHAPE_KEYS) for owner in owners):
@@ -187,10 +204,11 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...]) -> tuple[str, str, Ma
     if last in SHAPE_KEYS and "shape" in names:
         return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`", Mark()
     former = {old: new for owner in owners for old, new in former_keys(owner).items()}
-    if last in former:
+    if last in former and former[last] not in siblings:
         message, fixes = f"the `{last}` key was renamed to `{former[last]}`", (Fix(former[last], certain=True),)
         return message, "run `simfoundry migrate` on the file", Mark(fixes=fixes)
-    return f"unknown key `{last}`", nearest(str(last), names), Mark(fixes=similar_fixes(str(last), names))
+    absent = names - siblings or names
+    return f"unknown key `{last}`", nearest(str(last), absent), Mark(fixes=similar_fixes(str(last), absent))
 
 
 def _expected(error: Any) -> str:

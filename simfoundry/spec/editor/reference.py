@@ -67,9 +67,9 @@ def _table(model: Schema) -> Iterator[str]:
     yield "|---|---|---|---|"
     required = model.get("required", ())
     for key, field in model["properties"].items():
-        default = "**required**" if key in required else _default(field.get("default"))
+        default = "**required**" if key in required else default_text(field.get("default"))
         meaning = field.get("description", "").replace("|", "\\|")
-        yield f"| `{key}` | {_type(field)} | {meaning} | {default} |"
+        yield f"| `{key}` | {type_text(field)} | {meaning} | {default} |"
     yield ""
 
 
@@ -78,11 +78,11 @@ def _title(name: str) -> str:
     return "Shape" if name.endswith("Shape") else title(name).capitalize()
 
 
-def _type(field: Schema) -> str:
+def type_text(field: Schema) -> str:
     """Describe the type of a value, with a link to the table if the value is a mapping."""
     match field:
         case {"anyOf": options} | {"oneOf": options}:
-            return " or ".join(dict.fromkeys(_type(o) for o in options if o.get("type") != "null"))
+            return " or ".join(dict.fromkeys(type_text(o) for o in options if o.get("type") != "null"))
         case {"$ref": target}:
             name = _title(target.rpartition("/")[2]).lower()
             return f"[{name}](#{name.replace(' ', '-')})"
@@ -91,17 +91,17 @@ def _type(field: Schema) -> str:
         case {"enum": values}:
             return ", ".join(f"`{v}`" for v in values)
         case {"prefixItems": items}:
-            kinds = [_type(i) for i in items]
+            kinds = [type_text(i) for i in items]
             return f"[{kinds[0]}] × {len(kinds)}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
         case {"items": item}:
-            return f"list of {_type(item)}{_length(field)}"
+            return f"list of {type_text(item)}{_length(field)}"
         case {"patternProperties": patterns}:
             pattern, value = next(iter(patterns.items()))
-            return f"{PATTERNS[pattern].title} → {_type(value)}"
+            return f"{PATTERNS[pattern].title} → {type_text(value)}"
         case {"pattern": pattern}:
             return PATTERNS[pattern].title
         case {"type": "object", "additionalProperties": dict(value)}:
-            return f"text → {_type(value)}"
+            return f"text → {type_text(value)}"
         case {"type": "string"}:
             return "text"
         case {"type": "boolean"}:
@@ -131,7 +131,8 @@ def _range(field: Schema) -> str:
     return ""
 
 
-def _default(value: Any) -> str:
+def default_text(value: Any) -> str:
+    """Format a default value, or a dash if there is none."""
     match value:
         case None:
             return "–"

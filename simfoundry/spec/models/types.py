@@ -69,9 +69,10 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 def field_type(model: type[BaseModel], name: str) -> Any:
     """Return the type of a field, annotated with its constraints."""
-    if not model.__pydantic_fields_complete__:  # a recursive type, which has not been resolved yet
-        model.model_rebuild()
     info = model.model_fields[name]
+    if isinstance(info.annotation, typing.ForwardRef):  # a recursive type, which has not been resolved yet
+        model.model_rebuild()
+        info = model.model_fields[name]
     return typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
 
 

@@ -93,7 +93,10 @@ class Document:
         dotted, file = ".".join(map(str, path)), self.source(path)
         plain = "" if of_key else next((node.plain for *_, node in reversed([*self._walk(path)])), "")
         found = Diagnostic(code, severity, message, file, line, column, dotted, hint)
-        return self.marked(found, mark or Mark(), plain)
+        mark = mark or Mark()
+        if of_key and mark.fixes and not mark.word:  # they replace the key, and not a part of it
+            mark = replace(mark, word=next((str(part) for part in reversed(self.known(path))), ""))
+        return self.marked(found, mark, plain)
 
     def marked(self, finding: Diagnostic, mark: Mark, plain: str = "") -> Diagnostic:
         """Return a finding with the wrong word at its place and the fixes of a mark, if they apply to the text.
@@ -295,6 +298,8 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
         return YamlError("SF002", problem)
     line, column = mark.line + 1, mark.column + 1
     opening = getattr(error, "context_mark", None)
+    if opening is not None and opening.line < mark.line and "expected ':'" in problem and _is_quote(text, opening):
+        return YamlError("SF002", "these quotes are not closed", opening.line + 1, opening.column + 1)
     if "cannot start any token" in problem:
         found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :]
         if found[:1] != "\t":
@@ -321,6 +326,11 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
             line, column = start, opening.column + 1
         return YamlError("SF002", row["message"], line, column, row["hint"].format(start=start))
     return YamlError("SF002", problem, line, column)
+
+
+def _is_quote(text: str, mark: Any) -> bool:
+    line = text.removeprefix("\ufeff").splitlines()[mark.line]
+    return line[mark.column : mark.column + 1] in ("'", '"')
 
 
 # Line that consists of one word, or of a word and a value with a colon but no space between them.
