@@ -32,11 +32,12 @@ if TYPE_CHECKING:
 @click.option("--no-gallery", is_flag=True, help="Do not write the gallery page.")
 @click.option("--vlm", default="", metavar="MODEL", help="Model to use for recipes that require one.")
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
+@click.option("--preview", type=NEW_FILE, help="Also write a PNG sheet with the twin and the first 15 cousins.")
 @click.option("--split", default="", metavar="NAME", help="Draw the values of `vary` only from this split.")
 def cousins_command(
     recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
     shard: tuple[int, int] | None, where: str, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
-    split: str, force: bool, as_json: bool,
+    preview: Path | None, split: str, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
 
@@ -50,12 +51,13 @@ def cousins_command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.variant_pool import ASSETS, counts
     from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler
-    from simfoundry.cousins.run.report import told, write_manifest, write_stage
+    from simfoundry.cousins.run.report import told, write_manifest, write_preview, write_stage
     from simfoundry.cousins.run.run import RunPlan, begin, finish, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
     from simfoundry.reports.gallery import write_gallery
 
     output.protect_output(stage, [recipe], force)
+    output.protect_output(preview, [recipe], force)
     read, folder = _read(recipe, seed, out, split)
     setup = recipe.absolute(), folder, read.seed, vlm, split
     with output.progress_bar(as_json) as progress, resumable(folder):
@@ -84,6 +86,10 @@ def cousins_command(
                 write_gallery(plan, ledger, gallery, lambda done, of: progress("pictures", done / of))
             if stage is not None:
                 write_stage(plan, ledger, read, stage)
+                if read.varied:
+                    click.echo("note: the stage contains objects and poses, but no other values of `vary`", err=True)
+            if preview is not None:
+                write_preview(plan, ledger, read.scene.path, preview)
             finish(plan, ledger)
     return _report_run(plan, ledger, read.remarks, as_json)
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.entries import TaskEntry
     from simfoundry.evaluate.run import EvaluationPlan
     from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
+    from simfoundry.evaluate.statistics.sensitivity import SensitivityTable
 
 # Maximum number of problems, and of comparisons, printed as sentences, so that they fit on a screen with the table.
 SENTENCES = 10
@@ -198,9 +199,12 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
         help="Number of samples used to compute the intervals.")  # fmt: skip
 @option("--seed", type=click.IntRange(min=0), default=0, help="Seed for sampling.")
 @click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
+@click.option("--by", type=click.Choice(["vary"]),
+              help="Instead, correlate success rates with the values that a recipe varies.")  # fmt: skip
+@click.option("--page", type=NEW_FILE, help="With --by: write the tables as an HTML page to this file.")
 def correlate_command(
-    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,
-    as_json: bool,
+    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, by: str | None,
+    page: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Compare simulated success rates with real ones by Pearson's r and MMRV, separately for each task.
 
@@ -208,9 +212,20 @@ def correlate_command(
     successes and rollouts. Each SIM is compared with REAL on the tasks and policies that both contain. The 95%
     intervals in parentheses are computed by sampling the rates from their posteriors and resampling the policies. r is
     undefined if all policies have the same success rate.
+
+    With `--by vary`, REAL is the output folder of `simfoundry cousins`, and SIM are results of `simfoundry eval` on
+    that folder. For each value that the recipe varies, the table contains Spearman's rank correlation with the success
+    rate of a cousin, its 95% interval, and a p-value that is corrected for the number of values.
     """
     from simfoundry.evaluate.statistics import correlation
 
+    if by is not None:
+        if svg is not None:
+            raise SimfoundryError("--svg draws success rates in simulation and reality; use --page with --by")
+        _correlate_values(real, sim, draws, seed, page, force, as_json)
+        return
+    if page is not None:
+        raise SimfoundryError("--page requires --by vary; use --svg for a scatter plot")
     output.protect_output(svg, [real, *sim], force)
     truth = correlation.read_scores(real)
     if len(engines := correlation.by_engine(truth)) > 1:
@@ -233,6 +248,49 @@ def correlate_command(
     _print_agreements(found, missing, said)
     if svg is not None:
         click.echo(f"\nwrote {svg}")
+
+
+def _correlate_values(
+    cousins: Path, results: Sequence[Path], draws: int, seed: int, page: Path | None, force: bool, as_json: bool
+) -> None:
+    """Print how success rates depend on the values of cousins."""
+    from simfoundry.evaluate.statistics.sensitivity import read_rollouts, read_varied, sensitivities
+
+    output.protect_output(page, [cousins, *results], force)
+    varied = read_varied(cousins)
+    tables = sensitivities(varied, [r for path in results for r in read_rollouts(path)], draws, seed)
+    if page is not None:
+        from simfoundry.reports.sensitivity import sensitivity_page
+
+        output.write_text(page, sensitivity_page(varied.recipe, tables))
+    if as_json:
+        output.print_json({"recipe": varied.recipe, "tables": [table.to_json() for table in tables]})
+        return
+    _print_sensitivities(tables)
+    if page is not None:
+        click.echo(f"\nwrote {page}")
+
+
+def _print_sensitivities(tables: Sequence[SensitivityTable]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    for one in tables:
+        shown = Table(title=one.title, title_justify="left", box=None, pad_edge=False)
+        for title in ("value", "from", "to", "correlation", "p"):
+            shown.add_column(title, no_wrap=True)
+        for n in one.numbers:
+            p = "" if n.p is None else f"{n.p:.3f}"
+            shown.add_row(n.name, f"{n.low:.4g}", f"{n.high:.4g}", _with_interval(n.correlation, n.interval), p)
+        if one.numbers:
+            console.print(shown)
+        chosen = Table("value", "choice", "cousins", "success", box=None, pad_edge=False)
+        for c in one.choices:
+            chosen.add_row(c.name, escape(c.value), str(c.cousins), str(c.rate))
+        if one.choices:
+            console.print(chosen)
 
 
 def _table_names(sim: Sequence[Path]) -> list[str]:

@@ -82,8 +82,9 @@ def checked_actions(
     for *row, column in np.argwhere(~np.isfinite(array)).tolist():
         where = _place(robots, space, row, column)
         raise InvalidAnswerError(f"{subject} must be finite; {where} is {array[*row, column]}")
-    if space.of_hand and not space.normalized:
-        _check_rotations(array.reshape(-1, size), robots, space, subject)
+    if space.of_hand:
+        # Quaternions and rows of matrices are the same if they are normalized, apart from the clipping.
+        _check_rotations(np.clip(array, -1, 1) if space.normalized else array, robots, space, subject)
     return array
 
 
@@ -99,7 +100,7 @@ def _place(robots: Robots, space: ActionSpace, row: list[int], column: int) -> s
 
 def _check_rotations(actions: Array, robots: Robots, space: ActionSpace, subject: str) -> None:
     for name, arm, _ in columns(robots, space):
-        for k, numbers in enumerate(actions[:, arm.start + 3 : arm.stop]):
+        for k, numbers in enumerate(np.atleast_2d(actions)[:, arm.start + 3 : arm.stop]):
             try:
                 rotation_quat(numbers, space.rotation)
             except ValueError as error:

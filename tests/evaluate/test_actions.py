@@ -163,6 +163,8 @@ def test_a_pose_out_of_reach_is_approached_and_a_delta_does_not_wind_up(world: M
     (before, _) = hands(world)
     far = np.array([5.0, 0.0, 0.3, 1, 0, 0, 0, 0.0] * 2)
     carry_out(world, "hand_pose", far)
+    for space in ("hand_pose", "hand_delta:hand:quat_wxyz"):
+        carry_out(world, space, np.where(far == 5.0, 1e300, far), 2)
     assert np.isfinite(world.data.qpos).all() and np.linalg.norm(hands(world)[0].p - before.p) > 0.1
     world.reset()
     execution = Execution(world, ("left", "right"), ActionSpace.parse("hand_delta:world"), 15.0)
@@ -262,6 +264,7 @@ def test_a_rate_that_is_none_is_refused(
     ("space", "change", "words"),
     [
         ("hand_pose", {3: 0.0}, "in action 0 for the hand of `right`, the quaternion has length 0"),
+        ("hand_pose:normalized", {3: 0.0}, "for the hand of `right`, the quaternion has length 0"),
         ("hand_pose:rot6d", {3: 0.0}, "in action 0 for the hand of `right`, the rows of the rotation matrix are zero"),
         ("hand_delta", {2: np.nan}, "(hand z of `right`) is nan"),
         ("hand_delta", {6: np.inf}, "(gripper of `right`) is inf"),

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import number
 from simfoundry.cousins.recipe.candidate import Candidate
@@ -27,6 +28,9 @@ from simfoundry.runtime.files import MARK, writing_atomically
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.yaml.text import parse
+
+if TYPE_CHECKING:
+    from simfoundry.render.montage import Image
 
 # Format version of the manifest.
 VERSION = "cousins-run/1"
@@ -110,8 +114,15 @@ def draw(file: Path) -> bytes | None:
     Returns:
         The image as PNG data, or None if the scene has no cameras.
     """
-    from simfoundry.assets.cache import Cache
     from simfoundry.render.montage import png_bytes
+
+    image = rendered(file)
+    return None if image is None else png_bytes(image)
+
+
+def rendered(file: Path) -> Image | None:
+    """Render a scene as :func:`draw` does, and return the image."""
+    from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.scene import SceneSpec
@@ -126,7 +137,32 @@ def draw(file: Path) -> bytes | None:
     if camera is None:
         return None
     height = max(1, round(camera.height * WIDTH / camera.width))
-    return png_bytes(render(scene, resized(camera, WIDTH, height)))
+    return render(scene, resized(camera, WIDTH, height))
+
+
+# Maximum number of pictures on a preview sheet, including that of the twin, and their number in a row.
+SHEET, COLUMNS = 16, 4
+
+
+def write_preview(plan: RunPlan, ledger: Ledger, twin: Path, path: Path) -> Path:
+    """Write a sheet with the pictures of the twin and of the first cousins that have a scene of their own.
+
+    Raises:
+        OutputError: If the scene has no cameras.
+    """
+    from simfoundry.render.montage import save_png, side_by_side
+
+    with Reader() as reader:
+        accepted = (reader.candidate(place) for place in ledger.counted() if place.accepted)
+        files = [
+            plan.out / c.files()["scene"] for c in islice((c for c in accepted if "scene" in c.documents), SHEET - 1)
+        ]
+    panels = [("twin", rendered(twin)), *((file.name.split(".")[0], rendered(file)) for file in files)]
+    shown = [(caption, image) for caption, image in panels if image is not None]
+    if not shown:
+        raise OutputError(f"{twin} has no cameras, so there is nothing to preview; add one under `cameras`")
+    save_png(path, side_by_side(shown, columns=COLUMNS))
+    return path
 
 
 # -- USD stage ---------------------------------------------------------------------------------------------------------
@@ -178,7 +214,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
     if path.suffix != ".usda":
         raise OutputError(f"stages are written in text format; name the file {path.with_suffix('.usda').name}")
     added, others = dict[str, Mapping[str, Any]](), dict[str, dict[str, str]]()
-    for _, objects in _cousins(ledger):
+    for _, objects in _cousins(ledger, recipe):
         for name, data in objects.items():
             if name not in recipe.scene_spec.objects:
                 added.setdefault(name, data)
@@ -190,18 +226,29 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
     with writing_atomically(path) as stream:
         stream.write(_HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN).encode())
         stream.write(_block(TWIN, {}, added, home).encode())
-        for index, objects in _cousins(ledger):
+        for index, objects in _cousins(ledger, recipe):
             stream.write(_block(f"c{index:06d}", objects, added, home).encode())
         stream.write(b"    }\n}\n")
     return path
 
 
-def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """Yield the index of each cousin that has a scene document, along with the object entries in that document."""
+def _cousins(ledger: Ledger, recipe: Recipe) -> Iterator[tuple[int, Objects]]:
+    """Yield the index of each cousin that has a scene document, along with the object entries in that document.
+
+    An asset with drawn values is replaced by the asset that it extends, because stages do not contain the values.
+    """
     with Reader() as reader:
         for candidate in (reader.candidate(place) for place in ledger.counted() if place.accepted):
-            if "scene" in candidate.documents:
-                yield candidate.index, parse(candidate.documents["scene"]).data.get("objects", {})
+            if "scene" not in candidate.documents:
+                continue
+            objects = dict(parse(candidate.documents["scene"]).data.get("objects", {}))
+            for kind, text in candidate.documents.items():
+                if (name := kind.removesuffix(".asset")) != kind:
+                    asset, of_twin = parse(text).data["extends"], recipe.scene_spec.objects[name].asset
+                    other = {k: v for k, v in objects[name].items() if k != "asset"}
+                    is_twin = of_twin is not None and Path(asset).name == Path(of_twin).name
+                    objects[name] = other if is_twin else {**other, "asset": asset}
+            yield candidate.index, objects
 
 
 def _variant(asset: str) -> str:

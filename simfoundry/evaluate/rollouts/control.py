@@ -118,6 +118,9 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
 # largest steps, so that a moving hand is not slowed down.
 HAND_AHEAD, HAND_TURN = 2 * MAX_TRANSLATION, 2 * MAX_ROTATION
 
+# Largest number in a hand target [m or rad], as in a scene; squares of much larger ones overflow.
+FARTHEST_NUMBER = 1e6
+
 # Tolerances of inverse kinematics for hand targets [m, rad]; small compared with the smallest useful motion in a step.
 HAND_NEAR, HAND_TURNED = 1e-4, 1e-3
 
@@ -187,6 +190,7 @@ class Controller:
     def _reached(self, name: str, values: Array) -> dict[str, float]:
         """Return the joint targets [rad or m] for a hand pose or a change of it."""
         arm, robot, given = self._arms[name], self.robots[name], self._space.frame
+        values = np.clip(values, -FARTHEST_NUMBER, FARTHEST_NUMBER)
         X_WB, turn = arm.robot.X_WB, rotation_quat(values[3:], self._space.rotation)
         if self._space.kind is ActionKind.HAND_POSE:
             X_FT = Pose.of(values[:3], turn)

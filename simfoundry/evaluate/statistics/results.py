@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from simfoundry import __version__
@@ -18,7 +19,9 @@ from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_
 from simfoundry.evaluate.statistics.metrics import Rate, stratified
 from simfoundry.evaluate.statistics.records import is_result
 from simfoundry.evaluate.task import Task
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
+from simfoundry.spec.models.scene import ObjectSpec
 from simfoundry.spec.yaml.text import read
 
 Record = Mapping[str, Any]
@@ -33,15 +36,40 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
     origin = task.setup.task_spec.origin
     if origin is None or origin.cousin is None:
         return None
-    scene = task.setup.scene
+    cousin, scene = origin.cousin, task.setup.scene
     # The document's own entries, without those of its bases.
-    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}
-    known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
-    axes = {"distractors" for name in own if name not in known}
-    axes |= {"object" if set(own[n]) - {"pose", "place", "joints"} else "scene" for n in own if n in known}
+    own = read(scene.path).data if scene.bases else {}
+    objects = own.get("objects") or {}
+    base = load(scene.bases[0]) if objects else None
+    known = getattr(base.spec, "objects", {}) if base is not None else {}
+    axes = {"distractors" for name in objects if name not in known}
+    for name in objects.keys() & known.keys():
+        axes |= _axes_of_object(objects[name], scene, cousin.index, known[name])
+    axes |= {"vary" for key in own if key in _VARIED}
     axes |= set() if task.setup.task.bases else {"task"}  # a new task does not extend the twin's task
-    cousin = origin.cousin
+    axes |= {"vary" for key in read(task.setup.task.path).data if key == "instruction" and "task" not in axes}
     return {"recipe": cousin.recipe, "seed": cousin.seed, "index": cousin.index, "axes": sorted(axes)}
+
+
+# Keys of scenes that only the axis `vary` writes.
+_VARIED = ("gravity", "options", "materials", "frames", "robots", "cameras", "lights", "background")
+
+
+def _axes_of_object(own: Mapping[str, Any], scene: Loaded, index: int, twin: ObjectSpec) -> set[str]:
+    """Return the axes along which an object differs from the twin's, according to its own entries."""
+    moved = bool(own.keys() & {"pose", "place"})
+    # Settling writes the joints of objects that a layout moved; welded objects are moved only by drawn values.
+    axes = {"vary" if twin.fixed else "scene"} if moved else {"vary"} if own.get("joints") else set()
+    if any(value is not None for key, value in own.items() if key not in ("pose", "place", "joints", "asset")):
+        axes.add("vary")
+    asset = own.get("asset")
+    if asset is not None and Path(asset).name.startswith(f"{index:06d}."):  # the drawn values of an asset
+        axes.add("vary")
+        used = scene.used(asset)
+        replaced = used is not None and used.bases and twin.asset is not None
+        if used is not None and replaced and used.bases[0].name == Path(str(twin.asset)).name:
+            return axes
+    return axes | ({"object"} if asset is not None else set())
 
 
 @dataclass(frozen=True)

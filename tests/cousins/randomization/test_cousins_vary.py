@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image as PillowImage
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.statistics.results import cousin_of
+from simfoundry.evaluate.task import load_task
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import Severity
@@ -205,3 +208,60 @@ def test_the_command(room: Path) -> None:
     assert "light key: intensity 0.9" in told and "table: color" in told
     other = run("cousins", recipe, "-n", "4", "-o", room / "one", "-j", "1", "--no-gallery", "--split", "a")
     assert other.code != 0 and "different run" in other.err
+
+
+def test_the_axes_of_a_cousin(room: Path, sampler: Sampler) -> None:
+    """Evaluations pool the results of cousins by the axes along which they differ."""
+    other = "object: {objects: {cabinet: {count: 1, changes: [appearance]}}}"
+    for vary, more, axes in (
+        ("light.*.intensity: {uniform: [0, 1]}", "", ["vary"]),
+        ("object.can.mass: {range: estimate}", "", ["vary"]),
+        ("cabinet.drawer: {uniform: [0.01, 0.1]}", "", ["vary"]),
+        ("object.cabinet.friction: {times: [0.5, 2]}", "", ["vary"]),
+        ("instruction: {choose: [Go., Run.]}", "", ["vary"]),
+        ("object.cabinet.friction: {times: [0.5, 2]}", other, ["object", "vary"]),
+        ("gravity: {times: [0.9, 1]}", "scene: {anchor: tee, objects: {brick: [LeftOf]}}", ["scene", "vary"]),
+    ):
+        make = sampler(vary, more, twin="away.task.yaml")
+        one = next(c for c in map(make, range(1, 30)) if c.accepted)
+        cousin = cousin_of(load_task(write(room, one)["task"]))
+        assert cousin is not None and cousin["axes"] == axes, (vary, more)
+
+
+def test_a_preview_sheet(room: Path) -> None:
+    recipe = room / "lit.cousins.yaml"
+    recipe.write_text(
+        "simfoundry: cousins/1\nname: lit\ntwin: room.scene.yaml\nvary: {object.table.color: {choose: [red, blue]}}\n"
+    )
+    line = ("cousins", recipe, "-n", "4", "-o", room / "one", "-j", "1", "--no-gallery")
+    assert run(*line, "--preview", room / "sheet.png").code == 0
+    assert "is an input of this command" in run(*line, "--preview", recipe).err
+    with PillowImage.open(room / "sheet.png") as sheet:
+        pixels = np.asarray(sheet.convert("RGB"), dtype=int)
+    # The tables are 4 in a row below their captions: the twin's in the color of wood, the others red or blue.
+    assert (
+        pixels.shape[1] > 4 * 384
+        and np.any(pixels[..., 2] - pixels[..., 0] > 80)
+        and np.any(pixels[..., 0] - pixels[..., 1] > 80)
+    )
+
+
+def test_a_stage_contains_the_poses_but_not_the_other_values(room: Path) -> None:
+    from pxr import Usd
+
+    recipe = room / "all.cousins.yaml"
+    recipe.write_text(
+        "simfoundry: cousins/1\nname: all\ntwin: room.scene.yaml\n"
+        "vary: {object.cabinet.friction: {times: [0.5, 2]}, object.brick.pose: {shift: [0.02, 0.02, 0]}}\n"
+        "object: {objects: {cabinet: {count: 2, changes: [appearance]}}}\n"
+    )
+    done = run(
+        "cousins", recipe, "-n", "2", "-o", room / "out", "-j", "1", "--no-gallery", "--stage", room / "all.usda"
+    )
+    assert done.code == 0 and "the stage contains objects and poses, but no other values of `vary`" in done.err
+    stage = Usd.Stage.Open(str(room / "all.usda"))
+    variants = stage.GetPrimAtPath("/World").GetVariantSet("cousin")
+    assert sorted(variants.GetVariantNames()) == ["c000001", "c000002", "twin"]
+    variants.SetVariantSelection("c000001")
+    chosen = stage.GetPrimAtPath("/World/Objects/cabinet").GetVariantSet("variant").GetVariantSelection()
+    assert chosen.startswith("cabinet_")
