@@ -39,7 +39,7 @@ def add_navigation(server: Server) -> None:
         if at is None:
             return []
         _, path, offset = at
-        analysis = documents.parsed(path)
+        analysis = documents.parsed(path) or await server.current(params.text_document.uri)
         file = file_at(analysis, offset) if analysis is not None else None
         return (
             navigation.definitions(*at, documents.location) if file is None else [documents.location(str(file), 0, 0)]
