@@ -12,26 +12,23 @@ import os
 import sys
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, ParamSpec, TypeVar
 
 from lsprotocol import types
-from pygls.exceptions import JsonRpcException
 from pygls.lsp.server import LanguageServer
 
 from simfoundry import __version__
-from simfoundry.language_server import navigation
+from simfoundry.language_server.actions.features import add_actions
 from simfoundry.language_server.analysis import Analysis, analyzed, linted
-from simfoundry.language_server.completion import SIGNATURE_TRIGGERS, TRIGGERS, complete, has_snippets, signature
+from simfoundry.language_server.completion.features import add_completion
 from simfoundry.language_server.diagnostics import published
-from simfoundry.language_server.displays import add_displays
-from simfoundry.language_server.protocol import Protocol, RequestFailedError, is_fault_of_client
-from simfoundry.language_server.workspace import Buffer, Workspace, is_ours, path_of
-from simfoundry.spec.files import MESH_SUFFIXES, PANORAMA_SUFFIXES, PICTURE_SUFFIXES, TEXTURE_SUFFIXES
-from simfoundry.spec.names.project import ProjectNames
-from simfoundry.spec.names.rename import RenameError
+from simfoundry.language_server.display.features import add_displays
+from simfoundry.language_server.navigation.features import add_navigation
+from simfoundry.language_server.protocol import Protocol, is_fault_of_client
+from simfoundry.language_server.synchronization import add_synchronization
+from simfoundry.language_server.workspace import Buffer, Workspace, is_ours
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -43,9 +40,6 @@ SWITCH_INTERVAL = 0.0005
 # Number of new objects after which Python searches for unreachable ones. Checking 1,000 objects makes some 100,000,
 # which are freed without a search. With the default of 700, searches took a third of the time.
 GC_THRESHOLD = 50_000
-
-# Suffixes of the files that documents refer to. The editor tells when such a file changes on disk.
-WATCHED = (".yaml", *MESH_SUFFIXES, *TEXTURE_SUFFIXES, *PANORAMA_SUFFIXES, *PICTURE_SUFFIXES)
 
 
 # Maximum number of dependent documents that are checked although they are not open; a scene may have many cousins.
@@ -195,169 +189,9 @@ class Server(LanguageServer):
 def make_server() -> Server:
     """Return a server with all features."""
     server = Server()
-    _add_synchronization(server)
-    add_displays(server)
-    _add_completion(server)
-    _add_navigation(server)
-    _add_actions(server)
+    for add_features in (add_synchronization, add_displays, add_completion, add_navigation, add_actions):
+        add_features(server)
     return server
-
-
-def _add_synchronization(server: Server) -> None:
-    """Register what keeps the texts of the server equal to those of the editor."""
-    documents = server.documents
-
-    @server.feature(types.INITIALIZED)
-    async def initialized(ls: Server, _: types.InitializedParams) -> None:
-        documents.encoding = str(ls.workspace.position_encoding or types.PositionEncodingKind.Utf16.value)
-        workspace = ls.client_capabilities.workspace
-        watching = workspace.did_change_watched_files if workspace is not None else None
-        if watching is not None and watching.dynamic_registration:
-            watchers = [types.FileSystemWatcher(f"**/*{suffix}") for suffix in dict.fromkeys(WATCHED)]
-            options = types.DidChangeWatchedFilesRegistrationOptions(watchers)
-            method = types.WORKSPACE_DID_CHANGE_WATCHED_FILES
-            with suppress(JsonRpcException):  # an editor that cannot watch files after all
-                await ls.client_register_capability_async(
-                    types.RegistrationParams([types.Registration("files", method, options)])
-                )
-
-    @server.feature(types.TEXT_DOCUMENT_DID_OPEN)
-    async def did_open(ls: Server, params: types.DidOpenTextDocumentParams) -> None:
-        item = params.text_document
-        ls.show(documents.open(item.uri, item.text, item.version))
-
-    @server.feature(types.TEXT_DOCUMENT_DID_CHANGE)
-    async def did_change(ls: Server, params: types.DidChangeTextDocumentParams) -> None:
-        item = params.text_document
-        buffer = documents.change(item.uri, params.content_changes, item.version)
-        if buffer is not None:
-            ls.show(buffer)
-
-    @server.feature(types.TEXT_DOCUMENT_DID_SAVE)
-    async def did_save(ls: Server, params: types.DidSaveTextDocumentParams) -> None:
-        documents.texts.forget()
-        documents.rescan()
-        path = path_of(params.text_document.uri)
-        ls.check_dependents(path, await ls.look_up(documents.dependents, path))
-
-    @server.feature(types.TEXT_DOCUMENT_DID_CLOSE)
-    async def did_close(ls: Server, params: types.DidCloseTextDocumentParams) -> None:
-        buffer = documents.close(params.text_document.uri)
-        if buffer is None:
-            return
-        for listener in ls.closed:
-            listener(buffer.uri, buffer.path)
-        dependents = await ls.look_up(documents.dependents, buffer.path)
-        if documents.buffer_of(buffer.path) is not None:
-            return  # it was opened again
-        ls.withdraw(buffer.path)
-        concerned = {each.path for each in documents.buffers.values()}
-        for path in tuple(concerned):
-            concerned |= await ls.look_up(documents.dependents, path)
-        concerned |= {each.path for each in documents.buffers.values()}  # those that were opened meanwhile
-        for path in documents.analyzed_files() - concerned:
-            ls.withdraw(path)
-        ls.check_dependents(buffer.path, dependents & concerned)  # they see the text on disk again
-
-    @server.feature(types.WORKSPACE_DID_CHANGE_WATCHED_FILES)
-    async def did_change_files(ls: Server, _: types.DidChangeWatchedFilesParams) -> None:
-        documents.texts.forget()
-        documents.rescan()
-        for buffer in documents.buffers.values():
-            if is_ours(buffer):
-                ls.check(buffer.path, changed=False)
-
-
-def _add_completion(server: Server) -> None:
-    """Register completion and the signatures of predicates. Both use the current text, without waiting for checks."""
-    documents = server.documents
-
-    @server.feature(types.TEXT_DOCUMENT_COMPLETION, types.CompletionOptions(trigger_characters=list(TRIGGERS)))
-    async def completion(ls: Server, params: types.CompletionParams) -> types.CompletionList | None:
-        buffer = documents.buffers.get(params.text_document.uri)
-        if buffer is None:
-            return None
-        snippets = has_snippets(ls.client_capabilities)
-        return complete(buffer.path, buffer.lines, params.position, documents.parsed(buffer.path), snippets)
-
-    @server.feature(
-        types.TEXT_DOCUMENT_SIGNATURE_HELP, types.SignatureHelpOptions(trigger_characters=list(SIGNATURE_TRIGGERS))
-    )
-    async def signature_help(_: Server, params: types.SignatureHelpParams) -> types.SignatureHelp | None:
-        buffer = documents.buffers.get(params.text_document.uri)
-        return signature(buffer.lines, params.position) if buffer is not None else None
-
-
-_PositionParams = (
-    types.DefinitionParams | types.ReferenceParams | types.DocumentHighlightParams | types.PrepareRenameParams
-)
-
-
-def _add_navigation(server: Server) -> None:
-    """Register what finds the definitions and uses of names."""
-    documents = server.documents
-
-    async def names_at(params: _PositionParams) -> tuple[ProjectNames, Path, int] | None:
-        """Return the names of the project, the document and the offset in it, or None if the document is not open."""
-        buffer = documents.buffers.get(params.text_document.uri)
-        if buffer is None:
-            return None
-        names = await server.look_up(documents.names, buffer.path)
-        return names, buffer.path, buffer.lines.offset(params.position)
-
-    @server.feature(types.TEXT_DOCUMENT_DEFINITION)
-    async def definition(params: types.DefinitionParams) -> list[types.Location]:
-        at = await names_at(params)
-        return navigation.definitions(*at, documents.location) if at is not None else []
-
-    @server.feature(types.TEXT_DOCUMENT_REFERENCES)
-    async def references(params: types.ReferenceParams) -> list[types.Location]:
-        at = await names_at(params)
-        with_definitions = params.context.include_declaration
-        return navigation.references(*at, documents.location, with_definitions) if at is not None else []
-
-    @server.feature(types.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
-    async def highlight(params: types.DocumentHighlightParams) -> list[types.DocumentHighlight]:
-        at = await names_at(params)
-        return navigation.highlights(*at, documents.location) if at is not None else []
-
-    @server.feature(types.TEXT_DOCUMENT_PREPARE_RENAME)
-    async def prepare_rename(params: types.PrepareRenameParams) -> types.PrepareRenamePlaceholder | None:
-        at = await names_at(params)
-        if at is None:
-            return None
-        return navigation.renameable(*at, documents.buffers[params.text_document.uri].lines)
-
-    @server.feature(types.TEXT_DOCUMENT_RENAME, types.RenameOptions(prepare_provider=True))
-    async def rename(params: types.RenameParams) -> types.WorkspaceEdit | None:
-        buffer = documents.buffers.get(params.text_document.uri)
-        if buffer is None:
-            return None
-        project, offset = documents.project(buffer.path), buffer.lines.offset(params.position)
-        try:
-            edits = await server.look_up(project.rename, buffer.path, offset, params.new_name)
-        except RenameError as error:
-            raise RequestFailedError(str(error)) from None
-        return navigation.workspace_edit(edits, documents)
-
-    @server.feature(types.WORKSPACE_SYMBOL)
-    async def workspace_symbol(params: types.WorkspaceSymbolParams) -> list[types.WorkspaceSymbol]:
-        projects = [await server.look_up(documents.names, folder) for folder in documents.folders()]
-        return navigation.project_symbols(projects, params.query, documents.location)
-
-
-def _add_actions(server: Server) -> None:
-    """Register the corrections of findings, and the rewrites of values."""
-    from simfoundry.language_server.actions import KINDS, code_actions
-
-    @server.feature(types.TEXT_DOCUMENT_CODE_ACTION, types.CodeActionOptions(code_action_kinds=KINDS))
-    async def code_action(ls: Server, params: types.CodeActionParams) -> list[types.CodeAction]:
-        analysis = await ls.current(params.text_document.uri)
-        if analysis is None:
-            return []
-        findings = [*analysis.findings, *ls.documents.findings(analysis.path)]
-        uri, only = params.text_document.uri, params.context.only
-        return await ls.run(code_actions, analysis, findings, uri, params.range, only)
 
 
 def serve() -> None:

@@ -117,12 +117,15 @@ SIMILAR = 0.6
 # Least difference to the similarity of the second choice at which the first choice is certain.
 _AHEAD = 0.1
 
+# Least similarity at which a choice is certain even if more than one letter differs.
+_CERTAIN = 0.85
+
 
 def most_similar(word: str, choices: Iterable[str]) -> Fix | None:
     """Return the correction of a misspelled word to the most similar choice, or None if none is similar.
 
-    The correction is certain if no other choice is almost as similar, and if both contain the same digits: `cup_3` may
-    be a name that is still to be defined, and not a misspelling of `cup_2`.
+    The correction is certain if hardly more than one letter is wrong, if no other choice is almost as similar, and if
+    both contain the same digits: `cup_3` may be a name that is still to be defined, and not a misspelling of `cup_2`.
     """
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
@@ -138,13 +141,21 @@ def most_similar(word: str, choices: Iterable[str]) -> Fix | None:
         return None
     ratios = [difflib.SequenceMatcher(None, name, sought).ratio() for name in found]
     ahead = len(found) == 1 or ratios[0] - ratios[1] >= _AHEAD
-    return Fix(plain[found[0]], certain=ahead and _digits(found[0]) == _digits(sought))
+    close = ratios[0] >= _CERTAIN or _is_one_edit(found[0], sought)
+    return Fix(plain[found[0]], certain=ahead and close and _digits(found[0]) == _digits(sought))
 
 
 def similar_fixes(word: str, choices: Iterable[str]) -> tuple[Fix, ...]:
     """Return the correction of a misspelled word, if there is one."""
     found = most_similar(word, choices)
     return () if found is None else (found,)
+
+
+def _is_one_edit(a: str, b: str) -> bool:
+    """Return True if two words differ by one letter that is added, missing, or another one, or by two swapped ones."""
+    start = next((k for k, (one, other) in enumerate(zip(a, b, strict=False)) if one != other), min(len(a), len(b)))
+    a, b = a[start:], b[start:]
+    return a[1:] == b or a == b[1:] or a[1:] == b[1:] or (a[:2] == b[:2][::-1] and a[2:] == b[2:])
 
 
 def _digits(name: str) -> str:

@@ -14,11 +14,11 @@ import yaml
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis, analyzed
-from simfoundry.language_server.completion import complete
-from simfoundry.language_server.insertion import filled
-from simfoundry.language_server.key_offers import names_section
+from simfoundry.language_server.completion.complete import complete
+from simfoundry.language_server.completion.insertion import filled
+from simfoundry.language_server.completion.key_offers import names_section
+from simfoundry.language_server.cursor.scan import Slot
 from simfoundry.language_server.positions import Lines
-from simfoundry.language_server.scan import Slot
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.types import EXPRESSIONS, REFERENCES, file_patterns, kinds_at

@@ -9,7 +9,7 @@ import pytest
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis, analyzed
-from simfoundry.language_server.completion import MAX_OFFERS, complete, signature
+from simfoundry.language_server.completion.complete import MAX_OFFERS, complete, signature
 from simfoundry.language_server.positions import Lines
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import is_document

@@ -8,8 +8,8 @@ from random import Random
 
 import pytest
 
-from simfoundry.language_server.cursor import Cursor, cursor_at
-from simfoundry.language_server.scan import Slot
+from simfoundry.language_server.cursor.cursor import Cursor, cursor_at
+from simfoundry.language_server.cursor.scan import Slot
 from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.text import Path_, parse
 from tests.conftest import REPOSITORY

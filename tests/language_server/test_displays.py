@@ -157,7 +157,7 @@ def test_hover_in_a_task_an_asset_and_a_recipe(server: Server, project: Path) ->
 
 
 def test_an_editor_without_markdown_sees_plain_text() -> None:
-    from simfoundry.language_server.hover import plain_text
+    from simfoundry.language_server.display.hover import plain_text
 
     assert plain_text("**mug** · `clay`\n\n```text\nmass  1 kg\n```") == "mug · clay\n\nmass  1 kg"
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from simfoundry.language_server.scan import Slot
+from simfoundry.language_server.cursor.scan import Slot
 from simfoundry.spec.yaml.text import Path_
 
 

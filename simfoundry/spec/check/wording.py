@@ -189,7 +189,7 @@ def _has_unit(description: str, rule: str) -> bool:
 def _unknown_key(model: type[Model], loc: tuple[Any, ...], siblings: set[str]) -> tuple[str, str, Mark]:
     """Return the message and hint for a key that is not in the model, and the keys that may be meant.
 
-    Keys that are present already are not meant.
+    Keys that are present already cannot be written once more.
     """
     owners, last = models_at(model, loc[:-1]), loc[-1]
     names = {name for owner in owners for name in owner.model_fields}
@@ -207,8 +207,11 @@ def _unknown_key(model: type[Model], loc: tuple[Any, ...], siblings: set[str]) -
     if last in former and former[last] not in siblings:
         message, fixes = f"the `{last}` key was renamed to `{former[last]}`", (Fix(former[last], certain=True),)
         return message, "run `simfoundry migrate` on the file", Mark(fixes=fixes)
-    absent = names - siblings or names
-    return f"unknown key `{last}`", nearest(str(last), absent), Mark(fixes=similar_fixes(str(last), absent))
+    meant = similar_fixes(str(last), names)
+    if meant and meant[0].text in siblings:
+        hint = f"did you mean `{meant[0].text}`, which is there already?"
+        return f"unknown key `{last}`", hint, Mark()
+    return f"unknown key `{last}`", nearest(str(last), names), Mark(fixes=meant)
 
 
 def _expected(error: Any) -> str:

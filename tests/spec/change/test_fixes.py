@@ -92,7 +92,11 @@ def test_copies_share_one_mark(tmp_path: Path) -> None:
 def test_a_name_with_another_number_is_not_certainly_a_slip() -> None:
     close = most_similar("cup_3", ["cup_1", "cup_2"])
     assert close is not None and not close.certain
-    assert most_similar("mugg", ["mug", "bowl"]) == most_similar("mgu", ["mug", "bowl"])
+    for slip in ("mugg", "mgu", "mu", "mog", "mu_g"):
+        close = most_similar(slip, ["mug", "bowl"])
+        assert close is not None and (close.text, close.certain) == ("mug", True)
+    far = most_similar("objcts", ["robots", "cameras"])
+    assert far is not None and not far.certain
 
 
 def test_what_is_certain_is_corrected_and_nothing_else(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from lsprotocol import types
 
-from simfoundry.language_server.cursor import Cursor
+from simfoundry.language_server.cursor.cursor import Cursor
 from simfoundry.language_server.positions import Lines
 from simfoundry.spec.editor.snippets import Body, one_line
 

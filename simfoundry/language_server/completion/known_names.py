@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.language_server.blocks import Block, keys_of
+from simfoundry.language_server.cursor.blocks import Block, keys_of
 from simfoundry.spec.check.names import asset_in
 from simfoundry.spec.files import FileError, Loaded
 from simfoundry.spec.models.asset import AssetSpec

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.pictures import (
+from simfoundry.language_server.display.pictures import (
     ObjectPictures,
     ScenePicture,
     ViewRequest,

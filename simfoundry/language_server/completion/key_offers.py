@@ -10,8 +10,8 @@ from typing import Any
 from lsprotocol import types
 from pydantic import BaseModel
 
-from simfoundry.language_server.completion_context import CompletionContext
-from simfoundry.language_server.insertion import Offer, after_colon, lowest, placeholder, shifted
+from simfoundry.language_server.completion.context import CompletionContext
+from simfoundry.language_server.completion.insertion import Offer, after_colon, lowest, placeholder, shifted
 from simfoundry.spec.check.pages import titles
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.snippets import Body, one_line

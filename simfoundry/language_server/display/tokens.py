@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.outline import MEMBER_KINDS
+from simfoundry.language_server.display.outline import MEMBER_KINDS
 from simfoundry.spec.compose.parameters import PARAMETER
 from simfoundry.spec.models.predicate import PREDICATES
 from simfoundry.spec.models.types import REFERENCES

@@ -18,6 +18,7 @@ from simfoundry.lint.draft import DraftScene, drafted
 from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.fixes import at, with_value
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.load import kind_of
 from simfoundry.spec.models.base import Estimate
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
@@ -52,10 +53,10 @@ def rewrites(analysis: Analysis, path: Path_) -> Iterator[Rewrite]:
     document = analysis.source
     if document is None or not isinstance(document.data, dict) or document.duplicates:
         return
-    spec = analysis.loaded.spec
-    if spec is None:
+    spec, (kind, _) = analysis.loaded.spec, kind_of(document)
+    if kind is None:
         return
-    model = model_of(str(getattr(spec, "simfoundry")))  # noqa: B009
+    model = model_of(kind)
 
     def edited(data: Any, old: Path_ = (), new: str = "") -> str:
         text = _renamed(document, old, new) if old else analysis.lines.text
@@ -96,6 +97,8 @@ def _rotations(data: Any, path: Path_) -> Iterator[_Rotation]:
         return
     here = path[:end]
     if "quat_wxyz" in pose:
+        if not _are_numbers(pose["quat_wxyz"]):
+            return
         q = np.array(pose["quat_wxyz"], float)
         if q.shape != (4,) or not np.isfinite(q).all() or not (length := float(np.linalg.norm(q))):
             return
@@ -106,11 +109,15 @@ def _rotations(data: Any, path: Path_) -> Iterator[_Rotation]:
             yield from _angles(data, here, q / length)
         return
     angles = pose.get("rpy_deg") or (0.0, 0.0, pose.get("yaw_deg"))
-    if "on" in pose or "inside" in pose or not all(isinstance(v, int | float) for v in angles):
+    if "on" in pose or "inside" in pose or not _are_numbers(angles) or len(angles) != 3:
         return  # places have no quaternion
     q = quat_from_rpy(*map(math.radians, angles))
     numbers = tuple(rounded(float(v)) + 0.0 for v in q)
     yield "write the rotation as a quaternion", *_replaced(data, here, "quat_wxyz", numbers)
+
+
+def _are_numbers(values: Any) -> bool:
+    return isinstance(values, tuple) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
 
 
 def _angles(data: Any, here: Path_, q: Any) -> Iterator[_Rotation]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
-from simfoundry.language_server.scan import (
+from simfoundry.language_server.cursor.scan import (
     TokenPlace,
     find_in_value,
     is_empty,

@@ -12,16 +12,16 @@ from weakref import WeakKeyDictionary
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.colors import color_presentations, document_colors
-from simfoundry.language_server.cursor import cursor_at
-from simfoundry.language_server.formatting import format_edits
-from simfoundry.language_server.hints import inlay_hints
-from simfoundry.language_server.hover import HoverContext, hover_at, key_text, plain_text
-from simfoundry.language_server.links import document_links
+from simfoundry.language_server.cursor.cursor import cursor_at
+from simfoundry.language_server.display.colors import color_presentations, document_colors
+from simfoundry.language_server.display.formatting import format_edits
+from simfoundry.language_server.display.hints import inlay_hints
+from simfoundry.language_server.display.hover import HoverContext, hover_at, key_text, plain_text
+from simfoundry.language_server.display.links import document_links
+from simfoundry.language_server.display.outline import document_symbols, folding_ranges, selection_ranges
+from simfoundry.language_server.display.preview import Previews
+from simfoundry.language_server.display.tokens import LEGEND, semantic_tokens
 from simfoundry.language_server.older import LineShift
-from simfoundry.language_server.outline import document_symbols, folding_ranges, selection_ranges
-from simfoundry.language_server.preview import Previews
-from simfoundry.language_server.tokens import LEGEND, semantic_tokens
 from simfoundry.language_server.workspace import is_ours, path_of
 from simfoundry.spec.models.kinds import KINDS
 
@@ -67,7 +67,7 @@ class _Displays:
         if getattr(analysis.loaded.spec, "twin", None) is None or analysis.has_errors:
             return HoverContext(analysis, None, analysis.loaded)
         if analysis not in self.drafts:
-            from simfoundry.language_server.pictures import draft_of
+            from simfoundry.language_server.display.pictures import draft_of
 
             self.drafts[analysis] = draft_of(analysis)
         return HoverContext(analysis, self.drafts[analysis], analysis.loaded)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lsprotocol import types
 
-from simfoundry.language_server.insertion import Offer
+from simfoundry.language_server.completion.insertion import Offer
 from simfoundry.spec.check.scene import ROBOT_SUFFIXES
 from simfoundry.spec.files import (
     ASSET_SUFFIX,

@@ -10,13 +10,13 @@ from lsprotocol import types
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.completion_context import CompletionContext, kind_of_file
-from simfoundry.language_server.cursor import Cursor, cursor_at
-from simfoundry.language_server.insertion import Offer
-from simfoundry.language_server.key_offers import key_offers
+from simfoundry.language_server.completion.context import CompletionContext, kind_of_file
+from simfoundry.language_server.completion.insertion import Offer
+from simfoundry.language_server.completion.key_offers import key_offers
+from simfoundry.language_server.completion.value_offers import argument_kinds, value_offers
+from simfoundry.language_server.cursor.cursor import Cursor, cursor_at
+from simfoundry.language_server.cursor.scan import Slot
 from simfoundry.language_server.positions import Lines
-from simfoundry.language_server.scan import Slot
-from simfoundry.language_server.value_offers import argument_kinds, value_offers
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.predicate import PREDICATES, canonical

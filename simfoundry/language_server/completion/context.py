@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.cursor import Cursor
-from simfoundry.language_server.insertion import Insertion
-from simfoundry.language_server.known_names import KnownName, KnownNames
+from simfoundry.language_server.completion.insertion import Insertion
+from simfoundry.language_server.completion.known_names import KnownName, KnownNames
+from simfoundry.language_server.cursor.cursor import Cursor
 from simfoundry.language_server.positions import Lines
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import KINDS, model_of

@@ -82,7 +82,10 @@ MOST_VERIFIED = 20_000
 
 
 def _is_sound(analysis: Analysis, text: str, finding: Diagnostic) -> bool:
-    """Return True if a corrected text has no new finding on the corrected line. Large texts are not checked again."""
+    """Return True if a corrected text has no new finding on the corrected line, or about what was written there.
+
+    Findings elsewhere may have been hidden by the error. Large texts are not checked again.
+    """
     if len(text) > MOST_VERIFIED or not finding.fixes:
         return True
     root = project_root(analysis.path)
@@ -93,16 +96,15 @@ def _is_sound(analysis: Analysis, text: str, finding: Diagnostic) -> bool:
 
         found += lint_subject(loaded, *subject_of(loaded))
     known = {(d.code, d.message) for d in analysis.findings}
-    return not any(
-        d.line == finding.line and absolute(d.document) == analysis.path and (d.code, d.message) not in known
-        for d in found
-    )
+    new = [d for d in found if (d.code, d.message) not in known and absolute(d.document) == analysis.path]
+    written = [f"`{fix.text}`" for fix in finding.fixes]
+    return not any(d.line == finding.line or any(name in d.message for name in written) for d in new)
 
 
 def _refactorings(analysis: Analysis, uri: str, within: types.Range) -> Iterator[types.CodeAction]:
     if analysis.source is None:
         return
-    from simfoundry.language_server.rewrites import rewrites  # loads numpy
+    from simfoundry.language_server.actions.rewrites import rewrites  # loads numpy
 
     start, _ = analysis.lines.span(within)
     for each in rewrites(analysis, path_at(analysis.source, analysis.lines, start)):

@@ -12,11 +12,11 @@ from typing import Any
 
 from lsprotocol import types
 
-from simfoundry.language_server.completion_context import CompletionContext
-from simfoundry.language_server.file_offers import file_offers, suffixes_of
-from simfoundry.language_server.insertion import Offer
-from simfoundry.language_server.key_offers import field_body
-from simfoundry.language_server.known_names import KnownName
+from simfoundry.language_server.completion.context import CompletionContext
+from simfoundry.language_server.completion.file_offers import file_offers, suffixes_of
+from simfoundry.language_server.completion.insertion import Offer
+from simfoundry.language_server.completion.key_offers import field_body
+from simfoundry.language_server.completion.known_names import KnownName
 from simfoundry.spec.change.diff.changes import BESIDE
 from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.snippets import Body, one_line

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.links import existing_file
+from simfoundry.language_server.display.links import existing_file
 from simfoundry.lint.draft import DraftScene
 from simfoundry.spec.check.pages import page
 from simfoundry.spec.compose.parameters import PARAMETER, ParameterError, evaluate, is_expression
@@ -261,7 +261,7 @@ def value_at_start(draft: DraftScene, call: str) -> str:
 
 
 def _file_text(context: HoverContext, reference: str) -> str | None:
-    from simfoundry.language_server.describe import file_text
+    from simfoundry.language_server.display.describe import file_text
 
     analysis = context.analysis
     path = existing_file(reference, analysis)
@@ -302,7 +302,7 @@ def _converted(token: Token) -> str:
 
 def _named(context: HoverContext, name: str, sections: tuple[str, ...], owner: str = "") -> Iterator[Answer]:
     """Yield what is known about a name, which is looked up in the given sections."""
-    from simfoundry.language_server import describe
+    from simfoundry.language_server.display import describe
 
     draft, scene = context.draft, context.scene
     spec, base, part = context.analysis.loaded.spec, *name.partition(".")[::2]
@@ -350,7 +350,7 @@ def _copies(scene: Loaded, name: str, found: str) -> str:
 
 
 def _frame(draft: DraftScene, name: str) -> str | None:
-    from simfoundry.language_server.describe import frame_text
+    from simfoundry.language_server.display.describe import frame_text
     from simfoundry.scene.carriers import PlaceError
     from simfoundry.scene.frames import FrameTree
 
@@ -362,7 +362,7 @@ def _frame(draft: DraftScene, name: str) -> str | None:
 
 def _joint(context: HoverContext, owner: str, name: str) -> Iterator[Answer]:
     """Yield the description of a joint of an object, or of the asset that the document describes."""
-    from simfoundry.language_server.describe import joint_text
+    from simfoundry.language_server.display.describe import joint_text
 
     spec, draft = context.analysis.loaded.spec, context.draft
     if isinstance(spec, AssetSpec):
@@ -378,7 +378,7 @@ def _joint(context: HoverContext, owner: str, name: str) -> Iterator[Answer]:
 
 
 def _asset_link(context: HoverContext, name: str) -> str | None:
-    from simfoundry.language_server.describe import asset_link_text
+    from simfoundry.language_server.display.describe import asset_link_text
     from simfoundry.lint.draft import pictured_asset
     from simfoundry.spec.diagnostics import SpecError
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lsprotocol import types
 
 from simfoundry.language_server.analysis import Analysis
-from simfoundry.language_server.hover import HoverContext
+from simfoundry.language_server.display.hover import HoverContext
 from simfoundry.spec.compose.parameters import ParameterError, evaluate, is_expression
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.asset import AssetSpec

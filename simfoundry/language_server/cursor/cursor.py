@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from simfoundry.language_server.blocks import (
+from simfoundry.language_server.cursor.blocks import (
     Block,
     Head,
     content,
@@ -20,7 +20,7 @@ from simfoundry.language_server.blocks import (
     next_line,
     siblings_follow,
 )
-from simfoundry.language_server.scan import (
+from simfoundry.language_server.cursor.scan import (
     Slot,
     Style,
     TokenPlace,

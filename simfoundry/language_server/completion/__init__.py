@@ -1,0 +1,1 @@
+"""Completion of keys, names, values and files."""

@@ -1,0 +1,1 @@
+"""Where in a document the cursor is, also in a text that cannot be parsed."""

@@ -1,0 +1,1 @@
+"""Definitions, references and renames across documents."""
