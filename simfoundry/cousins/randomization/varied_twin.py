@@ -23,6 +23,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.spec.check.varied_fields import FieldFinder
+from simfoundry.spec.check.varied_places import ValueKind
 from simfoundry.spec.check.vary import VariedValue, varied_values
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
@@ -88,10 +89,14 @@ class ValueSampler:
         Objects in ``replaced`` keep the twin's asset here. A twin whose values change only pictures is not settled
         again.
         """
-        if drawn.pictures_only and not drawn.views:
+        # Texts such as the type of a light can exclude each other; all other values were checked one by one.
+        texts = any(v.field.kind is ValueKind.WORD and v.field.effect == "pictures" for v in self.recipe.varied)
+        if drawn.pictures_only and not drawn.views and not texts:
             return self.twin
         try:
             scene = self._scene(index, drawn, replaced)
+            if drawn.pictures_only and not drawn.views:
+                return self.twin
             lowered = self._lowered(scene, drawn)
             if drawn.pictures_only:
                 return replace(self.twin, scene=replace(self.twin.scene, cameras=lowered.cameras))

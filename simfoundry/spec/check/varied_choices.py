@@ -22,6 +22,7 @@ from simfoundry.spec.files import (
     reachable,
 )
 from simfoundry.spec.models.base import HEX_COLOR
+from simfoundry.spec.models.types import REFERENCES
 from simfoundry.spec.models.vary import MAX_CHOICES, AnyDistribution, ChoiceDistribution
 
 # Colors that recipes can choose by name: the named colors of CSS, and woods and stones as CSS colors that resemble them
@@ -80,12 +81,9 @@ def _chosen(value: Any, field: VariedField, finder: FieldFinder, recipe: Loaded)
     elif kind is ValueKind.WORD:
         if not isinstance(value, str):
             raise VaryPathError(f"`{field.name}` is a text, not {value}", "write a text")
-        if (
-            field.places[0].document == "scene"
-            and field.places[0].path[-1] == "material"
-            and value not in finder.spec.materials
-        ):
-            raise VaryPathError(f"no material is called `{value}`", nearest(value, finder.spec.materials))
+        known = _known_names(field, finder)
+        if known is not None and value not in known:
+            raise VaryPathError(f"no such name is defined: `{value}`", nearest(value, known) or "none are defined")
         yield value, value
     elif kind is ValueKind.VECTOR:
         if not (isinstance(value, tuple) and len(value) == 3):
@@ -95,6 +93,15 @@ def _chosen(value: Any, field: VariedField, finder: FieldFinder, recipe: Loaded)
         if isinstance(value, str | tuple):
             raise VaryPathError(f"`{field.name}` is {kind}, not `{value}`", "write a number")
         yield f"{value:g}", value
+
+
+def _known_names(field: VariedField, finder: FieldFinder) -> list[str] | None:
+    """Return the names that a text may have if it refers to a member of the scene, or None for any other text."""
+    place = field.places[0]
+    sections = ("materials",) if place.path[-1] == "material" else REFERENCES.get(place.path[-1], ())
+    if place.document != "scene" or not sections:
+        return None
+    return list(dict.fromkeys(name for section in sections for name in getattr(finder.spec, section, {})))
 
 
 def _listed(value: tuple[float, ...]) -> str:

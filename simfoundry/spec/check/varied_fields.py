@@ -119,7 +119,7 @@ class FieldFinder:
 
     def _of_scene(self, head: str, rest: Sequence[str], entry: str) -> list[VariedField]:
         if head == "background" and not rest:
-            place = VariedPlace("scene", ("background",), self.spec.background)
+            place = VariedPlace("scene", ("background", "mesh"), self.spec.background)
             return [VariedField("background", ValueKind.BACKGROUND, (place,), "pictures")]
         if self.spec.background is None and head == "background":
             raise VaryPathError("the twin has no background", "write `background: {choose: [FILE]}`, or add one to it")
@@ -136,7 +136,10 @@ class FieldFinder:
             raise VaryPathError(f"no {head} of the twin is called `{rest[0]}`", some)
         if len(rest) == 1:
             keys = [key for key in type(members[names[0]]).model_fields if value_kind(type(members[names[0]]), key)]
-            raise VaryPathError(f"`{entry}` is a {head}, not a value", f"append a key, such as `{entry}.{keys[0]}`")
+            article = "an" if head == "object" else "a"
+            raise VaryPathError(
+                f"`{entry}` is {article} {head}, not a value", f"append a key, such as `{entry}.{keys[0]}`"
+            )
         found: list[VariedField] = []
         for name in names:
             if head == "object" and "*" in rest[0] and rest[1] in ("mass", "density") and self.spec.objects[name].fixed:

@@ -88,3 +88,20 @@ def test_the_viewpoint_is_more_than_a_picture(room: Path, sampler: Sampler) -> N
     assert not one.pictures_only
     scene = lower(load(write(room, one)["scene"]))
     assert physics_digest(scene) != physics_digest(lower(load(room / "room.scene.yaml")))
+
+
+def test_backgrounds(room: Path, sampler: Sampler) -> None:
+    (room / "rooms").mkdir()
+    for name, size in (("a", 3), ("b", 4)):
+        corners = f"v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\n"
+        (room / "rooms" / f"{name}.obj").write_text(corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    with (room / "room.scene.yaml").open("a") as stream:
+        stream.write("background: {mesh: rooms/a.obj, pose: {xyz: [0, 0, -9]}}\n")
+    make = sampler("background: {choose: [rooms/*.obj]}\nbackground.pose: {shift: [1, 1, 0], yaw_deg: 90}")
+    ones = [make(k) for k in range(1, 7)]
+    assert {one.vary["background"] for one in ones} == {"rooms/a.obj", "rooms/b.obj"}
+    twin = lower(load(room / "room.scene.yaml"))
+    for one in ones:
+        scene = lower(load(write(room, one)["scene"]))
+        assert one.pictures_only and differs_only_in_pictures(twin, scene)
+        assert scene.background is not None and scene.background.X_WB.p[2] == -9
