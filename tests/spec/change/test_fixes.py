@@ -99,6 +99,20 @@ def test_a_name_with_another_number_is_not_certainly_a_slip() -> None:
     assert far is not None and not far.certain
 
 
+@pytest.mark.parametrize(
+    ("word", "choices"),
+    [
+        ("cup_111", ["cup_1_11", "cup_11_1"]),
+        ("cup_11", ["cup_1_1"]),
+        ("arm_l", ["arm_r"]),
+        ("kitchen_cabinet_upper_drawer", ["kitchen_cabinet_lower_drawer"]),
+    ],
+)
+def test_another_member_of_a_family_is_not_certainly_meant(word: str, choices: list[str]) -> None:
+    close = most_similar(word, choices)
+    assert close is not None and close.text in choices and not close.certain
+
+
 def test_what_is_certain_is_corrected_and_nothing_else(tmp_path: Path) -> None:
     slips = [
         ("OnTop", "OnTpo"),
@@ -114,6 +128,13 @@ def test_what_is_certain_is_corrected_and_nothing_else(tmp_path: Path) -> None:
     fixed = fix_documents([path])
     assert fixed.texts == {path: (text, SCENE.replace("\n", "\r\n"))} and len(fixed.done) == len(slips)
     assert path.read_bytes().decode() == text, "fixing writes nothing"
+
+
+def test_the_same_slip_in_a_base_does_not_hinder_the_correction(tmp_path: Path) -> None:
+    written(tmp_path, SCENE.replace("fixed: true", "fixd: true"))
+    text = "simfoundry: scene/1\nname: over\nextends: desk.scene.yaml\nobjects: {desk: {fixd: true}}\n"
+    over = written(tmp_path, text, "over.scene.yaml")
+    assert fix_documents([over]).texts == {over: (text, text.replace("fixd", "fixed"))}
 
 
 def test_documents_that_were_not_given_are_left_alone(tmp_path: Path) -> None:
