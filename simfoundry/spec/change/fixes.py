@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -260,7 +261,14 @@ def _unresolved(loaded: Loaded, corrected: Collection[Diagnostic]) -> set[Diagno
     """Return the corrected findings that are left, which are all if the document is no longer a valid mapping."""
     broken = loaded.document is None or any(d.code == "SF003" for d in loaded.findings)
     if broken and all(d.code != "SF002" for d in corrected):
-        return {*corrected}
+        made = Counter((d.path.rpartition(".")[0], d.fixes[0].text) for d in corrected)  # such as two keys `mass`
+        return {d for d in corrected if made[d.path.rpartition(".")[0], d.fixes[0].text] > 1} or {*corrected}
     # A base can contain the same slip, and so can another line, which may have to be corrected by a person.
     left = {(d.code, d.message, d.line, os.path.realpath(d.document)) for d in loaded.findings}
-    return {d for d in corrected if (d.code, d.message, d.line, os.path.realpath(d.document)) in left}
+    # A line without a colon is no key if it is unknown or has no value, but the rest of a text or comment.
+    no_key = {d.line for d in loaded.findings if d.code in ("SF101", "SF103")}
+    return {
+        d
+        for d in corrected
+        if (d.code, d.message, d.line, os.path.realpath(d.document)) in left or (d.code == "SF002" and d.line in no_key)
+    }

@@ -137,6 +137,17 @@ def test_the_same_slip_in_a_base_does_not_hinder_the_correction(tmp_path: Path) 
     assert fix_documents([over]).texts == {over: (text, text.replace("fixd", "fixed"))}
 
 
+def test_two_slips_for_one_key_do_not_hinder_other_corrections(tmp_path: Path) -> None:
+    text = SCENE.replace("mass: 0.3,", "mas: 0.3, mss: 0.4,", 1)
+    path = written(tmp_path, text.replace("fixed: true", "fixd: true"))
+    assert [after for _, after in fix_documents([path]).texts.values()] == [text]
+
+
+def test_a_stray_word_does_not_become_a_key(tmp_path: Path) -> None:
+    path = written(tmp_path, SCENE.replace("# the name", "# the\nname_of_this"))
+    assert "name_of_this" in {d.word for d in findings(path)} and fix_documents([path]).texts == {}
+
+
 def test_documents_that_were_not_given_are_left_alone(tmp_path: Path) -> None:
     written(tmp_path, SCENE.replace("OnTop", "OnTpo"))
     over = written(tmp_path, "simfoundry: scene/1\nname: over\nextends: desk.scene.yaml\n", "over.scene.yaml")
