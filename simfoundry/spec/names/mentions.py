@@ -17,6 +17,7 @@ from simfoundry.spec.models.native import mjcf_names
 from simfoundry.spec.models.predicate import PREDICATES, canonical
 from simfoundry.spec.models.scene import DEFAULT_VARIANT
 from simfoundry.spec.models.types import EXPRESSIONS, NAMES, REFERENCES
+from simfoundry.spec.models.vary import VARIED_SECTIONS
 from simfoundry.spec.names.positions import SourceMap, TextIndex
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document
@@ -197,6 +198,8 @@ class _Walk:
             self._conflicts(node)
         elif key == "native":
             self._native(node)
+        elif key == "vary" and self.kind == "cousins":
+            self._vary(node)
         elif key not in ("name", "description", "origin", "simfoundry", "extends"):
             self._value(node, (key,), key, _tries().get(self.kind, _EMPTY).into(key), None)
 
@@ -287,6 +290,33 @@ class _Walk:
         for start, name in steps:
             if step.section:
                 self._add(at, start, name, path, (step.section,), owner if step.is_owned else None, True, True)
+            owner, step = step.owner(name) or owner, step.into(name)
+
+    def _vary(self, node: Node) -> None:
+        """Add the names in the paths of values that vary, and those among which a value is chosen."""
+        for key, entry in _members(node):
+            at, path, steps = self.index.ranges(key, *node.keys[key]), ("vary", key), [*_split(key)]
+            head, *rest = [name for _, name in steps]
+            section = {**VARIED_SECTIONS, "parameter": "parameters"}.get(head)
+            if section is not None:
+                self._varied(at, path, [(0, section), *steps[1:]])
+            elif rest:  # a joint of an object
+                self._add(at, 0, head, path, ("objects",), None, True, True)
+                self._add(at, *steps[1], path, ("joints",), Owner(("objects",), head), True, True)
+            chosen = dict(_members(entry)).get("choose")
+            for k, item in enumerate((chosen.children if chosen is not None else None) or ()):
+                if isinstance(item, Node) and isinstance(item.value, str) and rest:
+                    self._scalar(item, (*path, "choose", k), rest[-1], None)
+
+    def _varied(self, at: SourceMap, path: Path_, steps: list[tuple[int, str]]) -> None:
+        """Add the names in the path of a scene's value, which can lead into the asset of an object."""
+        step, owner = _tries()["scene"], None
+        for k, (start, name) in enumerate(steps):
+            if name == "asset" and owner is not None:
+                step = _tries()["asset"]
+                continue
+            if step.section and k:
+                self._add(at, start, name, path, (step.section,), owner, True, True)
             owner, step = step.owner(name) or owner, step.into(name)
 
     def _native(self, node: Node) -> None:

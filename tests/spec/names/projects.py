@@ -178,6 +178,17 @@ object:
   objects: {mug: {count: 2}}
 task:
   objects: [mug, bowl]
+vary:
+  object.mug.mass: {times: [0.9, 1.1]}
+  object.commode.asset.links.tray.friction: {uniform: [0.4, 0.6]}
+  "camera.*.fov_deg": {shift: 1, together: wear}
+  object.table.material: {choose: [wood, clay]}
+  commode.slide: {uniform: [0, 0.1]}
+  light.lamp.intensity: {times: [0.9, 1.1]}
+  camera.portrait.fov_deg: {shift: 2}
+  robot.arm.joints: {normal_deg: 1}
+  material.clay.friction: {uniform: [0.3, 0.5]}
+splits: {train: {until: 0.8}}
 """
 
 POLICY = """\

@@ -39,6 +39,11 @@ OTHERS: dict[Slot, str] = {
     ("RobotSpec", "joints{}"): "joints of the robot's own model",
     ("PolicySpec", "protocol"): "a protocol",
     ("CaptureSpec", "frames{}"): "defined here, and used by the command line only",
+    ("CousinsSpec", "splits{}"): "defined here, and used by the command line only",
+    **{
+        (f"{kind}Distribution", "together"): "a draw that entries share, which nothing else names"
+        for kind in ("Choice", "Cone", "Estimate", "Factor", "LogUniform", "Normal", "NormalAngle", "Shift", "Uniform")
+    },
 }
 
 
