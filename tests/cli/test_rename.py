@@ -54,7 +54,7 @@ def test_json_lists_places_diffs_and_notes() -> None:
     data = run("rename", "pi.policy.yaml", "portrait", "face", "--json", "--dry-run").json
     assert (data["kind"], data["old"], data["new"], data["written"]) == ("camera", "portrait", "face", False)
     assert data["files"]["pi.policy.yaml"] == [{"line": 8, "column": 31, "start": 150, "end": 158}]
-    assert set(data["diffs"]) == {"desk.scene.yaml", "pi.policy.yaml", "vary.cousins.yaml"}
+    assert set(data["diffs"]) == {"desk.scene.yaml", "pi.policy.yaml"}
     assert data["notes"] == []
 
 

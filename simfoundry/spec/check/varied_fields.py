@@ -37,8 +37,12 @@ from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, position
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.models.types import field_type, flat
-from simfoundry.spec.models.vary import VARIED_SECTIONS as SECTIONS
 
+# Sections of a scene, by the word with which a path starts.
+SECTIONS = {
+    "object": "objects", "light": "lights", "camera": "cameras", "material": "materials", "robot": "robots",
+    "frame": "frames",
+}  # fmt: skip
 # Keys of a scene whose values are not in a section.
 SCENE_KEYS = ("gravity", "options", "background")
 # Keys that change only pictures, wherever they are.

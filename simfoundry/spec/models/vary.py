@@ -23,16 +23,6 @@ from simfoundry.spec.models.base import (
 # Path of a value to vary. 256 characters hold three names of the greatest length and their keys.
 VaryPath = Annotated[str, StringConstraints(pattern=VARY_PATH, max_length=256)]
 
-# Sections of a scene, by the word with which the path of a value starts.
-VARIED_SECTIONS = {
-    "object": "objects",
-    "light": "lights",
-    "camera": "cameras",
-    "material": "materials",
-    "robot": "robots",
-    "frame": "frames",
-}
-
 # Greatest standard deviation and greatest rotation of a pose or direction [deg]; half a turn is any orientation.
 HalfTurn = Annotated[float, Field(gt=0, le=180, allow_inf_nan=False)]
 

@@ -11,13 +11,14 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import BESIDE, NAMED
 from simfoundry.spec.change.merge.conflict import parts
+from simfoundry.spec.check.varied_choices import COLORS
+from simfoundry.spec.check.varied_fields import SCENE_KEYS, SECTIONS
 from simfoundry.spec.compose.parameters import PARAMETER, holds_text, is_expression
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.native import mjcf_names
 from simfoundry.spec.models.predicate import PREDICATES, canonical
 from simfoundry.spec.models.scene import DEFAULT_VARIANT
 from simfoundry.spec.models.types import EXPRESSIONS, NAMES, REFERENCES
-from simfoundry.spec.models.vary import VARIED_SECTIONS
 from simfoundry.spec.names.positions import SourceMap, TextIndex
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document
@@ -36,6 +37,9 @@ WARNED: Sections = (*NAMED, "parameters")
 
 # The head and the tail of a name such as ``cabinet.drawer``.
 _DOTTED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\.([A-Za-z_][A-Za-z0-9_]*))?\Z")
+
+# Sections of a scene, by the word with which the path of a varied value starts.
+VARIED_SECTIONS = {**SECTIONS, "parameter": "parameters"}
 
 # Predicate with the argument list that is open at its name, also while it is being typed.
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(")
@@ -293,31 +297,32 @@ class _Walk:
             owner, step = step.owner(name) or owner, step.into(name)
 
     def _vary(self, node: Node) -> None:
-        """Add the names in the paths of values that vary, and those among which a value is chosen."""
+        """Add the names in the paths of values that a recipe varies, such as ``object.cup.mass`` or ``cabinet.drawer``,
+        and in the values to choose from. Patterns with `*` are no names.
+        """
         for key, entry in _members(node):
-            at, path, steps = self.index.ranges(key, *node.keys[key]), ("vary", key), [*_split(key)]
-            head, *rest = [name for _, name in steps]
-            section = {**VARIED_SECTIONS, "parameter": "parameters"}.get(head)
-            if section is not None:
-                self._varied(at, path, [(0, section), *steps[1:]])
-            elif rest:  # a joint of an object
-                self._add(at, 0, head, path, ("objects",), None, True, True)
-                self._add(at, *steps[1], path, ("joints",), Owner(("objects",), head), True, True)
-            chosen = dict(_members(entry)).get("choose")
-            for k, item in enumerate((chosen.children if chosen is not None else None) or ()):
-                if isinstance(item, Node) and isinstance(item.value, str) and rest:
-                    self._scalar(item, (*path, "choose", k), rest[-1], None)
-
-    def _varied(self, at: SourceMap, path: Path_, steps: list[tuple[int, str]]) -> None:
-        """Add the names in the path of a scene's value, which can lead into the asset of an object."""
-        step, owner = _tries()["scene"], None
-        for k, (start, name) in enumerate(steps):
-            if name == "asset" and owner is not None:
-                step = _tries()["asset"]
-                continue
-            if step.section and k:
-                self._add(at, start, name, path, (step.section,), owner, True, True)
-            owner, step = step.owner(name) or owner, step.into(name)
+            at, path = self.index.ranges(key, *node.keys[key]), ("vary", key)
+            (_, head), *rest = steps = [*_split(key)]
+            if head in VARIED_SECTIONS:
+                section = VARIED_SECTIONS[head]
+                step, owner = _tries()["scene"].into(section), None
+                for start, name in rest:
+                    if name == "asset" and owner is not None:  # what follows are members of the object's asset
+                        step = _tries()["asset"]
+                        continue
+                    if step.section:
+                        self._add(at, start, name, path, (step.section,), owner, True, True)
+                    owner, step = step.owner(name) or owner, step.into(name)
+            elif rest and head not in SCENE_KEYS:
+                joint = Owner(("objects",), head)
+                self._add(at, *steps[0], path, ("objects",), None, True, True)
+                self._add(at, *rest[0], path, ("joints",), joint, True, True)
+            last = key.rpartition(".")[2]
+            sections = ("materials",) if last in ("color", "material") else REFERENCES.get(last, ())
+            choices = dict(_members(entry)).get("choose")
+            for item in choices.children if sections and choices and isinstance(choices.children, list) else ():
+                if isinstance(item.value, str) and (last != "color" or item.value not in COLORS):
+                    self._add(self.index.of(item), 0, item.value, (*path, "choose"), sections, is_optional=True)
 
     def _native(self, node: Node) -> None:
         """Add the names of elements of objects in the native data of a scene, such as ``cabinet.drawer``."""

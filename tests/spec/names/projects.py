@@ -179,16 +179,14 @@ object:
 task:
   objects: [mug, bowl]
 vary:
-  object.mug.mass: {times: [0.9, 1.1]}
+  object.mug.mass: {times: [0.5, 2]}
+  commode.slide: {uniform: [0, 0.05]}
+  "light.lamp.intensity": {times: [0.5, 1.5]}  # brighter or darker
+  camera.eye.fov_deg: {times: [0.9, 1.1]}
+  camera.*.fov_deg: {times: [0.9, 1.1]}
+  robot.arm.joints: {normal_deg: 2}
+  object.shelf.material: {choose: [wood, clay]}
   object.commode.asset.links.tray.friction: {uniform: [0.4, 0.6]}
-  "camera.*.fov_deg": {shift: 1, together: wear}
-  object.table.material: {choose: [wood, clay]}
-  commode.slide: {uniform: [0, 0.1]}
-  light.lamp.intensity: {times: [0.9, 1.1]}
-  camera.portrait.fov_deg: {shift: 2}
-  robot.arm.joints: {normal_deg: 1}
-  material.clay.friction: {uniform: [0.3, 0.5]}
-splits: {train: {until: 0.8}}
 """
 
 POLICY = """\
