@@ -16,7 +16,7 @@ BROKEN = DESK.replace("on: desk", "on: dsk")
 
 def test_random_edits_and_messages_leave_the_findings_right(tmp_path: Path) -> None:
     (folder := tmp_path.resolve() / "project").mkdir()
-    assert faults(folder, edits=80, seed=3) == []
+    assert faults(folder, edits=40, seed=3) == []
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.corpora.slips import BAR, run
 
-COUNT, SEED = 24, 3
+COUNT, SEED = 12, 3
 
 
 def test_slips_are_underlined_and_suggestions_are_valid() -> None:
