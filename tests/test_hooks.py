@@ -126,7 +126,7 @@ def test_the_action_annotates_and_fails_where_there_are_findings(job: Path) -> N
     done = run_step("Check", job)
     assert done.returncode == 1 and done.stderr == ""
     lines = done.stdout.splitlines()
-    assert "::error file=my scenes/bad.scene.yaml,line=6,col=5,title=SF101::unknown key `mas`" in lines[0]
+    assert "::error file=my scenes/bad.scene.yaml,line=6,col=5,endColumn=8,title=SF101::unknown key `mas`" in lines[0]
     assert lines[1:] == ["1 error in 1 of 2 documents"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -79,10 +80,15 @@ def check_command(
     form = "json" if as_json else form
     if diff and not fix:
         raise SimfoundryError("--diff shows corrections, and requires --fix")
+    if diff and form not in ("text", "json"):
+        raise SimfoundryError(f"--diff cannot be combined with --format {form}")
     files = documents(paths or (Path(),))
-    if fix and _fix(files, diff, quiet=form != "text") and diff:
-        return output.FINDINGS
-    if diff:
+    diffs = _fix(files, diff, quiet=form != "text") if fix else {}
+    if diff and form == "text":
+        for each in diffs.values():
+            click.echo(each, nl=False)
+        if diffs:
+            return output.FINDINGS
         click.echo("nothing can be corrected with certainty")
     _known.clear()
     _linted.clear()
@@ -97,6 +103,8 @@ def check_command(
         output.print_findings(list(report.findings))
     elif form == "github" and report.findings:
         click.echo(renderer(form)(report))
+    elif diff:
+        output.print_json(json.loads(renderer(form)(report)) | {"diffs": diffs})
     elif form != "github":
         output.print_json_text(renderer(form)(report))
     if form in ("text", "github"):
@@ -106,24 +114,21 @@ def check_command(
     return output.FINDINGS if report.findings else output.DONE
 
 
-def _fix(files: list[Path], diff: bool, quiet: bool) -> bool:
-    """Correct what is certain in documents, and return True if there was anything. With ``diff``, only show it."""
+def _fix(files: list[Path], keep: bool, quiet: bool) -> dict[str, str]:
+    """Correct what is certain in documents, and return the differences. With ``keep``, do not write anything."""
     from simfoundry.runtime.files import write_all_in_place
     from simfoundry.spec.change.fixes import certain_fix, fix_documents
     from simfoundry.spec.change.format import Formatted
 
     fixed = fix_documents(files)
-    if diff:
-        for path, (before, after) in fixed.texts.items():
-            click.echo(_difference(path, Formatted(before, after), "fixed"), nl=False)
-        return bool(fixed.texts)
-    write_all_in_place({path: (old.encode(), new.encode()) for path, (old, new) in fixed.texts.items()})
-    for finding in fixed.done if not quiet else ():
+    if not keep:
+        write_all_in_place({path: (old.encode(), new.encode()) for path, (old, new) in fixed.texts.items()})
+    for finding in fixed.done if not (keep or quiet) else ():
         instead = certain_fix(finding)
         assert instead is not None
         place = f"{finding.file}:{finding.line}:{finding.column}"
         click.echo(printable(f"fixed {place}: replaced `{finding.word}` by `{instead.text.rstrip()}`"))
-    return bool(fixed.texts)
+    return {str(path): _difference(path, Formatted(*texts), "fixed") for path, texts in fixed.texts.items()}
 
 
 # Documents that this process has read while running the command, by project; shared documents are read only once.

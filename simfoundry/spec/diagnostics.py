@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -124,8 +125,9 @@ _CERTAIN = 0.85
 def most_similar(word: str, choices: Iterable[str]) -> Fix | None:
     """Return the correction of a misspelled word to the most similar choice, or None if none is similar.
 
-    The correction is certain if hardly more than one letter is wrong, if no other choice is almost as similar, and if
-    both contain the same digits: `cup_3` may be a name that is still to be defined, and not a misspelling of `cup_2`.
+    The correction is certain if hardly more than one letter is wrong in each part of the name, if no other choice is
+    almost as similar, and if both contain the same numbers: `cup_3` may be a name that is still to be defined, and not
+    a misspelling of `cup_2`.
     """
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
@@ -141,14 +143,34 @@ def most_similar(word: str, choices: Iterable[str]) -> Fix | None:
         return None
     ratios = [difflib.SequenceMatcher(None, name, sought).ratio() for name in found]
     ahead = len(found) == 1 or ratios[0] - ratios[1] >= _AHEAD
-    close = ratios[0] >= _CERTAIN or _is_one_edit(found[0], sought)
-    return Fix(plain[found[0]], certain=ahead and close and _digits(found[0]) == _digits(sought))
+    choice = plain[found[0]]
+    ahead = ahead and sum(_plain(name) == found[0] for name in names) == 1  # as `cup_1_11` and `cup_11_1` are not
+    return Fix(choice, certain=ahead and _is_slip(word, choice) and _numbers(word) == _numbers(choice))
 
 
 def similar_fixes(word: str, choices: Iterable[str]) -> tuple[Fix, ...]:
     """Return the correction of a misspelled word, if there is one."""
     found = most_similar(word, choices)
     return () if found is None else (found,)
+
+
+def _is_slip(word: str, choice: str) -> bool:
+    """Return True if a word is hardly more than one letter away from a choice, in each part between underscores.
+
+    A part with another meaning makes another name, even if the rest is long: `kitchen_cabinet_upper_drawer` is no slip
+    for `kitchen_cabinet_lower_drawer`, and `arm_l` none for `arm_r`.
+    """
+    a, b = word.casefold().split("_"), choice.casefold().split("_")
+    if len(a) != len(b):  # an underscore is missing, or there is one too many
+        a, b = [_plain(word)], [_plain(choice)]
+    import difflib
+
+    return all(
+        one == other
+        or (_is_one_edit(one, other) and max(len(one), len(other)) > 1)
+        or difflib.SequenceMatcher(None, one, other).ratio() >= _CERTAIN
+        for one, other in zip(a, b, strict=True)
+    )
 
 
 def _is_one_edit(a: str, b: str) -> bool:
@@ -158,8 +180,8 @@ def _is_one_edit(a: str, b: str) -> bool:
     return a[1:] == b or a == b[1:] or a[1:] == b[1:] or (a[:2] == b[:2][::-1] and a[2:] == b[2:])
 
 
-def _digits(name: str) -> str:
-    return "".join(filter(str.isdigit, name))
+def _numbers(name: str) -> list[str]:
+    return re.findall(r"[0-9]+", name)
 
 
 def _plain(name: str) -> str:

@@ -53,3 +53,12 @@ def test_what_cannot_be_read_is_only_reported(path: Path) -> None:
     path.write_bytes(b"simfoundry: scene/1\nname: \xff\n")
     done = run("check", "--fix", path)
     assert done.code == 1 and "SF001" in done.err and path.read_bytes().endswith(b"\xff\n")
+
+
+def test_differences_for_programs_are_part_of_the_one_object(path: Path) -> None:
+    done = run("check", "--fix", "--diff", "--no-lints", "--json", path)
+    assert done.code == 1 and path.read_text() == SLIPPED
+    assert list(done.json["diffs"]) == ["a.scene.yaml"] and "mas" in {d["word"] for d in done.json["findings"]}
+    run("check", "--fix", path)
+    assert run("check", "--fix", "--diff", "--no-lints", "--json", path).json["diffs"] == {}
+    assert run("check", "--fix", "--diff", "--format", "sarif", path).code == 2

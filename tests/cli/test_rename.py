@@ -31,7 +31,7 @@ def test_a_dry_run_shows_the_changes_and_writes_nothing(project: Path) -> None:
         "-  lamp: {type: point, xyz: [0, 0, 1], frame: corner}\n+  sun: {type: point, xyz: [0, 0, 1], frame: corner}\n"
     )
     assert changed in done.out
-    assert done.out.endswith("would rename light `lamp` to `sun`: 1 place in 1 document\n")
+    assert done.out.endswith("would rename light `lamp` to `sun`: 2 places in 2 documents\n")
     assert _texts(project) == FILES
 
 
@@ -40,7 +40,7 @@ def test_a_rename_and_its_reverse_give_the_same_bytes(project: Path) -> None:
     (project / "evening.scene.yaml").chmod(0o600)
     before = _texts(project)
     done = run("rename", "evening.scene.yaml", "mug", "beaker")
-    assert done.out.startswith("renamed object `mug` to `beaker`: 22 places in 7 documents\n  desk.scene.yaml: 7\n")
+    assert done.out.startswith("renamed object `mug` to `beaker`: 23 places in 7 documents\n  desk.scene.yaml: 7\n")
     assert "note: these lines still contain the word `mug`:\n" in done.out
     assert run("check", "--no-lints", ".").out == "no findings in 10 documents\n"
     assert (project / "evening.scene.yaml").stat().st_mode & 0o777 == 0o600

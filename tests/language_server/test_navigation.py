@@ -58,6 +58,8 @@ def test_definitions_across_documents(server: Server, project: Path) -> None:
     assert places(found) == [("cabinet.asset.yaml", 7, 2)]
     found = server.ask("textDocument/definition", **spot(task, "instruction", "Lift"))
     assert found == []
+    found = server.ask("textDocument/definition", **spot(paths["desk.scene"], "asset:", "cabinet.asset"))
+    assert places(found) == [("cabinet.asset.yaml", 0, 0)]
 
 
 def test_references_across_documents(server: Server, project: Path) -> None:

@@ -36,6 +36,12 @@ def document_links(analysis: Analysis) -> list[types.DocumentLink]:
     return found
 
 
+def file_at(analysis: Analysis, offset: int) -> Path | None:
+    """Return the existing file that a reference at an offset names, or None if there is none."""
+    named = (name for span, name in file_references(analysis) if span.start <= offset <= span.end)
+    return next((file for name in named if (file := existing_file(name, analysis)) is not None), None)
+
+
 def file_references(analysis: Analysis) -> Iterator[tuple[TextSpan, str]]:
     """Yield the place and the text of each reference to a file."""
     document = analysis.source

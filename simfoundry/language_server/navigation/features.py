@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from lsprotocol import types
 
+from simfoundry.language_server.display.links import file_at
 from simfoundry.language_server.navigation import references as navigation
 from simfoundry.language_server.protocol import RequestFailedError
 from simfoundry.spec.names.project import ProjectNames
@@ -35,7 +36,14 @@ def add_navigation(server: Server) -> None:
     @server.feature(types.TEXT_DOCUMENT_DEFINITION)
     async def definition(params: types.DefinitionParams) -> list[types.Location]:
         at = await names_at(params)
-        return navigation.definitions(*at, documents.location) if at is not None else []
+        if at is None:
+            return []
+        _, path, offset = at
+        analysis = documents.parsed(path) or await server.current(params.text_document.uri)
+        file = file_at(analysis, offset) if analysis is not None else None
+        return (
+            navigation.definitions(*at, documents.location) if file is None else [documents.location(str(file), 0, 0)]
+        )
 
     @server.feature(types.TEXT_DOCUMENT_REFERENCES)
     async def references(params: types.ReferenceParams) -> list[types.Location]:

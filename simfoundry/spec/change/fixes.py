@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -220,8 +221,8 @@ class FixedDocuments:
 def fix_documents(files: Collection[Path]) -> FixedDocuments:
     """Apply the certain corrections of structural findings to documents, without writing them.
 
-    The corrections of a document are dropped if the findings remain, or if the document can no longer be parsed. Other
-    documents that these documents use are left as they are.
+    Corrections after which the findings remain are dropped, and all those of a document if it can no longer be parsed.
+    Other documents that these documents use are left as they are.
     """
     documents = OpenDocuments()
     places = {os.path.realpath(file): file for file in files}
@@ -239,13 +240,14 @@ def fix_documents(files: Collection[Path]) -> FixedDocuments:
             text = after[file] if file in after else _text(file)
             new, corrected = apply_certain_fixes(text, mine)
             documents.edit(file, new)
-            if corrected and _resolves(documents.load(file), corrected):
+            left = _unresolved(documents.load(file), corrected)
+            if corrected and not left:
                 before.setdefault(file, text)
                 after[file] = new
                 done += corrected
             else:
                 documents.edit(file, after.get(file))
-                rejected.update(mine)
+                rejected.update(left or mine)
         if not own:
             break
     return FixedDocuments({file: (before[file], new) for file, new in after.items()}, tuple(done))
@@ -255,9 +257,18 @@ def _text(file: Path) -> str:
     return file.read_bytes().decode("utf-8", errors="replace")
 
 
-def _resolves(loaded: Loaded, corrected: Collection[Diagnostic]) -> bool:
-    """Return True if none of the corrected findings is left, and if the document is still a valid mapping."""
-    left = {(d.code, d.message) for d in loaded.findings}
+def _unresolved(loaded: Loaded, corrected: Collection[Diagnostic]) -> set[Diagnostic]:
+    """Return the corrected findings that are left, which are all if the document is no longer a valid mapping."""
     broken = loaded.document is None or any(d.code == "SF003" for d in loaded.findings)
-    syntax = any(d.code == "SF002" for d in corrected)
-    return (syntax or not broken) and not any((d.code, d.message) in left for d in corrected)
+    if broken and all(d.code != "SF002" for d in corrected):
+        made = Counter((d.path.rpartition(".")[0], d.fixes[0].text) for d in corrected)  # such as two keys `mass`
+        return {d for d in corrected if made[d.path.rpartition(".")[0], d.fixes[0].text] > 1} or {*corrected}
+    # A base can contain the same slip, and so can another line, which may have to be corrected by a person.
+    left = {(d.code, d.message, d.line, os.path.realpath(d.document)) for d in loaded.findings}
+    # A line without a colon is no key if it is unknown or has no value, but the rest of a text or comment.
+    no_key = {d.line for d in loaded.findings if d.code in ("SF101", "SF103")}
+    return {
+        d
+        for d in corrected
+        if (d.code, d.message, d.line, os.path.realpath(d.document)) in left or (d.code == "SF002" and d.line in no_key)
+    }

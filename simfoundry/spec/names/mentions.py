@@ -11,6 +11,8 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import BESIDE, NAMED
 from simfoundry.spec.change.merge.conflict import parts
+from simfoundry.spec.check.varied_choices import COLORS
+from simfoundry.spec.check.varied_fields import SCENE_KEYS, SECTIONS
 from simfoundry.spec.compose.parameters import PARAMETER, holds_text, is_expression
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.native import mjcf_names
@@ -35,6 +37,9 @@ WARNED: Sections = (*NAMED, "parameters")
 
 # The head and the tail of a name such as ``cabinet.drawer``.
 _DOTTED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\.([A-Za-z_][A-Za-z0-9_]*))?\Z")
+
+# Sections of a scene, by the word with which the path of a varied value starts.
+VARIED_SECTIONS = {**SECTIONS, "parameter": "parameters"}
 
 # Predicate with the argument list that is open at its name, also while it is being typed.
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(")
@@ -197,6 +202,8 @@ class _Walk:
             self._conflicts(node)
         elif key == "native":
             self._native(node)
+        elif key == "vary" and self.kind == "cousins":
+            self._vary(node)
         elif key not in ("name", "description", "origin", "simfoundry", "extends"):
             self._value(node, (key,), key, _tries().get(self.kind, _EMPTY).into(key), None)
 
@@ -288,6 +295,31 @@ class _Walk:
             if step.section:
                 self._add(at, start, name, path, (step.section,), owner if step.is_owned else None, True, True)
             owner, step = step.owner(name) or owner, step.into(name)
+
+    def _vary(self, node: Node) -> None:
+        """Add the names in the paths of values that a recipe varies, such as ``object.cup.mass`` or ``cabinet.drawer``,
+        and in the values to choose from. Patterns with `*` are no names.
+        """
+        for key, entry in _members(node):
+            at, path = self.index.ranges(key, *node.keys[key]), ("vary", key)
+            (_, head), *rest = steps = [*_split(key)]
+            if head in VARIED_SECTIONS:
+                section = VARIED_SECTIONS[head]
+                step, owner = _tries()["scene"].into(section), None
+                for start, name in rest:
+                    if step.section:
+                        self._add(at, start, name, path, (step.section,), owner if step.is_owned else None, True, True)
+                    owner, step = step.owner(name) or owner, step.into(name)
+            elif rest and head not in SCENE_KEYS:
+                joint = Owner(("objects",), head)
+                self._add(at, *steps[0], path, ("objects",), None, True, True)
+                self._add(at, *rest[0], path, ("joints",), joint, True, True)
+            last = key.rpartition(".")[2]
+            sections = ("materials",) if last in ("color", "material") else REFERENCES.get(last, ())
+            choices = dict(_members(entry)).get("choose")
+            for item in choices.children if sections and choices and isinstance(choices.children, list) else ():
+                if isinstance(item.value, str) and (last != "color" or item.value not in COLORS):
+                    self._add(self.index.of(item), 0, item.value, (*path, "choose"), sections, is_optional=True)
 
     def _native(self, node: Node) -> None:
         """Add the names of elements of objects in the native data of a scene, such as ``cabinet.drawer``."""

@@ -6,10 +6,12 @@ import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.names.mentions import VARIED_SECTIONS
 from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.names.rename import (
     MAX_SHOWN,
@@ -183,12 +185,26 @@ def _notes(
     ]
     if policies:
         yield f"these policies name a camera that several scenes have, and stay as they are:{_list(policies)}"
+    if patterns := [*_changed_patterns(names, symbol, new, edits)]:
+        yield f"these patterns match only one of the two names, and stay as they are:{_list(patterns)}"
     if lines := remaining_lines(names, edits, symbol.name):
         yield f"these lines still contain the word `{symbol.name}`:{_list(lines)}"
     word = re.compile(rb"(?<![A-Za-z0-9_])" + re.escape(symbol.name.encode()) + rb"(?![A-Za-z0-9_])")
     skipped = [shown_path(file) for file, data in project.excluded.items() if file not in edited and word.search(data)]
     if skipped:
         yield f"these documents contain the word but are excluded from the project's commands:{_list(skipped)}"
+
+
+def _changed_patterns(names: ProjectNames, symbol: Symbol, new: str, edits: tuple[DocumentEdit, ...]) -> Iterable[str]:
+    """Yield the patterns of recipes, such as `camera.left_*.pose`, that stand for other values after a rename."""
+    for file in sorted({user for edit in edits for user in names.dependents(edit.file)}):
+        document = names.documents[file]
+        for key in document.section("vary") if document.kind == "cousins" else ():
+            head, *rest = key.split(".")
+            section, word = (VARIED_SECTIONS[head], rest[0]) if head in VARIED_SECTIONS and rest else ("objects", head)
+            is_changed = fnmatchcase(symbol.name, word) != fnmatchcase(new, word)
+            if "*" in word and symbol.section == (section,) and is_changed:
+                yield f"{shown_path(file)}: {key}"
 
 
 def _list(lines: list[str]) -> str:

@@ -99,6 +99,20 @@ def test_a_name_with_another_number_is_not_certainly_a_slip() -> None:
     assert far is not None and not far.certain
 
 
+@pytest.mark.parametrize(
+    ("word", "choices"),
+    [
+        ("cup_111", ["cup_1_11", "cup_11_1"]),
+        ("cup_11", ["cup_1_1"]),
+        ("arm_l", ["arm_r"]),
+        ("kitchen_cabinet_upper_drawer", ["kitchen_cabinet_lower_drawer"]),
+    ],
+)
+def test_another_member_of_a_family_is_not_certainly_meant(word: str, choices: list[str]) -> None:
+    close = most_similar(word, choices)
+    assert close is not None and close.text in choices and not close.certain
+
+
 def test_what_is_certain_is_corrected_and_nothing_else(tmp_path: Path) -> None:
     slips = [
         ("OnTop", "OnTpo"),
@@ -114,6 +128,24 @@ def test_what_is_certain_is_corrected_and_nothing_else(tmp_path: Path) -> None:
     fixed = fix_documents([path])
     assert fixed.texts == {path: (text, SCENE.replace("\n", "\r\n"))} and len(fixed.done) == len(slips)
     assert path.read_bytes().decode() == text, "fixing writes nothing"
+
+
+def test_the_same_slip_in_a_base_does_not_hinder_the_correction(tmp_path: Path) -> None:
+    written(tmp_path, SCENE.replace("fixed: true", "fixd: true"))
+    text = "simfoundry: scene/1\nname: over\nextends: desk.scene.yaml\nobjects: {desk: {fixd: true}}\n"
+    over = written(tmp_path, text, "over.scene.yaml")
+    assert fix_documents([over]).texts == {over: (text, text.replace("fixd", "fixed"))}
+
+
+def test_two_slips_for_one_key_do_not_hinder_other_corrections(tmp_path: Path) -> None:
+    text = SCENE.replace("mass: 0.3,", "mas: 0.3, mss: 0.4,", 1)
+    path = written(tmp_path, text.replace("fixed: true", "fixd: true"))
+    assert [after for _, after in fix_documents([path]).texts.values()] == [text]
+
+
+def test_a_stray_word_does_not_become_a_key(tmp_path: Path) -> None:
+    path = written(tmp_path, SCENE.replace("# the name", "# the\nname_of_this"))
+    assert "name_of_this" in {d.word for d in findings(path)} and fix_documents([path]).texts == {}
 
 
 def test_documents_that_were_not_given_are_left_alone(tmp_path: Path) -> None:

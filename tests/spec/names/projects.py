@@ -178,6 +178,14 @@ object:
   objects: {mug: {count: 2}}
 task:
   objects: [mug, bowl]
+vary:
+  object.mug.mass: {times: [0.5, 2]}
+  commode.slide: {uniform: [0, 0.05]}
+  "light.lamp.intensity": {times: [0.5, 1.5]}  # brighter or darker
+  camera.eye.fov_deg: {times: [0.9, 1.1]}
+  camera.*.fov_deg: {times: [0.9, 1.1]}
+  robot.arm.joints: {normal_deg: 2}
+  object.shelf.material: {choose: [wood, clay]}
 """
 
 POLICY = """\

@@ -13,6 +13,7 @@ import pytest
 from pydantic import BaseModel, StringConstraints
 
 from simfoundry.backends.mjcf import native
+from simfoundry.spec.models import vary
 from simfoundry.spec.models.base import JOINT_NAME, NAME, PART_NAME
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.native import mjcf_names
@@ -22,6 +23,9 @@ from tests.spec.names.projects import FILES, names_in, write_project
 
 # A field of a model: the class that declares it, and its name. `{}` after the name stands for the keys of a mapping.
 Slot = tuple[str, str]
+
+# Distributions, each of which declares its `together`.
+DISTRIBUTIONS = [model.__name__ for model in vary.Distribution.__subclasses__()]
 
 # Fields whose names have no meaning for other keys of the project, with the reason.
 OTHERS: dict[Slot, str] = {
@@ -38,6 +42,8 @@ OTHERS: dict[Slot, str] = {
     ("RobotSpec", "model"): "a robot that SimFoundry knows",
     ("RobotSpec", "joints{}"): "joints of the robot's own model",
     ("PolicySpec", "protocol"): "a protocol",
+    ("CousinsSpec", "splits{}"): "defined here, and used by the command line only",
+    **{(model, "together"): "a group of entries of one recipe" for model in DISTRIBUTIONS},
     ("CaptureSpec", "frames{}"): "defined here, and used by the command line only",
 }
 

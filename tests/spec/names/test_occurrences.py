@@ -75,6 +75,11 @@ MEANINGS = {
     ("lift.task.yaml", "robots: [arm"): "robot arm desk",
     ("lift.task.yaml", "Grasped(mug, arm"): "robot arm desk",
     ("desk.scene.yaml", "mount: arm"): "robot arm desk",
+    ("vary.cousins.yaml", "object.mug"): "object mug desk",
+    ("vary.cousins.yaml", "commode.slide"): "joint slide cabinet",
+    ("vary.cousins.yaml", '"light.lamp'): "light lamp desk",
+    ("vary.cousins.yaml", "robot.arm"): "robot arm desk",
+    ("vary.cousins.yaml", "choose: [wood"): "material wood desk",
 }
 
 
@@ -98,7 +103,8 @@ def test_the_prefix_and_the_rest_of_an_included_name_are_two_names(names: Projec
 
 def test_all_uses_of_a_symbol_are_found(names: ProjectNames, folder: Path) -> None:
     (wood,) = names.symbols(folder / "evening.scene.yaml", "wood", ("materials",))
-    assert _shown(names.references(wood)) == ["desk:12:3", "desk:17:61", "desk:39:59", "desk:41:15", "evening:12:22"]
+    used = ["desk:12:3", "desk:17:61", "desk:39:59", "desk:41:15", "evening:12:22", "vary:19:36"]
+    assert _shown(names.references(wood)) == used
 
 
 def test_documents_know_what_they_use_and_who_uses_them(names: ProjectNames, folder: Path) -> None:

@@ -10,7 +10,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.names.plan import RenamePlan, plan_rename
 from simfoundry.spec.names.rename import RenameError
 from tests.corpora import renames
-from tests.spec.names.projects import FILES, write_project
+from tests.spec.names.projects import FILES, VARY, write_project
 
 # For each kind of name: the file and the name to rename, and a line of another place after the rename to `zz`.
 RENAMES = {
@@ -233,6 +233,14 @@ def test_a_policy_for_several_scenes_stays_and_is_listed(tmp_path: Path) -> None
     assert any("pi.policy.yaml:8:31" in note for note in plan.notes)
     back = plan_rename(tmp_path / "desk.scene.yaml", "bird", "portrait2")
     assert list(_after(back)) == ["desk.scene.yaml", "evening.scene.yaml"]
+
+
+def test_patterns_of_recipes_that_stand_for_other_values_are_listed(tmp_path: Path) -> None:
+    files = FILES | {"vary.cousins.yaml": VARY.replace("camera.*.fov_deg", "camera.*r*.fov_deg")}
+    desk = write_project(tmp_path, files) / "desk.scene.yaml"
+    (note,) = [each for each in plan_rename(desk, "bird", "view").notes if "patterns" in each]
+    assert note.endswith("vary.cousins.yaml: camera.*r*.fov_deg")
+    assert not [each for each in plan_rename(desk, "bird", "crow").notes if "patterns" in each]
 
 
 def test_paths_and_names_in_allow_follow(tmp_path: Path) -> None:
