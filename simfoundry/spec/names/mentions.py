@@ -307,8 +307,11 @@ class _Walk:
                 section = VARIED_SECTIONS[head]
                 step, owner = _tries()["scene"].into(section), None
                 for start, name in rest:
+                    if name == "asset" and owner is not None:  # what follows are members of the object's asset
+                        step = _tries()["asset"]
+                        continue
                     if step.section:
-                        self._add(at, start, name, path, (step.section,), owner if step.is_owned else None, True, True)
+                        self._add(at, start, name, path, (step.section,), owner, True, True)
                     owner, step = step.owner(name) or owner, step.into(name)
             elif rest and head not in SCENE_KEYS:
                 joint = Owner(("objects",), head)

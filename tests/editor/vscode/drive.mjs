@@ -119,9 +119,9 @@ await step("completion", async () => {
 await step("rename", async () => {
   await cursor("OnTop(cup", 7);
   await page.keyboard.press("F2");
-  await page.locator(".rename-box input").waitFor();
-  await page.keyboard.type("mug");
-  await page.keyboard.press("Enter");
+  const box = page.locator(".rename-box input"); // it is there before it has the focus
+  await box.fill("mug");
+  await box.press("Enter");
   return until(async () => (await code()).filter((line) => /mug|cup/.test(line)), (lines) => lines.every((line) => !line.includes("cup")));
 });
 

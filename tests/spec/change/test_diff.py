@@ -221,6 +221,7 @@ def test_every_name_that_refers_is_known() -> None:
         "model": "a known robot",
         "library": "a known library",
         "protocol": "a known protocol",
+        "together": "a draw that entries share",
     }
     names = {str(get_args(kind)[1]) for kind in (Name, PartName)}
     found = set()

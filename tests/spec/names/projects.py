@@ -186,6 +186,7 @@ vary:
   camera.*.fov_deg: {times: [0.9, 1.1]}
   robot.arm.joints: {normal_deg: 2}
   object.shelf.material: {choose: [wood, clay]}
+  object.commode.asset.links.tray.friction: {uniform: [0.4, 0.6]}
 """
 
 POLICY = """\
