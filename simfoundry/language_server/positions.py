@@ -23,7 +23,8 @@ class Lines:
     """A text, and the offsets at which its lines start."""
 
     def __init__(self, text: str, encoding: str = types.PositionEncodingKind.Utf16) -> None:
-        self.text, self.encoding = text, str(encoding)
+        self.text = text
+        self.encoding: str = types.PositionEncodingKind(encoding).value  # a member's `str` is its name, not its value
 
     def offset(self, position: types.Position) -> int:
         """Return the offset of a position. A position beyond the end of its line or of the text is moved there."""

@@ -24,7 +24,7 @@ def add_synchronization(server: Server) -> None:
 
     @server.feature(types.INITIALIZED)
     async def initialized(ls: Server, _: types.InitializedParams) -> None:
-        documents.encoding = str(ls.workspace.position_encoding or types.PositionEncodingKind.Utf16.value)
+        documents.encoding = ls.workspace.position_encoding or types.PositionEncodingKind.Utf16
         workspace = ls.client_capabilities.workspace
         watching = workspace.did_change_watched_files if workspace is not None else None
         if watching is not None and watching.dynamic_registration:

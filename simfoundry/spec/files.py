@@ -108,6 +108,10 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
         raise FileError("SF203", message, f"supported: {', '.join(suffixes)}")
     if target.is_file() or (not suffixes and target.is_dir()):
         return target
+    if target.exists():
+        found = "a folder" if target.is_dir() else "a file" if target.is_file() else "a pipe or a device"
+        expected = "file" if suffixes else "folder"
+        raise FileError("SF203", f"`{reference}` is not a {expected}", f"it is {found}; name a {expected}")
     folder = target.parent
     message = f"{'file' if suffixes else 'folder'} `{reference}` does not exist"
     if folder.is_dir():

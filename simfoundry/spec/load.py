@@ -165,7 +165,8 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     if not isinstance(data, dict):
         message = "a document must be a mapping that starts with `simfoundry: scene/1`"
     elif "simfoundry" in data:
-        message = f"`{value}` is not a known document kind"
+        shown = f"`{value}`" if isinstance(value, str | int | float) else "this value"
+        message = f"{shown} is not a known document kind"
     else:
         message = "the `simfoundry` key is missing"
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simfoundry.language_server.display.markdown import code_span, escaped, plain_text
 from simfoundry.spec.change.format import format_text
 from tests.editor.client import Message, Server, started
 from tests.language_server.conftest import COMMAND, DESK
@@ -157,9 +158,29 @@ def test_hover_in_a_task_an_asset_and_a_recipe(server: Server, project: Path) ->
 
 
 def test_an_editor_without_markdown_sees_plain_text() -> None:
-    from simfoundry.language_server.display.hover import plain_text
-
     assert plain_text("**mug** · `clay`\n\n```text\nmass  1 kg\n```") == "mug · clay\n\nmass  1 kg"
+    assert plain_text(f"**{escaped('2*$a*3')}** = 6") == "2*$a*3 = 6"
+
+
+def test_what_is_shown_of_a_file_cannot_be_a_link(server: Server, project: Path) -> None:
+    name = "](command:evil) <b>`*.png"
+    (project / name).write_bytes(b"no image")
+    text = DESK.replace("density: 700", f"density: 700, texture: '{name}'")
+    shown = Shown(server, project / "a.scene.yaml", text).hover("](command")
+    assert re.search(r"(?<!\\)[\[\]()<>`]", shown) is None and "evil" in shown
+    assert code_span("a`[b](command:c)`\n\nd") == "`a'[b](command:c)' d`"
+
+
+@pytest.mark.parametrize("value", ["x" * 200_000, "(" * 100_000 + "x", "a" + " " * 100_000 + "b"])
+@pytest.mark.parametrize("place", ["name: {}\n", "relations:\n  - {}\n", "a: [{}]\n"])
+def test_long_lines_do_not_stop_the_server(server: Server, project: Path, place: str, value: str) -> None:
+    text = "simfoundry: scene/1\n" + place.format(value)  # with time that grows as the square, each took minutes
+    shown = Shown(server, project / "a.scene.yaml", text)
+    for offset in (text.index(value) + len(value) // 2, text.index(value) + len(value)):
+        position = {"line": text.count("\n", 0, offset), "character": offset - text.rindex("\n", 0, offset) - 1}
+        for method in ("hover", "completion", "signatureHelp"):
+            shown.ask(method, position=position)
+    shown.ask("semanticTokens/full")
 
 
 # -- structure --------------------------------------------------------------------------------------------------------

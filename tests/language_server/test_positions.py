@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from lsprotocol import types
 
 from simfoundry.language_server.positions import Lines
+from tests.editor.client import Server
+from tests.language_server.conftest import DESK
 
 TEXTS = st.text(st.sampled_from("ab é😀\n\r\x85\u2028\ufeff"), max_size=30)
 ENCODINGS = st.sampled_from(["utf-8", "utf-16", "utf-32"])
@@ -50,3 +53,23 @@ def test_places_of_the_yaml_reader(mark: str, break_: str) -> None:
     lines = Lines(text)
     for key, place in root.keys.items():
         assert text.startswith(key, lines.place(*place))
+
+
+def test_the_server_counts_code_units_like_the_editor(server: Server, project: Path) -> None:
+    path = project / "desk.scene.yaml"
+    text = DESK + "# \U0001f600 comment   \n"
+    server.open(path, text)
+    *_, edit = server.ask_about("textDocument/formatting", path, options={"tabSize": 2, "insertSpaces": True})
+    assert edit["range"]["start"]["character"] == 12 and edit["range"]["end"]["character"] == 15  # in UTF-16
+    line = text.count("\n") - 1
+    start, end = {"line": line, "character": 2}, {"line": line, "character": 4}
+    server.diagnostics_of(path, server.change(path, "e", start=start, end=end))
+    *_, edit = server.ask_about("textDocument/formatting", path, options={"tabSize": 2, "insertSpaces": True})
+    assert edit["range"]["start"]["character"] == 11 and edit["range"]["end"]["character"] == 14
+
+
+@pytest.mark.parametrize("encoding", list(types.PositionEncodingKind))
+def test_an_encoding_may_be_given_by_its_value(encoding: types.PositionEncodingKind) -> None:
+    columns = {"utf-8": 5, "utf-16": 3, "utf-32": 2}
+    for written in (encoding, encoding.value):
+        assert Lines("\U0001f600x", written).position(2).character == columns[encoding.value]

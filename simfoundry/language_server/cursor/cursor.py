@@ -173,7 +173,7 @@ class Cursor:
 _CALL = re.compile(r"""["']?\s*(?P<name>[A-Za-z]\w*)\s*\(""")
 _PARAMETER = re.compile(r"\$\w*|\w+")
 # Arithmetic in which a parameter or number may be missing, and the characters beside an offset inside of a number.
-_SUM = re.compile(r"[-+*/(). 0-9]*[-+*/(][-+*/(). 0-9]*\Z")
+_SUM = re.compile(r"[). 0-9]*[-+*/(][-+*/(). 0-9]*\Z")
 _IN_NUMBER = re.compile(r".?[\w.]")
 _OTHER_BREAKS = str.maketrans("\r\x85\u2028\u2029", "\n\n\n\n")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
+from simfoundry.language_server.display.markdown import code_span, escaped
 from simfoundry.lint.contacts import HOVERING, supports
 from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.views import sees
@@ -159,7 +160,7 @@ def file_text(reference: str, path: Path, used: Loaded | None) -> str:
         try:
             facts = mesh_facts(path, Cache.default())
         except MeshError as error:
-            return f"{_title(reference, words)}\n\n{error}"
+            return f"{_title(reference, words)}\n\n{escaped(str(error))}"
         rows += [("triangles", f"{facts.triangles}"), ("size", f"{_plain(facts.sides)} in units of the file")]
         rows.append(("surface", f"open, {facts.gaps} edges have one face" if facts.gaps else "closed"))
     elif suffix in TEXTURE_SUFFIXES:
@@ -170,7 +171,7 @@ def file_text(reference: str, path: Path, used: Loaded | None) -> str:
             with Image.open(path) as image:
                 rows.append(("size", f"{image.width} × {image.height} px"))
         except Exception as error:  # Pillow raises errors of many kinds for broken images
-            return f"{_title(reference, words)}\n\nThe image could not be read: {error}."
+            return f"{_title(reference, words)}\n\nThe image could not be read: {escaped(str(error))}."
     rows.append(("on disk", f"{path.stat().st_size / 1024:.1f} KiB"))
     return f"{_title(path.name, words)}\n\n{_aligned(rows)}"
 
@@ -203,7 +204,7 @@ def _kind_words(draft: DraftScene, item: SceneObject) -> list[str]:
     """Return what an object is, in a few words."""
     written = draft.spec.objects[item.name]
     words = [next(iter(type(written.shape).model_fields))] if written.shape is not None else []
-    words += [f"`{written.asset}`"] if written.asset is not None else []
+    words += [code_span(written.asset)] if written.asset is not None else []
     words += [f"category `{item.category}`"] if item.category not in ("", item.name) else []
     words += [f"material `{written.material}`"] if written.material is not None else []
     words += [f"variant `{item.variant}`"] if item.variant else []
@@ -278,7 +279,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _title(name: str, words: Sequence[str]) -> str:
-    return " · ".join([f"**{name}**", *words])
+    return " · ".join([f"**{escaped(name)}**", *words])
 
 
 def _aligned(rows: Rows) -> str:

@@ -16,8 +16,9 @@ from simfoundry.language_server.cursor.cursor import cursor_at
 from simfoundry.language_server.display.colors import color_presentations, document_colors
 from simfoundry.language_server.display.formatting import format_edits
 from simfoundry.language_server.display.hints import inlay_hints
-from simfoundry.language_server.display.hover import HoverContext, hover_at, key_text, plain_text
+from simfoundry.language_server.display.hover import HoverContext, hover_at, key_text
 from simfoundry.language_server.display.links import document_links
+from simfoundry.language_server.display.markdown import plain_text
 from simfoundry.language_server.display.outline import document_symbols, folding_ranges, selection_ranges
 from simfoundry.language_server.display.preview import Previews
 from simfoundry.language_server.display.tokens import LEGEND, semantic_tokens

@@ -10,6 +10,7 @@ from typing import Any
 
 from simfoundry.language_server.analysis import Analysis
 from simfoundry.language_server.display.links import existing_file
+from simfoundry.language_server.display.markdown import escaped
 from simfoundry.lint.draft import DraftScene
 from simfoundry.spec.check.pages import page
 from simfoundry.spec.compose.parameters import PARAMETER, ParameterError, evaluate, is_expression
@@ -28,7 +29,7 @@ Path_ = tuple[str | int, ...]
 
 # A name, or the name of a part after that of its object, with the parameter's mark.
 _NAME = re.compile(r"\$?[A-Za-z][A-Za-z0-9_]*(?:\.[a-z][a-z0-9_]*)?")
-_CALL = re.compile(r"([A-Za-z]\w*)\s*\(([^()]*)\)")
+_CALL = re.compile(r"(?<!\w)([A-Za-z]\w*)\s*\(([^()]*)\)")
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _CODE = re.compile(r"SF[0-9]{3}\Z")
 
@@ -286,7 +287,9 @@ def _expression_text(context: HoverContext, token: Token) -> str | None:
         return None
     used = dict.fromkeys(PARAMETER.findall(expression))
     parts = ", ".join(f"${name} = {number(values[name])}" for name in used if name in values)
-    return f"**{expression}** = {number(total)}" + (f"\n\n{parts}" if expression != f"${next(iter(used), '')}" else "")
+    return f"**{escaped(expression)}** = {number(total)}" + (
+        f"\n\n{parts}" if expression != f"${next(iter(used), '')}" else ""
+    )
 
 
 def _converted(token: Token) -> str:
@@ -387,9 +390,3 @@ def _asset_link(context: HoverContext, name: str) -> str | None:
     except SpecError:
         return None
     return asset_link_text(context.analysis.loaded, scene.objects[0], name)
-
-
-def plain_text(markdown: str) -> str:
-    """Return a description without its Markdown, for editors that show plain text."""
-    text = re.sub(r"^```\w*\n|\n```$", "", markdown, flags=re.MULTILINE)
-    return re.sub(r"\*\*|`", "", text)

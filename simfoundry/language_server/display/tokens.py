@@ -19,7 +19,7 @@ LEGEND = types.SemanticTokensLegend(["function", "variable", "parameter", "prope
 # Numbers of the kinds in the legend.
 _FUNCTION, _VARIABLE, _PARAMETER, _PROPERTY, _TYPE = range(5)
 
-_CALL = re.compile(r"([A-Za-z]\w*)\s*\(([^()]*)\)")
+_CALL = re.compile(r"(?<!\w)([A-Za-z]\w*)\s*\(([^()]*)\)")
 _ARGUMENT = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?")
 _NAME = re.compile(r"([a-z][a-z0-9_]*)(\.[a-z][a-z0-9_]*)?\Z")
 

@@ -208,6 +208,8 @@ def test_a_named_pipe_is_not_waited_for(tmp_path: Path) -> None:
     assert [d.code for d in load(tmp_path / "a.scene.yaml", tmp_path).findings] == ["SF001"]
     (tmp_path / "a.scene.yaml").unlink()
     assert scene_with(tmp_path, "cup.obj") == ["SF203"]
+    (finding,) = load(tmp_path / "a.scene.yaml", tmp_path).findings
+    assert finding.message == "`cup.obj` is not a file" and finding.hint == "it is a pipe or a device; name a file"
 
 
 def test_an_asset_that_is_a_document_of_another_kind_or_broken(tmp_path: Path) -> None:
