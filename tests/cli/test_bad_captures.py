@@ -67,7 +67,7 @@ BAD = {
     "no YAML": (_no_yaml, "SF002", ":1:", ""),
     "not UTF-8": (_not_utf8, "SF001", ":2:7", ""),
     "a scene": (_a_scene, "SF006", ":1:1", "expected a `capture/1` document"),
-    "a folder": (_a_folder, "SF203", ":5:12", "does not exist"),
+    "a folder": (_a_folder, "SF203", ":5:12", "is not a file"),
     "elsewhere": (_elsewhere, "SF204", ":5:12", "is outside the project"),
     "name": (_name, "SF106", ":2:7", "My Desk!"),
     "channels": (_three_channels, "SF501", ":7:14", "3 channels"),

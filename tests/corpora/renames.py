@@ -29,7 +29,7 @@ from tests.spec.names.projects import FILES, write_project
 WORDS = (
     *("mug", "cup", "bowl", "oak", "clay", "hinge", "slide", "drawer", "lamp", "front", "top", "view", "arm", "tray"),
     *("lid", "knob", "corner", "shelf", "spoon", "plate", "gap", "red", "left", "on", "inside", "size", "mass", "name"),
-    *("shape", "objects", "goal", "box", "joint", "a", "x2", "b_c", "z9_k", "part_a"),
+    *("shape", "goal", "box", "joint", "a", "x2", "b_c", "z9_k", "part_a"),
 )
 
 # Names in the project, by where they must differ. Names in different groups may be equal.

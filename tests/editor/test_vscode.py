@@ -25,6 +25,9 @@ from tests.scenes import checker_png
 
 MANIFEST: dict[str, Any] = json.loads((HERE / "package.json").read_text())
 
+# Installing its packages takes half a minute; `.ci/run` runs these tests after it has built the extension.
+pytestmark = pytest.mark.slow
+
 # The extension with its client is about 110 kB; a megabyte would be sources or packages that do not belong in it.
 LARGEST = 300_000
 
