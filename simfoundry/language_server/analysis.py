@@ -65,6 +65,8 @@ def analyzed(path: Path, lines: Lines, version: int | None, documents: OpenDocum
         documents: The documents of the editor, with the same text.
     """
     loaded = documents.load(path)
+    if loaded.source is not None and loaded.source.text != lines.text:  # it was edited on its way to this thread
+        lines = Lines(loaded.source.text, lines.encoding)
     return Analysis(path, lines, version, loaded, tuple(loaded.all_findings()))
 
 
