@@ -174,7 +174,7 @@ class _Opened:
 
 
 class _Process:
-    """What this process keeps between attempts: the task that is open, and the process that replays."""
+    """State that a process keeps between attempts: the open task, and the process that replays."""
 
     opened: tuple[Path, _Opened] | None = None
     verifier: Worker | None = None

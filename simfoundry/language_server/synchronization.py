@@ -1,4 +1,4 @@
-"""What keeps the texts of the server equal to those of the editor and of the disk."""
+"""Synchronization of the server's texts with the editor and the disk."""
 
 from __future__ import annotations
 

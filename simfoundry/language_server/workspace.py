@@ -40,7 +40,7 @@ class Buffer:
 
 @dataclass
 class _Known:
-    """What is known about one document: its latest analysis, and the latest ones that can still answer questions.
+    """The analyses of one document: the latest one, and the latest ones that can still answer requests.
 
     Attributes:
         latest: The latest analysis.

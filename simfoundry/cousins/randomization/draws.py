@@ -37,7 +37,7 @@ DrawnValue = float | str | dict[str, float]
 
 @dataclass(frozen=True, eq=False)
 class TwinContext:
-    """What draws need to know of the twin.
+    """The properties of a twin on which draws depend.
 
     Attributes:
         spec: The twin's scene document.

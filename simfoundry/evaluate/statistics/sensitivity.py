@@ -30,7 +30,7 @@ ROWS = 200
 
 @dataclass(frozen=True)
 class NumberSensitivity:
-    """How the success rate of a policy depends on a number that varies.
+    """The dependence of a policy's success rate on a number that varies.
 
     Attributes:
         name: Path of the value, with its component if it has several.

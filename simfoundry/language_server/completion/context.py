@@ -1,4 +1,4 @@
-"""What completion knows about the place at which it is asked."""
+"""The context of a completion request: the document, the cursor, and the known names."""
 
 from __future__ import annotations
 

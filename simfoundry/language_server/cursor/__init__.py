@@ -1,1 +1,1 @@
-"""Where in a document the cursor is, also in a text that cannot be parsed."""
+"""The position of the cursor in a document, even if the text cannot be parsed."""

@@ -1,1 +1,1 @@
-"""What editors show of a document: hovers, hints, symbols, colors, links and pictures."""
+"""Features that display a document: hovers, hints, symbols, colors, links and pictures."""

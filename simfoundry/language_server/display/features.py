@@ -44,7 +44,7 @@ _SHOWS_PICTURES = "Visual Studio Code"
 
 @dataclass
 class _Displays:
-    """What the features know about the editor and about the documents of the server.
+    """State shared by the display features: the editor's settings and the server's documents.
 
     Attributes:
         server: The server.

@@ -1,4 +1,4 @@
-"""What is shown for the place under the pointer: the meaning of keys, and the computed properties of what is named."""
+"""Hovers: the meanings of keys, and the computed properties of objects and other named members."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NAMED_BY_KEY = {"pose": "objects", "place": "objects", "joints": "joints"}
 
 @dataclass(frozen=True)
 class HoverText:
-    """What is shown for a range of the text.
+    """The description of a range of the text.
 
     Attributes:
         text: The description, as Markdown.

@@ -52,7 +52,7 @@ Checkpoint = Callable[[], None]
 
 @dataclass(frozen=True)
 class ViewRequest:
-    """How a scene is looked at. None stands for the default view.
+    """A viewpoint on a scene. None stands for the default view.
 
     Attributes:
         azimuth_deg: The direction from the center of the scene to the camera, counterclockwise from x [deg].
@@ -101,7 +101,7 @@ class ScenePicture:
 
 @dataclass(frozen=True)
 class VisibleScene:
-    """What a document shows.
+    """The content of a picture of a document.
 
     Attributes:
         scene: The scene with all visuals.

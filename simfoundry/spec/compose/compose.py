@@ -64,7 +64,7 @@ def compose(
 
 @dataclass(frozen=True)
 class _Composition:
-    """What is the same for all documents that are joined: the folder of the project, and how documents are read."""
+    """Settings shared by all documents that are joined: the project's folder and the reader."""
 
     root: Path
     reader: Read

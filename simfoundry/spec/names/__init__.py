@@ -1,1 +1,1 @@
-"""Where each name of a project is defined and used, as exact ranges of the texts."""
+"""Definitions and uses of each name in a project, as exact ranges of the texts."""

@@ -54,7 +54,7 @@ class TextIndex:
 
 
 class SourceMap:
-    """Where the characters of a scalar are in the text."""
+    """The position in the text of each character of a scalar."""
 
     def __init__(self, text: str, start: int, value: str) -> None:
         self._text, self._value = text, value

@@ -1,4 +1,4 @@
-"""What each name of a project means: symbols, and where they are defined and used."""
+"""The symbols of a project, with their definitions and uses."""
 
 from __future__ import annotations
 

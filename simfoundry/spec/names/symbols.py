@@ -1,4 +1,4 @@
-"""What names mean: symbols, and the members that define and change them."""
+"""Symbols, the meanings of names, and the members that define and change them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ Layer = tuple[str, Path_]
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """What a name means.
+    """The meaning of a name.
 
     Attributes:
         symbol: What is named.
