@@ -228,9 +228,20 @@ class Arm:
         configuration.update(full)
         return configuration
 
+    @cached_property
+    def _data(self) -> mujoco.MjData:
+        """The state of the rigid model for forward kinematics."""
+        import mujoco
+
+        return mujoco.MjData(self.model)
+
     def hand(self, q: Array) -> Pose:
         """Return the pose of the hand in the world at configuration ``q``."""
-        data, link = self._posed(q).data, self._body.id
+        import mujoco
+
+        data, link = self._data, self._body.id
+        data.qpos[self._order] = q
+        mujoco.mj_kinematics(self.model, data)
         return self.robot.X_WB @ Pose.of(data.xpos[link], data.xquat[link]) @ self._X_LH
 
     def solve(self, X_WH: Pose, near: Array) -> Array | None:

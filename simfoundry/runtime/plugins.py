@@ -32,6 +32,7 @@ LONGEST_MESSAGE = 300
 # The entry point groups, each with the kind of extension that it contains, as used in messages.
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
+    "simfoundry.dataset_formats": "dataset format",
     "simfoundry.importers": "importer",
     "simfoundry.lints": "lint",
     "simfoundry.policies": "policy protocol",

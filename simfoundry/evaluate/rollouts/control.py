@@ -5,7 +5,7 @@ The interface provides observations and applies actions as joint targets.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -148,7 +148,18 @@ class Controller:
         self._limits = action_limits(space, world.scene, self.robots)
         self._arms = {name: _arm(world.scene, name) for name in self.robots} if space.of_hand else {}
         self._hands = {name: self.robots[name].frame("hand") for name in self._arms}
+        self._grippers = {name: robot.gripper() for name, robot in self.robots.items()}
         self._action: Array = np.zeros(0)
+
+    @property
+    def targets(self) -> Mapping[str, Mapping[str, float]]:
+        """The current targets of the joints [rad or m], keyed by robot and joint."""
+        return self._targets
+
+    @property
+    def grippers(self) -> Mapping[str, float]:
+        """The current target of each gripper, from 0 (open) to 1 (closed); initially its position."""
+        return self._grippers
 
     def begin(self, action: Array) -> None:
         """Start an action, an array of shape (action size,).
@@ -165,7 +176,8 @@ class Controller:
                     self._set(name, self._added(name, values))
                 case ActionKind.HAND_POSE | ActionKind.HAND_DELTA:
                     self._set(name, self._reached(name, values))
-            robot.set_gripper(float(self._action[gripper]))
+            self._grippers[name] = min(max(float(self._action[gripper]), 0.0), 1.0)
+            robot.set_gripper(self._grippers[name])
 
     def move(self, share: float) -> None:
         """Move the targets of velocities by ``share`` of the duration of the action."""
@@ -253,9 +265,26 @@ class Execution:
     """
 
     def __init__(
-        self, world: World, robots: Iterable[str], space: ActionSpace, control_hz: float, action_hz: float | None = None
+        self,
+        world: World,
+        robots: Iterable[str],
+        space: ActionSpace,
+        control_hz: float,
+        action_hz: float | None = None,
+        step: Callable[[int], object] | None = None,
     ) -> None:
+        """Prepare to execute actions.
+
+        Args:
+            world: The world.
+            robots: The names of the robots, in the order of an action.
+            space: The meaning of the numbers in an action.
+            control_hz: The number of control steps of the task per second [Hz].
+            action_hz: The number of actions per second [Hz]; by default, one in each control step.
+            step: Function that advances the world by a number of physics steps; by default, ``world.step``.
+        """
         self._world, self._control_hz = world, control_hz
+        self._step = step or world.step
         self.action_hz = control_hz if action_hz is None else float(action_hz)
         self.controller = Controller(world, robots, space, self.action_hz)
         # The number of actions that have begun, the number of control steps that have ended, and the physics steps at
@@ -281,7 +310,7 @@ class Execution:
         while self._now < self._action_end:
             n = min(self._action_end, self._step_end) - self._now
             self.controller.move(n / length)
-            self._world.step(n)
+            self._step(n)
             self._now += n
             if self._now == self._step_end:
                 self.steps += 1

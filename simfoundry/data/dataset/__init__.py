@@ -1,0 +1,1 @@
+"""Datasets: demonstrations sampled at a fixed rate, with images, in the formats that training libraries read."""
