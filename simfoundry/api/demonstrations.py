@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.data.demonstrations import DemonstrationSet
-    from simfoundry.data.record import RecordPlan, RecordSummary
+    from simfoundry.data.plan import RecordPlan, RecordSummary
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
 RANGES = {"count": (1, 1_000_000), "seed": (0, 2**31), "jobs": (1, 256)}
@@ -22,7 +22,7 @@ def default_attempts(count: int) -> int:
 
 
 def record(
-    task: str | Path,
+    task: str | Path | Sequence[str | Path],
     policy: str = "expert",
     *,
     out: str | Path = "demos",
@@ -31,14 +31,15 @@ def record(
     max_attempts: int | None = None,
     jobs: int = 1,
 ) -> DemonstrationSet:
-    """Record demonstrations of a task, starting from different initial states.
+    """Record demonstrations of a task, or of several tasks that take turns, starting from different initial states.
 
     Example: ``record("stack.task.yaml", count=10)``.
 
     Demonstrations that are already in ``out`` are kept. To resume an interrupted recording, make the same call again.
 
     Args:
-        task: A task document.
+        task: A task document, a folder that contains task documents, such as the output of ``simfoundry cousins``, or
+            several of them.
         policy: The policy, named as on the command line.
         out: Output folder.
         count: Number of demonstrations.
@@ -51,11 +52,14 @@ def record(
         SimfoundryError: If a policy or an option is invalid, or if there are too few successful attempts.
     """
     from simfoundry.data.record import record as run
+    from simfoundry.spec.files import files_below
 
     for (name, (low, high)), value in zip(RANGES.items(), (count, seed, jobs), strict=True):
         if not low <= value <= high:
             raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
-    plan = record_plan(Path(task), policy, Path(out), count, seed, max_attempts)
+    paths = [Path(one) for one in ([task] if isinstance(task, str | Path) else task)]
+    documents = list(files_below(paths, ".task.yaml", "tasks"))
+    plan = record_plan(documents, policy, Path(out), count, seed, max_attempts)
     summary = run(plan, workers=jobs)
     if summary.kept < count:
         raise SimfoundryError(shortage(plan, summary))
@@ -63,14 +67,14 @@ def record(
 
 
 def record_plan(
-    task: Path, policy: str, out: Path, count: int, seed: int = 0, max_attempts: int | None = None
+    documents: Sequence[Path], policy: str, out: Path, count: int, seed: int = 0, max_attempts: int | None = None
 ) -> RecordPlan:
     """Return the plan of a recording."""
-    from simfoundry.data.record import RecordPlan
+    from simfoundry.data.plan import RecordPlan
     from simfoundry.evaluate.entries import contenders
 
     (contender,) = contenders((policy,))
-    return RecordPlan(out, task, contender, count, max_attempts or default_attempts(count), seed)
+    return RecordPlan(out, tuple(documents), contender, count, max_attempts or default_attempts(count), seed)
 
 
 def shortage(plan: RecordPlan, summary: RecordSummary) -> str:

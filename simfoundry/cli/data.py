@@ -8,11 +8,11 @@ import click
 
 from simfoundry.api.demonstrations import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import FILE, NEW_FOLDER, option, resumable
+from simfoundry.cli.options import ANY, NEW_FOLDER, option, resumable
 
 
 @output.subcommand("record")
-@click.argument("task", type=FILE)
+@click.argument("tasks", nargs=-1, required=True, type=ANY)
 @option("-p", "--policy", metavar="POLICY", default="expert",
         help="Policy to record, as in `simfoundry eval`.")  # fmt: skip
 @option("-n", "--count", type=click.IntRange(*RANGES["count"]), default=50, help="Number of demonstrations.")
@@ -22,13 +22,21 @@ from simfoundry.cli.options import FILE, NEW_FOLDER, option, resumable
               help="Maximum number of attempts. Default: four for each demonstration, and 16 more.")  # fmt: skip
 @option("-j", "--jobs", type=click.IntRange(*RANGES["jobs"]), default=1, help="Number of parallel processes.")
 def record_command(
-    task: Path, policy: str, count: int, out: Path, seed: int, max_attempts: int | None, jobs: int, as_json: bool
+    tasks: tuple[Path, ...],
+    policy: str,
+    count: int,
+    out: Path,
+    seed: int,
+    max_attempts: int | None,
+    jobs: int,
+    as_json: bool,
 ) -> int:
-    """Record demonstrations of a task.
+    """Record demonstrations of tasks.
 
-    The policy starts from a different initial state in each attempt. Attempts that succeed are replayed in another
-    process, and kept if the trajectory is identical to the last bit. OUT contains shards of 25 demonstrations with
-    their actions and states; images are rendered later, on replay. The demonstrations do not depend on --jobs.
+    TASKS are task documents, or folders that contain task documents, such as the output of `simfoundry cousins`. They
+    take turns, and each attempt in a task starts from a different initial state. Attempts that succeed are replayed in
+    another process, and kept if the trajectory is identical to the last bit. OUT contains shards of 25 demonstrations
+    with their actions and states; images are rendered later, on replay. The demonstrations do not depend on --jobs.
 
     Existing demonstrations are kept, so you can repeat the command to resume an interrupted run, or to record more with
     a larger COUNT.
@@ -37,8 +45,9 @@ def record_command(
     identical.
     """
     from simfoundry.api.demonstrations import record_plan, run_record, shortage
+    from simfoundry.spec.files import files_below
 
-    plan = record_plan(task, policy, out, count, seed, max_attempts)
+    plan = record_plan(list(files_below(tasks, ".task.yaml", "tasks")), policy, out, count, seed, max_attempts)
     with output.progress_bar(as_json) as progress, resumable(out):
         summary = run_record(plan, jobs, progress)
     is_short = summary.kept < count

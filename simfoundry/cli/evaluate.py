@@ -10,9 +10,10 @@ import click
 
 from simfoundry.api.evaluation import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, option, resumable
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, option, resumable
 from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.files import files_below
 
 if TYPE_CHECKING:
     from rich.console import Console

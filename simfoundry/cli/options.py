@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import click
-
-from simfoundry.errors import SimfoundryError
 
 # An option whose help shows its default.
 option = partial(click.option, show_default=True)
@@ -62,15 +60,6 @@ set_option = click.option(
     "--set", "parameters", multiple=True, metavar="NAME=NUMBER", callback=numbers,
     help="Value of a parameter of the scene, such as gap=0.1. Can be repeated.",
 )  # fmt: skip
-
-
-def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
-    """Yield the files in ``paths`` and, for each folder, the files below it whose names end in ``suffix``."""
-    for path in paths:
-        inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
-        if not inside:
-            raise SimfoundryError(f"{path} does not contain any {noun} (files whose names end in {suffix})")
-        yield from inside
 
 
 @contextmanager

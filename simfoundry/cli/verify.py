@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, files_below, option
+from simfoundry.cli.options import ANY, NEW_FILE, option
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.files import files_below
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine

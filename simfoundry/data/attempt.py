@@ -12,11 +12,11 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.data.shards import Attempt
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.entries import Contender, create_policy
+from simfoundry.evaluate.entries import Contender, OpenPolicies
 from simfoundry.evaluate.observations import pose_numbers
 from simfoundry.evaluate.policies.base import Policy, RobotReading
 from simfoundry.evaluate.policies.open_loop import ReplayPolicy
-from simfoundry.evaluate.resets.starts import RolloutStart, state_from_json, state_to_json
+from simfoundry.evaluate.resets.starts import RolloutStart, StartSearch, state_from_json, state_to_json
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
@@ -41,27 +41,21 @@ NOT_REPRODUCED = "not reproduced"
 class AttemptJob:
     """An attempt to carry out.
 
-    ``start`` is the exact initial state and ``cells`` are the cells of its objects, both as plain data.
+    Attributes:
+        index: The index of the attempt in the recording.
+        document: The task document.
+        name: The task document as the recording names it, or an empty string if the recording has only one task.
+        contender: The policy.
+        seed: The seed for the initial states.
+        start: The index of the initial state of the task.
     """
 
-    document: Path
-    contender: Contender
     index: int
+    document: Path
+    name: str
+    contender: Contender
     seed: int
-    start: Mapping[str, Any]
-    cells: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, document: Path, contender: Contender, start: RolloutStart) -> AttemptJob:
-        """Return the job for an initial state."""
-        cells = {name: list(cell) for name, cell in start.cells.items()}
-        return cls(document, contender, start.index, start.seed, state_to_json(start.state), cells)
-
-    @property
-    def rollout_start(self) -> RolloutStart:
-        """The initial state."""
-        cells = {name: (int(i), int(j)) for name, (i, j) in self.cells.items()}
-        return RolloutStart(self.index, self.seed, cells, state_from_json(self.start))
+    start: int
 
 
 def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
@@ -72,12 +66,14 @@ def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
     at_worker_exit(close)
     try:
         opened = _opened(job.document)
-        done = rollout(opened.task, job.rollout_start, opened.policy(job.contender), opened.world, opened.judge)
-        about = _about(job, done)
+        start, policy = opened.start(job.seed, job.start), opened.policy(job.contender)
+        done = rollout(opened.task, start, policy, opened.world, opened.judge)
+        about = _about(job, start, done)
         if not done.success:
             return Attempt(about)
-        said = {"space": str(opened.policy(job.contender).action_space), "hz": done.action_hz}
-        reply = _verifier().call(f"{__name__}:replay", job, done.actions, said["space"], said["hz"])
+        initial = state_to_json(start.state)
+        recorded = _Recorded(initial, done.actions, str(policy.action_space), done.action_hz)
+        reply = _verifier().call(f"{__name__}:replay", job.document, recorded)
     except WorkerError as error:
         return SimfoundryError(f"the process that replays attempt {job.index} {error.how}")
     except SimfoundryError as error:
@@ -88,16 +84,17 @@ def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
     if (digest, steps) != (done.digest, done.steps):
         reason = f"the replay reached {digest} after {steps} steps, but the rollout {done.digest} after {done.steps}"
         return Attempt({**about, "success": False, "kept": False, "end": NOT_REPRODUCED, "reason": reason})
-    kept = {"kept": True, "action_space": said["space"], "action_hz": said["hz"], "initial": dict(job.start)}
-    return Attempt({**about, **kept}, {"actions": done.actions, **arrays})
+    space = {"action_space": recorded.action_space, "action_hz": recorded.action_hz}
+    return Attempt({**about, "kept": True, **space, "initial": initial}, {"actions": done.actions, **arrays})
 
 
-def _about(job: AttemptJob, done: Rollout) -> dict[str, Any]:
+def _about(job: AttemptJob, start: RolloutStart, done: Rollout) -> dict[str, Any]:
     return {
         "index": job.index,
+        **({"document": job.name} if job.name else {}),
         "seed": job.seed,
-        "cells": dict(job.cells),
-        "start": job.rollout_start.digest,
+        "cells": {name: list(cell) for name, cell in start.cells.items()},
+        "start": start.digest,
         "success": done.success,
         "kept": False,
         "end": str(done.end),
@@ -108,9 +105,17 @@ def _about(job: AttemptJob, done: Rollout) -> dict[str, Any]:
     }
 
 
-def replay(
-    job: AttemptJob, actions: Array, space: str, action_hz: float
-) -> tuple[str, int, dict[str, Array]] | SimfoundryError:
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """The initial state of a rollout as plain data, and the actions that were executed."""
+
+    initial: Mapping[str, Any]
+    actions: Array
+    action_space: str
+    action_hz: float
+
+
+def replay(document: Path, recorded: _Recorded) -> tuple[str, int, dict[str, Array]] | SimfoundryError:
     """Execute recorded actions.
 
     Returns:
@@ -118,9 +123,11 @@ def replay(
     """
     at_worker_exit(close)
     try:
-        opened = _opened(job.document)
-        policy = ReplayPolicy(actions, ActionSpace.parse(space), "replay", action_hz)
-        done = rollout(opened.task, job.rollout_start, policy, opened.world, opened.judge, trace=True)
+        opened = _opened(document)
+        space = ActionSpace.parse(recorded.action_space)
+        policy = ReplayPolicy(recorded.actions, space, "replay", recorded.action_hz)
+        start = RolloutStart(0, 0, {}, state_from_json(recorded.initial))
+        done = rollout(opened.task, start, policy, opened.world, opened.judge, trace=True)
         return done.digest, done.steps, state_arrays(done.trace)
     except SimfoundryError as error:
         return error
@@ -147,36 +154,30 @@ def state_arrays(trace: tuple[tuple[SceneState, Mapping[str, RobotReading]], ...
 
 
 class _Opened:
-    """A task with its world, its judge and the policy that acts in it."""
+    """A task with its world, its judge and the initial states that were found so far."""
 
     def __init__(self, document: Path) -> None:
         self.task: Task = load_task(document, Cache.default())
         self.world: World = open_world(self.task.scene, ENGINE)
         self.judge = Judge(self.task.scene)
-        self._policy: tuple[str, Policy] | None = None
+        self._searches: dict[int, StartSearch] = {}
+
+    def start(self, seed: int, index: int) -> RolloutStart:
+        """Return an initial state."""
+        if seed not in self._searches:
+            self._searches[seed] = StartSearch(self.task, seed, Cache.default(), (self.world, self.judge))
+        return self._searches[seed].first(index + 1)[index]
 
     def policy(self, contender: Contender) -> Policy:
         """Return the policy, which is created on first use."""
-        if self._policy is None or self._policy[0] != contender.text:
-            self._close_policy()
-            self._policy = contender.text, create_policy(contender.choice(), self.task, self.judge)
-        return self._policy[1]
-
-    def close(self) -> None:
-        """Close the policy and the world."""
-        self._close_policy()
-        self.world.close()
-
-    def _close_policy(self) -> None:
-        if self._policy is not None:
-            self._policy[1].close()
-        self._policy = None
+        return _Process.policies.policy(contender, self.task, self.judge)
 
 
 class _Process:
-    """State that a process keeps between attempts: the open task, and the process that replays."""
+    """State that a process keeps between attempts: the open task, the policies, and the process that replays."""
 
     opened: tuple[Path, _Opened] | None = None
+    policies = OpenPolicies()
     verifier: Worker | None = None
 
 
@@ -196,6 +197,7 @@ def _verifier() -> Worker:
 
 def close() -> None:
     """Close the policy, the world and the replaying process of this process."""
+    _Process.policies.close()
     _close_task()
     if _Process.verifier is not None:
         _Process.verifier.close(GRACE_S)
@@ -204,7 +206,7 @@ def close() -> None:
 
 def _close_task() -> None:
     if _Process.opened is not None:
-        _Process.opened[1].close()
+        _Process.opened[1].world.close()
         _Process.opened = None
 
 

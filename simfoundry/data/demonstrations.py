@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
 from simfoundry.data.attempt import ENGINE
-from simfoundry.data.record import INDEX, read_index, shard_files
+from simfoundry.data.index import INDEX, TASKS, facts_of_tasks, read_index
 from simfoundry.data.shards import Attempt, read_shard
+from simfoundry.data.store import shard_files
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.resets.starts import RolloutStart, key_of_starts, state_from_json
 from simfoundry.evaluate.rollouts.control import Execution
@@ -27,7 +27,10 @@ class Demonstration:
     """A successful rollout.
 
     Attributes:
-        index: The index of its initial state.
+        index: The index of the attempt. With a single task, it is also the index of the initial state.
+        document: The task document.
+        about: The facts that all demonstrations of the task share, such as its instruction and the names of objects and
+            joints in the order of the arrays; see ``docs/demonstrations.md``.
         seed: The seed of the initial states.
         start: The initial state.
         actions: The actions that were executed, float64, shape (actions, action size).
@@ -41,6 +44,8 @@ class Demonstration:
     """
 
     index: int
+    document: Path
+    about: Mapping[str, Any]
     seed: int
     start: RolloutStart
     actions: Array
@@ -52,42 +57,75 @@ class Demonstration:
     trajectory: str
 
     @classmethod
-    def of(cls, attempt: Attempt) -> Demonstration:
-        """Return the demonstration that a shard contains."""
-        about, arrays = attempt.about, dict(attempt.arrays)
-        cells = {name: (int(i), int(j)) for name, (i, j) in about["cells"].items()}
-        start = RolloutStart(attempt.index, int(about["seed"]), cells, state_from_json(about["initial"]))
-        actions = arrays.pop("actions")
-        if actions.ndim != 2 or any(len(array) != int(about["steps"]) + 1 for array in arrays.values()):
+    def of(cls, attempt: Attempt, folder: Path, tasks: Sequence[Mapping[str, Any]]) -> Demonstration:
+        """Return the demonstration that a shard contains.
+
+        Args:
+            attempt: The attempt.
+            folder: The folder of the recording.
+            tasks: The facts of each task, in the order in which they take turns.
+        """
+        said, arrays = attempt.about, dict(attempt.arrays)
+        start, turn = divmod(attempt.index, len(tasks))
+        about = tasks[turn]
+        if said.get("document", about["document"]) != about["document"]:
+            raise ValueError(f"attempt {attempt.index} belongs to {said['document']}, not to {about['document']}")
+        cells = {name: (int(i), int(j)) for name, (i, j) in said["cells"].items()}
+        actions, steps = arrays.pop("actions"), int(said["steps"])
+        if actions.ndim != 2 or any(len(array) != steps + 1 for array in arrays.values()):
             raise ValueError("the arrays have the wrong length")
         return cls(
             index=attempt.index,
-            seed=int(about["seed"]),
-            start=start,
+            document=(folder / str(about["document"])).resolve(),
+            about=about,
+            seed=int(said["seed"]),
+            start=RolloutStart(start, int(said["seed"]), cells, state_from_json(said["initial"])),
             actions=actions,
-            action_space=ActionSpace.parse(about["action_space"]),
-            action_hz=float(about["action_hz"]),
+            action_space=ActionSpace.parse(said["action_space"]),
+            action_hz=float(said["action_hz"]),
             states=arrays,
-            steps=int(about["steps"]),
-            subtasks=dict(about["subtasks"]),
-            trajectory=str(about["trajectory"]),
+            steps=steps,
+            subtasks=dict(said["subtasks"]),
+            trajectory=str(said["trajectory"]),
         )
+
+    def load_task(self) -> Task:
+        """Load the task in which the demonstration was recorded.
+
+        Raises:
+            OutputError: If the scene, the goal or the initial states have changed since.
+        """
+        task = load_task(self.document)
+        if key_of_starts(task, self.seed) != self.about["starts"]:
+            raise OutputError(
+                f"task `{task.name}` or its scene has changed since the demonstrations in it were recorded; restore "
+                f"{self.document} and its scene, or record again"
+            )
+        return task
 
 
 class DemonstrationSet(Sequence[Demonstration]):
     """The demonstrations in a folder that ``simfoundry record`` wrote.
 
-    Shards are read when they are needed. ``about`` contains the task, instruction, policy, seed, versions and the names
-    of objects and joints.
+    Shards are read when they are needed.
+
+    Attributes:
+        folder: The folder.
+        about: The facts that all tasks share: the policy, seed and versions, and with a single task also those in
+            :attr:`Demonstration.about`.
+        tasks: The facts of each task.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.about: Mapping[str, Any] = read_index(folder / INDEX)
+        index = read_index(folder / INDEX)
+        self.tasks: tuple[Mapping[str, Any], ...] = tuple(facts_of_tasks(index))
+        self.about: Mapping[str, Any] = {key: value for key, value in index.items() if key != TASKS}
         self._places = [
             (path, attempt.index) for path in shard_files(folder) for attempt in read_shard(path) if attempt.is_kept
         ]
         self._last: tuple[Path, dict[int, Demonstration]] | None = None
+        self._loaded: tuple[Path, Task] | None = None
 
     def __len__(self) -> int:
         """Return the number of demonstrations."""
@@ -103,34 +141,50 @@ class DemonstrationSet(Sequence[Demonstration]):
             return [self[i] for i in range(*k.indices(len(self)))]
         path, index = self._places[k]
         if self._last is None or self._last[0] != path:
-            self._last = path, _read(path)
+            self._last = path, self._read(path)
         return self._last[1][index]
 
-    @cached_property
-    def task(self) -> Task:
-        """The task in which the demonstrations were recorded.
+    def _read(self, path: Path) -> dict[int, Demonstration]:
+        try:
+            kept = [attempt for attempt in read_shard(path) if attempt.is_kept]
+            return {attempt.index: Demonstration.of(attempt, self.folder, self.tasks) for attempt in kept}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise OutputError(f"{path} does not contain valid demonstrations: {error}") from None
+
+    def task_of(self, demonstration: Demonstration) -> Task:
+        """Return the task of a demonstration, which stays loaded while successive demonstrations share it.
 
         Raises:
             OutputError: If the scene, the goal or the initial states have changed since.
         """
-        task = load_task((self.folder / str(self.about["document"])).resolve())
-        if key_of_starts(task, int(self.about["seed"])) != self.about["starts"]:
-            raise OutputError(
-                f"task `{task.name}` or its scene has changed since {self.folder} was recorded; "
-                "restore the documents, or record again"
-            )
-        return task
+        if self._loaded is None or self._loaded[0] != demonstration.document:
+            self._loaded = demonstration.document, demonstration.load_task()
+        return self._loaded[1]
 
-    def open(self) -> World:
-        """Open a world in which the demonstrations can be replayed."""
-        return open_world(self.task.scene, ENGINE)
+    @property
+    def task(self) -> Task:
+        """The task in which the demonstrations were recorded.
+
+        Raises:
+            OutputError: If the folder contains demonstrations of several tasks or none at all, or if the scene, the
+                goal or the initial states have changed since.
+        """
+        if len(self.tasks) > 1:
+            raise OutputError(f"{self.folder} contains {len(self.tasks)} tasks; use `task_of` to load one of them")
+        if not self._places:
+            raise OutputError(f"{self.folder} does not contain any demonstrations yet; repeat the recording")
+        return self.task_of(self[0])
+
+    def open(self, demonstration: Demonstration | None = None) -> World:
+        """Open a world in which a demonstration can be replayed; by default, that of the only task."""
+        return open_world((self.task if demonstration is None else self.task_of(demonstration)).scene, ENGINE)
 
     def replay(self, demonstration: Demonstration, world: World) -> Iterator[SceneState]:
         """Execute a demonstration, and yield the state at the start and after each control step.
 
         At each of these moments, images of any size can be rendered: ``world.render("wrist", 320, 180)``.
         """
-        task = self.task
+        task = self.task_of(demonstration)
         world.reset(demonstration.start.state)
         yield world.state()
         rate = demonstration.action_hz
@@ -138,13 +192,6 @@ class DemonstrationSet(Sequence[Demonstration]):
         for action in demonstration.actions:
             for _ in execution.act(action):
                 yield world.state()
-
-
-def _read(path: Path) -> dict[int, Demonstration]:
-    try:
-        return {attempt.index: Demonstration.of(attempt) for attempt in read_shard(path) if attempt.is_kept}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path} does not contain valid demonstrations: {error}") from None
 
 
 def read_demonstrations(folder: Path) -> DemonstrationSet:

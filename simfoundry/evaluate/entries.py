@@ -247,3 +247,25 @@ def _label(text: str) -> str:
     elif text.startswith("python:"):
         word = word.rpartition(":")[2]
     return _UNFIT.sub("-", word).strip("-.") or "policy"
+
+
+class OpenPolicies:
+    """The policies that are open in a process. They stay open across tasks, except experts, which belong to a task."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[Task | None, str], Policy] = {}
+
+    def policy(self, contender: Contender, task: Task, judge: Judge) -> Policy:
+        """Return the policy for a task, which is created on first use. Experts of other tasks are closed."""
+        choice = contender.choice()
+        key = (task if isinstance(choice, ExpertChoice) else None, contender.text)
+        if key not in self._open:
+            for stale in [k for k in self._open if k[0] is not None and k[0] is not task]:
+                self._open.pop(stale).close()
+            self._open[key] = create_policy(choice, task, judge)
+        return self._open[key]
+
+    def close(self) -> None:
+        """Close all policies."""
+        while self._open:
+            self._open.popitem()[1].close()

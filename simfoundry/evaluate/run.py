@@ -14,8 +14,8 @@ from typing import Any
 from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.evaluate.entries import Contender, ExpertChoice, TaskEntry, TaskPart, create_policy
-from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
+from simfoundry.evaluate.entries import Contender, ExpertChoice, OpenPolicies, TaskEntry, TaskPart
+from simfoundry.evaluate.policies.base import ImageSize, PolicyError
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import check_cameras
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd, Video, rollout
@@ -207,7 +207,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
     start, slot = setting.starts[job.index], _slot(plan, job, setting.task)
     about = {**_conditions(job, setting.task, start), **_about(plan, setting.task, start, job.engine)}
     try:
-        policy = _policy(job, setting)
+        policy = _POLICIES.policy(job.contender, setting.task, setting.judge)
     except PolicyError as error:
         return RolloutOutcome(job, slot.write_missing(str(error), about))
     video = _video(plan, setting.task)
@@ -311,24 +311,9 @@ def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Settin
 
 
 # Policies that are open in this process; connections are kept open as long as possible.
-_open: dict[tuple[TaskEntry | None, str], Policy] = {}
-
-
-def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """Return the policy for a job.
-
-    The expert is created for each task. All other policies stay connected across tasks.
-    """
-    choice = job.contender.choice()
-    key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
-    if key not in _open:
-        for stale in [k for k in _open if k[0] is not None]:
-            _open.pop(stale).close()
-        _open[key] = create_policy(choice, setting.task, setting.judge)
-    return _open[key]
+_POLICIES = OpenPolicies()
 
 
 def _close() -> None:
-    while _open:
-        _open.popitem()[1].close()
+    _POLICIES.close()
     _setting.cache_clear()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.errors import PicklableError
+from simfoundry.errors import PicklableError, SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest, similar_fixes
 from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.yaml.text import Document, Mark
@@ -212,3 +213,12 @@ class Loaded:
     def shown(self, reference: str) -> Path:
         """Return the path of a file for display. The path is relative if this document's own path is relative."""
         return shown(reference, self.path)
+
+
+def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
+    """Yield the files in ``paths`` and, for each folder, the files below it whose names end in ``suffix``."""
+    for path in paths:
+        inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
+        if not inside:
+            raise SimfoundryError(f"{path} does not contain any {noun} (files whose names end in {suffix})")
+        yield from inside

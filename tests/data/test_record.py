@@ -11,6 +11,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,13 @@ import pytest
 import simfoundry as sf
 from simfoundry.api.demonstrations import record_plan
 from simfoundry.data import attempt as attempts
-from simfoundry.data.record import SHARDS, UNFINISHED, RecordPlan, RecordSummary, record
+from simfoundry.data import store as stores
+from simfoundry.data.plan import RecordPlan, RecordSummary
+from simfoundry.data.record import record
 from simfoundry.data.shards import Attempt, read_shard, write_shard
+from simfoundry.data.store import SHARDS, UNFINISHED
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd
-from simfoundry.evaluate.task import load_task
 from simfoundry.render.gl import Engine, choose_engine
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
@@ -71,7 +74,7 @@ def here(bench: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def plan_of(folder: Path, count: int, query: str = "miss=3", **more: int) -> RecordPlan:
-    return record_plan(Path("push.task.yaml"), f"python:pushing.py:Push?{query}", folder, count, **more)
+    return record_plan([Path("push.task.yaml")], f"python:pushing.py:Push?{query}", folder, count, **more)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -173,9 +176,7 @@ def _finished(k: int, kept: bool) -> Attempt:
 @pytest.mark.usefixtures("here")
 def test_full_shards_are_the_same_in_every_order(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts that finish in any order, with kills between any two of them."""
-    from simfoundry.data import record as module
-
-    monkeypatch.setattr(module, "SHARD", 3)
+    monkeypatch.setattr(stores, "SHARD", 3)
     rng = np.random.default_rng(seed)
 
     def won(k: int) -> bool:
@@ -184,9 +185,7 @@ def test_full_shards_are_the_same_in_every_order(seed: int, tmp_path: Path, monk
     def run_in(folder: Path, workers: int, kill: float) -> RecordSummary:
         while True:
             folder.mkdir(exist_ok=True)
-            store = module._Store(plan_of(folder, 10), load_task(Path("push.task.yaml")))
-            monkeypatch.setattr(store, "_start", lambda index: index)
-            monkeypatch.setattr(attempts.AttemptJob, "of", lambda document, contender, start: _Job(start))
+            store = stores.AttemptStore(plan_of(folder, 10))
             running: set[int] = set()
             while True:
                 while len(running) < workers and (job := store.next(running)) is not None:
@@ -207,11 +206,6 @@ def test_full_shards_are_the_same_in_every_order(seed: int, tmp_path: Path, monk
     assert len(list((tmp_path / "a" / SHARDS).iterdir())) == 4
 
 
-class _Job:
-    def __init__(self, index: int) -> None:
-        self.index = index
-
-
 @pytest.mark.usefixtures("here")
 def test_what_does_not_replay_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = attempts.replay
@@ -219,8 +213,12 @@ def test_what_does_not_replay_is_not_kept(tmp_path: Path, monkeypatch: pytest.Mo
     class Liar:
         """Replays in this process, the second attempt with other actions."""
 
-        def call(self, _: str, job: attempts.AttemptJob, actions: np.ndarray, space: str, hz: float) -> object:
-            return whole(job, actions + 1e-9 * (job.index == 1), space, hz)
+        calls = 0
+
+        def call(self, _: str, document: Path, recorded: attempts._Recorded) -> object:
+            self.calls += 1
+            actions = recorded.actions + 1e-9 * (self.calls == 2)
+            return whole(document, replace(recorded, actions=actions))
 
         def close(self, _: float) -> None:
             pass
@@ -292,3 +290,53 @@ def test_a_policy_with_its_own_rate_is_recorded(here: Path) -> None:
     record(plan_of(here / "slow", 1, "hz=5"))
     (demo,) = sf.demonstrations(here / "slow")
     assert demo.action_hz == 5.0 and len(demo.actions) == -(-demo.steps // 3)
+
+
+@pytest.fixture(scope="module")
+def tasks(bench: Path) -> Path:
+    """A folder of two tasks whose scenes have different objects."""
+    from tests.evaluate.benches import SCENE, TASK
+
+    folder = bench.parent / "several tasks"
+    crumbs = "  crumb: {shape: {box: [0.02, 0.02, 0.02]}, material: wood, place: {on: dish}}\n"
+    scenes = SCENE, SCENE.replace(crumbs, "").replace(", OnTop(crumb, dish)", "")
+    near = TASK.replace("x: [0.31, 0.33], y: [-0.02, 0.02]", "x: [0.319, 0.321], y: [-0.001, 0.001]")
+    for name, scene in zip(("a", "b"), scenes, strict=True):
+        write_bench(folder / name, near.replace("push", f"push_{name}", 1), scene)
+    return folder
+
+
+def test_several_tasks_take_turns(tasks: Path, here: Path) -> None:
+    documents = sorted(tasks.rglob("*.task.yaml"))
+    plans = [replace(plan_of(here / name, 3), documents=tuple(documents)) for name in ("turns", "turns jobs")]
+    assert [record(replace(plans[0], count=count)).kept for count in (1, 3)] == [1, 3]
+    assert record(plans[1], workers=2).kept == 3
+    assert bytes_of(plans[0].folder) == bytes_of(plans[1].folder)
+    found = sf.demonstrations(plans[0].folder)
+    assert [demo.index for demo in found] == [2, 3, 4]  # each task fails from its initial state 0
+    assert [demo.document for demo in found] == [documents[k].resolve() for k in (0, 1, 0)]
+    assert [demo.start.index for demo in found] == [1, 1, 2]
+    assert "objects" not in found.about and found.about["instruction"] == "Push the block away."
+    assert [len(demo.about["objects"]) for demo in found[:2]] == [4, 3]
+    for demo in found[:2]:
+        assert demo.load_task().name == found.task_of(demo).name == demo.about["task"]
+        with found.open(demo) as world:
+            states = list(found.replay(demo, world))
+        poses = np.array([[*pose.p, *pose.q] for pose in states[-1].poses.values()])
+        np.testing.assert_array_equal(poses, demo.states["objects"][-1])
+    with pytest.raises(OutputError, match="contains 2 tasks; use `task_of`"):
+        found.open()
+
+
+def test_other_tasks_are_refused(tasks: Path, here: Path) -> None:
+    (first, second), out = sorted(tasks.rglob("*.task.yaml")), here / "others"
+    plan = replace(plan_of(out, 1, "miss=0"), documents=(first, second))
+    assert record(plan).kept == 1
+    with pytest.raises(OutputError, match="contains demonstrations of 2 tasks, not of the task `push_a`"):
+        record(replace(plan, documents=(first,)))
+    with pytest.raises(OutputError, match=r"several tasks/b/push\.task\.yaml with a different `task`: 'push_a'"):
+        record(replace(plan, documents=(second, first)))
+    done = run("record", str(tasks), str(first), "-p", "python:pushing.py:Push", "-n", "1", "-o", str(here / "twice"))
+    assert done.code == 2 and "several tasks/a/push.task.yaml is listed twice" in done.err
+    done = run("record", str(out / "shards"), "-o", str(here / "none"))
+    assert done.code == 2 and "does not contain any tasks" in done.err

@@ -175,22 +175,8 @@ def starts(
     Raises:
         StartError: If an initial state cannot be found.
     """
-    size = math.prod(task.reset.grid)
-    key = key_of_starts(task, seed) if cache is not None else ""
-    found: list[RolloutStart] = []
-    with closing(_Search(task, seed)) as search:
-        for block in range(-(-n // size)):
-            wanted = min(size, n - block * size)
-            done = _Block.of(task, seed, block, read_block(cache, f"{key}/{block}") if cache is not None else None)
-            known = len(done.starts)
-            while len(done.starts) < wanted:
-                done.starts.append(search.next(done))
-                if progress is not None:
-                    progress(len(found) + len(done.starts), n)
-            if cache is not None and len(done.starts) > known:
-                write_block(cache, f"{key}/{block}", done.cells, [s.state for s in done.starts])
-            found += done.starts[:wanted]
-    return tuple(found)
+    with closing(StartSearch(task, seed, cache)) as search:
+        return search.first(n, progress)
 
 
 @dataclass
@@ -227,25 +213,66 @@ class _Block:
         cells[k], cells[other] = cells[other], cells[k]
 
 
-class _Search:
-    """A search for the initial states of a task.
+class StartSearch:
+    """A search for the initial states of a task, which continues where the previous call stopped.
 
-    The world is opened only when it is first needed.
+    Args:
+        task: The task.
+        seed: The seed for all random choices.
+        cache: A cache that stores initial states, as in :func:`starts`.
+        opened: A world of the task's scene and its judge. By default, a world is opened when it is first needed.
     """
 
-    def __init__(self, task: Task, seed: int) -> None:
-        self.task, self.seed = task, seed
+    def __init__(
+        self, task: Task, seed: int, cache: Cache | None = None, opened: tuple[World, Judge] | None = None
+    ) -> None:
+        self.task, self.seed, self._cache, self._given = task, seed, cache, opened
+        self._blocks: dict[int, _Block] = {}
 
     @cached_property
     def _opened(self) -> tuple[World, Judge]:
-        return open_world(self.task.scene, "mujoco"), Judge(self.task.scene)
+        return self._given or (open_world(self.task.scene, "mujoco"), Judge(self.task.scene))
+
+    @cached_property
+    def _key(self) -> str:
+        return key_of_starts(self.task, self.seed) if self._cache is not None else ""
 
     def close(self) -> None:
-        """Close the world if it was opened."""
-        if "_opened" in vars(self):
+        """Close the world if the search opened it."""
+        if "_opened" in vars(self) and self._given is None:
             self._opened[0].close()
 
-    def next(self, block: _Block) -> RolloutStart:
+    def first(self, n: int, progress: Progress | None = None) -> tuple[RolloutStart, ...]:
+        """Return the first ``n`` initial states, as in :func:`starts`.
+
+        Raises:
+            StartError: If an initial state cannot be found.
+        """
+        size = math.prod(self.task.reset.grid)
+        found: list[RolloutStart] = []
+        for block in range(-(-n // size)):
+            wanted = min(size, n - block * size)
+            done = self._block(block, wanted)
+            known = len(done.starts)
+            while len(done.starts) < wanted:
+                done.starts.append(self._next(done))
+                if progress is not None:
+                    progress(len(found) + len(done.starts), n)
+            if self._cache is not None and len(done.starts) > known:
+                write_block(self._cache, f"{self._key}/{block}", done.cells, [s.state for s in done.starts])
+            found += done.starts[:wanted]
+        return tuple(found)
+
+    def _block(self, number: int, wanted: int) -> _Block:
+        """Return a block with the states found so far, by this process or by others that share the cache."""
+        if number not in self._blocks or len(self._blocks[number].starts) < wanted:
+            known = read_block(self._cache, f"{self._key}/{number}") if self._cache is not None else None
+            done = self._blocks.get(number)
+            if done is None or (known is not None and len(known[1]) > len(done.starts)):
+                self._blocks[number] = _Block.of(self.task, self.seed, number, known)
+        return self._blocks[number]
+
+    def _next(self, block: _Block) -> RolloutStart:
         """Find the next initial state of a block, exchanging cells with later initial states if necessary."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
