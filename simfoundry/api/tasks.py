@@ -10,6 +10,7 @@ from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, ValueField, section
 from simfoundry.api.scenes import Origin, SceneDocument, Text, Values
 from simfoundry.spec.models import task
+from simfoundry.spec.models.disturbances import Disturbances
 
 Goal = ValueField[Any, str | Values]
 
@@ -38,6 +39,7 @@ class TaskDocument(EditableDocument):
     reset = ValueField[task.Reset, task.Reset | Values | None]()
     control_hz = ValueField[float, float | None]()
     horizon = ValueField[int, int | None]()
+    disturbances = ValueField[Disturbances, Disturbances | Values | None]()
     allow = ValueField[Mapping[str, object], Values | None]()
     origin = Origin()
     subtasks = section(SubtaskEntry)

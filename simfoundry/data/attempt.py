@@ -72,7 +72,7 @@ def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
         if not done.success:
             return Attempt(about)
         initial = state_to_json(start.state)
-        recorded = _Recorded(initial, done.actions, str(policy.action_space), done.action_hz)
+        recorded = _Recorded(start.seed, start.index, initial, done.actions, str(policy.action_space), done.action_hz)
         reply = _verifier().call(f"{__name__}:replay", job.document, recorded)
     except WorkerError as error:
         return SimfoundryError(f"the process that replays attempt {job.index} {error.how}")
@@ -107,8 +107,10 @@ def _about(job: AttemptJob, start: RolloutStart, done: Rollout) -> dict[str, Any
 
 @dataclass(frozen=True, eq=False)
 class _Recorded:
-    """The initial state of a rollout as plain data, and the actions that were executed."""
+    """The initial state of a rollout as plain data, with its seed and index, and the actions that were executed."""
 
+    seed: int
+    index: int
     initial: Mapping[str, Any]
     actions: Array
     action_space: str
@@ -126,7 +128,7 @@ def replay(document: Path, recorded: _Recorded) -> tuple[str, int, dict[str, Arr
         opened = _opened(document)
         space = ActionSpace.parse(recorded.action_space)
         policy = ReplayPolicy(recorded.actions, space, "replay", recorded.action_hz)
-        start = RolloutStart(0, 0, {}, state_from_json(recorded.initial))
+        start = RolloutStart(recorded.index, recorded.seed, {}, state_from_json(recorded.initial))
         done = rollout(opened.task, start, policy, opened.world, opened.judge, trace=True)
         return done.digest, done.steps, state_arrays(done.trace)
     except SimfoundryError as error:

@@ -13,11 +13,12 @@ from simfoundry.data.shards import Attempt, read_shard
 from simfoundry.data.store import shard_files
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.resets.starts import RolloutStart, key_of_starts, state_from_json
-from simfoundry.evaluate.rollouts.control import Execution
+from simfoundry.evaluate.rollouts.execution import Execution
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.signals import ActionSpace
+from simfoundry.spec.yaml.write import to_data
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
@@ -93,10 +94,13 @@ class Demonstration:
         """Load the task in which the demonstration was recorded.
 
         Raises:
-            OutputError: If the scene, the goal or the initial states have changed since.
+            OutputError: If the scene, the goal, the initial states, the control frequency or the noise and latency of
+                actions have changed since.
         """
         task = load_task(self.document)
-        if key_of_starts(task, self.seed) != self.about["starts"]:
+        action = self.about["disturbances"].get("action", {})  # noise of observations does not affect a replay
+        wanted = (key_of_starts(task, self.seed), task.control_hz, to_data(task.disturbances.action))
+        if wanted != (self.about["starts"], self.about["control_hz"], action):
             raise OutputError(
                 f"task `{task.name}` or its scene has changed since the demonstrations in it were recorded; restore "
                 f"{self.document} and its scene, or record again"
@@ -155,7 +159,8 @@ class DemonstrationSet(Sequence[Demonstration]):
         """Return the task of a demonstration, which stays loaded while successive demonstrations share it.
 
         Raises:
-            OutputError: If the scene, the goal or the initial states have changed since.
+            OutputError: If the scene, the goal, the initial states, the control frequency or the noise and latency of
+                actions have changed since.
         """
         if self._loaded is None or self._loaded[0] != demonstration.document:
             self._loaded = demonstration.document, demonstration.load_task()
@@ -184,11 +189,12 @@ class DemonstrationSet(Sequence[Demonstration]):
 
         At each of these moments, images of any size can be rendered: ``world.render("wrist", 320, 180)``.
         """
-        task = self.task_of(demonstration)
-        world.reset(demonstration.start.state)
+        task, start = self.task_of(demonstration), demonstration.start
+        world.reset(start.state)
         yield world.state()
-        rate = demonstration.action_hz
-        execution = Execution(world, task.robots, demonstration.action_space, task.control_hz, rate)
+        rates, about = (task.control_hz, demonstration.action_hz), task.disturbances.action
+        seed = start.seed, start.index
+        execution = Execution(world, task.robots, demonstration.action_space, *rates, about, seed)
         for action in demonstration.actions:
             for _ in execution.act(action):
                 yield world.state()

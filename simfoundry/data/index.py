@@ -27,6 +27,7 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.runtime.parallel import map_parallel
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Condition
+from simfoundry.spec.yaml.write import to_data
 
 INDEX, TASKS = "demonstrations.json", "tasks"
 
@@ -89,6 +90,7 @@ def _facts(plan: RecordPlan, document: Path) -> dict[str, Any]:
         "instruction": task.instruction,
         "control_hz": task.control_hz,
         "horizon": task.horizon,
+        "disturbances": to_data(task.disturbances),
         "robots": {name: scene.robot(name).kind for name in task.robots},
         "goal": goals.dump_python(task.goal, mode="json", by_alias=True),
         "subtasks": {name: goals.dump_python(s.goal, mode="json", by_alias=True) for name, s in task.subtasks.items()},
@@ -101,7 +103,8 @@ def _facts(plan: RecordPlan, document: Path) -> dict[str, Any]:
 
 def facts_of_tasks(index: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return all facts of each task, in the order in which they take turns."""
-    shared = {key: value for key, value in index.items() if key != TASKS}
+    # The first recordings did not state any disturbances.
+    shared = {"disturbances": {}} | {key: value for key, value in index.items() if key != TASKS}
     return [{**shared, **rest} for rest in index.get(TASKS, [{}])]
 
 

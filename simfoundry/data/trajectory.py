@@ -7,7 +7,7 @@ commanded until the next frame. The last frame ends with the demonstration, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +16,8 @@ import numpy as np
 from simfoundry.data.attempt import ENGINE, state_arrays
 from simfoundry.data.demonstrations import Demonstration
 from simfoundry.evaluate.policies.base import RobotReading
-from simfoundry.evaluate.rollouts.control import Execution, check_rate, readings
+from simfoundry.evaluate.rollouts.control import readings
+from simfoundry.evaluate.rollouts.execution import Execution, check_rate
 from simfoundry.evaluate.rollouts.rollout import Moment
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Pose
@@ -159,7 +160,8 @@ class TrajectorySampler:
 class _Recorder:
     """A replay that notes the state and the targets at the end of each frame.
 
-    Physics steps are counted, so that frames may end within a control step without changing the trajectory.
+    Physics steps are counted, so that frames may end within a control step without changing the trajectory. If actions
+    have a latency, the targets of a frame are noted later by it, so that they are those that the policy commanded.
     """
 
     def __init__(self, world: World, demonstration: Demonstration, task: Task, frames: int, hz: float) -> None:
@@ -167,8 +169,10 @@ class _Recorder:
         self._world, self._actions = world, demonstration.actions
         ends = [round(k / (hz * world.timestep)) for k in range(frames)]
         self._ends = [*ends, round(demonstration.steps / (task.control_hz * world.timestep))]
-        rate, space = demonstration.action_hz, demonstration.action_space
-        self._execution = Execution(world, task.robots, space, task.control_hz, rate, self._step)
+        space, start = demonstration.action_space, demonstration.start
+        rates, about = (task.control_hz, demonstration.action_hz), task.disturbances.action
+        seed = start.seed, start.index
+        self._execution = Execution(world, task.robots, space, *rates, about, seed, self._step)
         self._now = 0
         self.moments: list[Moment] = []
         self.targets: dict[str, list[list[float]]] = {name: [] for name in task.robots}
@@ -179,22 +183,37 @@ class _Recorder:
         self._note()
         for action in self._actions:
             for _ in self._execution.act(action):
-                if len(self.moments) == len(self._ends):
+                if self._is_complete:
                     return
+        self._execution.finish()
+
+    @property
+    def _is_complete(self) -> bool:
+        count = len(self._ends)
+        return len(self.moments) == count and all(len(rows) == count for rows in self.grippers.values())
 
     def _step(self, n: int) -> None:
         last = self._now + n
         while self._now < last:
-            k = len(self.moments)
-            end = min(last, self._ends[k]) if k < len(self._ends) else last
+            end = int(min(last, *self._dates()))
             self._world.step(end - self._now)
             self._now = end
-            if k < len(self._ends) and end == self._ends[k]:
-                self._note()
+            self._note()
+
+    def _dates(self) -> Iterator[float]:
+        """Yield the physics steps of the next state and the next targets, which are infinite after the last ones."""
+        noted = [(len(self.moments), 0)]
+        noted += [(len(rows), self._execution.delay) for rows in self.grippers.values()]
+        for k, delay in noted:
+            yield self._ends[k] + delay if k < len(self._ends) else math.inf
 
     def _note(self) -> None:
+        """Note the state and the targets, if they are those at the end of a frame."""
+        state, *targets = self._dates()
         controller = self._execution.controller
-        self.moments.append((self._world.state(), readings(self._world, controller.robots)))
-        for name, targets in controller.targets.items():
-            self.targets[name].append(list(targets.values()))
-            self.grippers[name].append(controller.grippers[name])
+        if state == self._now:
+            self.moments.append((self._world.state(), readings(self._world, controller.robots)))
+        for name, due in zip(self.grippers, targets, strict=True):
+            if due == self._now:
+                self.targets[name].append(list(controller.targets[name].values()))
+                self.grippers[name].append(controller.grippers[name])

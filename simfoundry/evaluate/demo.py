@@ -24,7 +24,7 @@ from simfoundry.evaluate.expert.candidates import down, grasps, places
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import Image
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.rollouts.control import Execution
+from simfoundry.evaluate.rollouts.execution import Execution
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array

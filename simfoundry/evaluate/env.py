@@ -23,11 +23,14 @@ from simfoundry.evaluate.actions import action_limits, checked_actions
 from simfoundry.evaluate.observations import ObservationLayout, image_kinds
 from simfoundry.evaluate.policies.base import ImageSize
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.control import Execution, check_cameras, check_rate, pictures
+from simfoundry.evaluate.rollouts.control import check_cameras, pictures
+from simfoundry.evaluate.rollouts.execution import Execution, check_rate
 from simfoundry.evaluate.rollouts.rollout import Progress
+from simfoundry.evaluate.rollouts.sensors import Sensors
 from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.disturbances import Disturbances
 from simfoundry.spec.models.signals import ActionSpace, ImageKind
 from simfoundry.worlds import find_world, open_world
 from simfoundry.worlds.base import Image
@@ -47,7 +50,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     - ``trouble``: the reason why the simulation diverged, or an empty string (divergence also truncates the episode)
 
     ``reset`` uses its seed to draw one of ``starts`` initial states. ``options={"start": k}`` selects initial state k
-    instead. ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+    instead. If the task has ``disturbances``, the seed also determines the noise of the episode.
+    ``options={"subtask": name}`` starts at that step and uses the goal of that step.
 
     ``cameras`` maps names of cameras in the scene to (width, height). If it is empty, nothing is rendered. ``images``
     lists the kinds of images of each camera: ``image`` (color), ``depth`` and ``mask``.
@@ -67,6 +71,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     observation_space: spaces.Space[Any]
     _state: SceneState
     _execution: Execution
+    _sensors: Sensors
     _progress: Progress
 
     def __init__(
@@ -115,7 +120,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         check_cameras(self._whole.scene, self._picture, "the environment")
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
-        self._begin(RolloutStart(-1, seed, {}, self._now.world.state()))
+        self._begin(RolloutStart(-1, seed, {}, self._now.world.state()), 0)
         self.layout = self._laid_out(self._now)
         self.action_space = self._actions()
         self.observation_space = self._observed()
@@ -135,7 +140,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         k = int(self.np_random.integers(self._count)) if k is None else int(k)
         if not 0 <= k < self._count:
             raise SimfoundryError(f"start {k} does not exist; `start` must be between 0 and {self._count - 1}")
-        self._begin(self._now.starts(self._count, self._seed, self._cache)[k])
+        is_disturbed = self._whole.disturbances != Disturbances()
+        noise = int(self.np_random.integers(2**32)) if is_disturbed else 0
+        self._begin(self._now.starts(self._count, self._seed, self._cache)[k], noise)
         return self._observation(), self._info(False)
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -171,16 +178,19 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             opened.world.close()
         self._scenes.clear()
 
-    def _begin(self, start: RolloutStart) -> None:
+    def _begin(self, start: RolloutStart, noise: int) -> None:
         now = self._now
         now.world.reset(start.state)
         self._start, self._steps, self._trouble = start, 0, ""
         self._state = now.world.state()
-        self._execution = Execution(now.world, now.task.robots, self._space, now.task.control_hz, self._rate)
+        about, seed, rates = now.task.disturbances, (noise, start.index), (now.task.control_hz, self._rate)
+        self._execution = Execution(now.world, now.task.robots, self._space, *rates, about.action, seed)
+        self._sensors = Sensors(now.world, self._execution, self._cameras, self._images, about.observation, seed)
         self._progress = Progress(now.task, now.judge, self._state)
 
     def _observation(self) -> Any:
-        found = self._laid_out(self._now).read(self._state)
+        sensed = self._sensors.observe(self._state)
+        found = self._laid_out(self._now).arrays(sensed.robots, sensed.state, sensed.images)
         return np.concatenate([value.ravel() for value in found.values()]) if self._flat else found
 
     def _laid_out(self, opened: _Opened) -> ObservationLayout:

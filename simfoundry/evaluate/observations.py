@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.actions import normalized
-from simfoundry.evaluate.policies.base import ImageSize, InvalidAnswerError
+from simfoundry.evaluate.policies.base import ImageSize, InvalidAnswerError, RobotReading
 from simfoundry.evaluate.rollouts.control import camera_images, readings
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import JointType
@@ -21,6 +21,8 @@ from simfoundry.spec.models.signals import OBSERVATIONS, ImageKind, Signal
 from simfoundry.worlds.base import World, WorldRobot
 
 Observations = dict[str, NDArray[Any]]
+# Images by kind and camera.
+Images = Mapping[ImageKind, Mapping[str, NDArray[Any]]]
 
 
 class ObservationLayout:
@@ -54,9 +56,14 @@ class ObservationLayout:
         self.limits = self._shown_limits()
 
     def read(self, state: SceneState) -> Observations:
-        """Return the current observation. ``state`` is the current state of the world."""
+        """Return the true observation. ``state`` is the current state of the world."""
+        images = camera_images(self._world, self._cameras, self._kinds)
+        return self.arrays(readings(self._world, self._robots), state, images)
+
+    def arrays(self, robots: Mapping[str, RobotReading], state: SceneState, images: Images) -> Observations:
+        """Return an observation that was made in the world as arrays."""
         found: dict[str, Array] = {}
-        for name, reading in readings(self._world, self._robots).items():
+        for name, reading in robots.items():
             found[f"{name}/joints"] = np.array(reading.joints)
             found[f"{name}/gripper"] = np.array([reading.gripper])
             found[f"{name}/hand"] = pose_numbers(reading.X_WH)
@@ -65,13 +72,9 @@ class ObservationLayout:
         if self._normalize:
             found |= {key: normalized(found[key], limits) for key, limits in self._ranges.items()}
         arrays: Observations = {key: value.astype(signal_of(key).dtype) for key, value in found.items()}
-        return arrays | self._images()
-
-    def _images(self) -> Observations:
-        found: Observations = {}
-        for kind, images in camera_images(self._world, self._cameras, self._kinds).items():
-            found |= {f"{kind}/{name}": image for name, image in images.items()}
-        return found
+        for kind, by_camera in images.items():
+            arrays |= {f"{kind}/{name}": image for name, image in by_camera.items()}
+        return arrays
 
     def _measured_ranges(self) -> dict[str, Array]:
         """Return the limits of each entry that can be normalized, as arrays of shape (values, 2)."""

@@ -26,6 +26,7 @@ from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
 from simfoundry.scene.robot import FILES_ONLY, Robot
+from simfoundry.spec.yaml.write import to_data
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
@@ -205,7 +206,8 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
     """Run one rollout and write its record."""
     setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
     start, slot = setting.starts[job.index], _slot(plan, job, setting.task)
-    about = {**_conditions(job, setting.task, start), **_about(plan, setting.task, start, job.engine)}
+    conditions = {key: value for key, value in _conditions(job, setting.task, start).items() if value is not None}
+    about = {**conditions, **_about(plan, setting.task, start, job.engine)}
     try:
         policy = _POLICIES.policy(job.contender, setting.task, setting.judge)
     except PolicyError as error:
@@ -265,7 +267,10 @@ def _is_done(plan: EvaluationPlan, job: RolloutJob) -> bool:
 
 
 def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, Any]:
-    """Return the conditions of a rollout. Rollouts under identical conditions are bit-identical."""
+    """Return the conditions of a rollout, None if there are none of a kind.
+
+    Rollouts under identical conditions are bit-identical.
+    """
     return {
         "task": task.name,
         "part": str(job.entry.part),
@@ -274,6 +279,7 @@ def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, A
         "asked": job.contender.digest,
         "engine": job.engine,
         "start": start.digest,
+        "disturbances": to_data(task.disturbances) or None,
     }
 
 

@@ -7,7 +7,7 @@ task is applied to the scene document first, followed by the `start` of the step
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import dropwhile
 from pathlib import Path
@@ -21,6 +21,7 @@ from simfoundry.scene.task_start import placed_in_task
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_kind
+from simfoundry.spec.models.disturbances import Disturbances
 from simfoundry.spec.models.predicate import Condition, parse_call
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.models.task import Reset, Start, TaskSpec, with_starts
@@ -139,6 +140,7 @@ class Task:
         carriers: The support of each object, keyed by object name. An object moves together with its support.
         control_hz: The control frequency [Hz].
         horizon: The maximum number of control steps.
+        disturbances: The latency and noise of actions and observations.
         step: The sub-task that this task represents, or an empty string for the whole task.
     """
 
@@ -153,6 +155,7 @@ class Task:
     control_hz: float
     horizon: int
     setup: TaskSetup
+    disturbances: Disturbances = field(default_factory=Disturbances)
     step: str = ""
 
     @cached_property
@@ -237,6 +240,7 @@ def task_of(loaded: Loaded, cache: Cache | None = None) -> Task:
         control_hz=spec.control_hz,
         horizon=spec.horizon,
         setup=setup,
+        disturbances=spec.disturbances,
     )
 
 

@@ -92,8 +92,15 @@ def _conditions(records: Sequence[Record]) -> dict[str, str]:
         "policies": _listed(r["policy"] for r in records),
         "rollouts": str(sum(map(is_result, records))),
         "control": _listed(f"{r['control_hz']:g} Hz" for r in records),
+        "noise and latency": _listed(_disturbances(r) for r in records if r.get("disturbances")),
         "cousins of": ", ".join(recipes),
     }
+
+
+def _disturbances(record: Record) -> str:
+    """Return the disturbances of a task, such as `action.latency 0.03`."""
+    sections = record["disturbances"].items()
+    return ", ".join(f"{section}.{key} {value:g}" for section, entries in sections for key, value in entries.items())
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -26,6 +26,7 @@ from simfoundry.data.plan import RecordPlan, RecordSummary
 from simfoundry.data.record import record
 from simfoundry.data.shards import Attempt, read_shard, write_shard
 from simfoundry.data.store import SHARDS, UNFINISHED
+from simfoundry.data.trajectory import TrajectorySampler
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd
 from simfoundry.render.gl import Engine, choose_engine
@@ -340,3 +341,32 @@ def test_other_tasks_are_refused(tasks: Path, here: Path) -> None:
     assert done.code == 2 and "several tasks/a/push.task.yaml is listed twice" in done.err
     done = run("record", str(out / "shards"), "-o", str(here / "none"))
     assert done.code == 2 and "does not contain any tasks" in done.err
+
+
+def test_noise_and_latency_replay_to_the_bit(here: Path) -> None:
+    document = here / "push.task.yaml"
+    text = document.read_text()
+    about = (
+        "disturbances: {action: {latency: 0.04, joint_noise: 0.01}, observation: {latency: 0.05, joint_noise: 0.01}}\n"
+    )
+    try:
+        document.write_text(text + about)
+        assert record(plan_of(here / "noisy", 2)).not_reproduced == ()
+        found = sf.demonstrations(here / "noisy")
+        with found.open() as world:
+            for demo in found:
+                last = list(found.replay(demo, world))[-1]
+                assert [*last.poses["block"].p] == demo.states["objects"][-1][1][:3].tolist()
+        with TrajectorySampler(found.task) as sampler:  # in a dataset, targets are those that the policy commanded
+            trajectory = sampler.sample(found[0], 2 * found.task.control_hz)
+        np.testing.assert_array_equal(trajectory.targets["arm"][2::2], found[0].actions[:, :2])
+        np.testing.assert_array_equal(trajectory.observations["objects"][::2], found[0].states["objects"])
+        document.write_text(text + about.replace("latency: 0.05, ", ""))  # observations do not matter for a replay
+        assert sf.demonstrations(here / "noisy").task.disturbances.action.latency == 0.04
+        with pytest.raises(OutputError, match="demonstrations with a different `disturbances`"):
+            record(plan_of(here / "noisy", 2))
+        document.write_text(text)
+        with pytest.raises(OutputError, match="has changed since"):
+            _ = sf.demonstrations(here / "noisy").task
+    finally:
+        document.write_text(text)

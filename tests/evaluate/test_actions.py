@@ -22,7 +22,8 @@ from simfoundry.evaluate.observations import ObservationLayout, checked_observat
 from simfoundry.evaluate.policies.base import ImageSize, InvalidAnswerError, Observation, Policy
 from simfoundry.evaluate.policies.open_loop import ReplayPolicy, no_motion
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.rollouts.control import FARTHEST, HAND_AHEAD, Execution
+from simfoundry.evaluate.rollouts.control import FARTHEST, HAND_AHEAD
+from simfoundry.evaluate.rollouts.execution import Execution
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array, Pose

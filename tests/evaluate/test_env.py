@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.task import Task
 from simfoundry.render.gl import Engine, choose_engine
+from simfoundry.spec.models.disturbances import ActionDisturbances, Disturbances, ObservationDisturbances
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")
 
@@ -194,3 +196,30 @@ def test_the_registration_loads_no_simulator() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[] True"
+
+
+def test_the_seed_of_an_episode_decides_its_noise(push: Task) -> None:
+    about = Disturbances(
+        action=ActionDisturbances(latency=0.03, joint_noise=0.02),
+        observation=ObservationDisturbances(latency=0.1, joint_noise=0.01, object_noise=0.01, gripper_noise=0.2),
+    )
+    made = TaskEnv(replace(push, disturbances=about), starts=2, cache=False)
+    try:
+
+        def episode(seed: int | None) -> np.ndarray:
+            seen, _ = made.reset(seed=seed, options={"start": 1})
+            rows = [seen]
+            for k in range(6):
+                seen, *_ = made.step(np.array([0.1 * k, 0.05, 1.0], np.float32))
+                rows.append(seen)
+            assert all(row in made.observation_space for row in rows)
+            return np.array(
+                [np.concatenate([row["arm/joints"], row["objects"].ravel(), row["arm/gripper"]]) for row in rows]
+            )
+
+        first, second, again = episode(5), episode(None), episode(5)
+        np.testing.assert_array_equal(first, again)
+        assert np.abs(first - second).min(axis=0).max() > 0
+        assert np.abs(first[0] - second[0]).max() > 1e-3  # also before the first action
+    finally:
+        made.close()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.rollouts.control import physics_steps
+from simfoundry.evaluate.rollouts.execution import physics_steps
 from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.robot_file import OWN_ROBOTS

@@ -65,7 +65,8 @@ class DrawnValues:
         split: Name of the split, or empty.
         documents: Entries of the documents that differ from the twin, as nested data, by kind of document.
         poses: Poses X_WO of objects that moved.
-        pictures_only: True if only pictures depend on the values.
+        pictures_only: True if only pictures and other observations depend on the values.
+        same_scene: True if the physics of the scene does not depend on the values.
         views: True if the pose or the lens of a camera varies.
     """
 
@@ -74,6 +75,7 @@ class DrawnValues:
     documents: dict[str, dict[str, Any]] = field(default_factory=dict)
     poses: dict[str, Pose] = field(default_factory=dict)
     pictures_only: bool = True
+    same_scene: bool = True
     views: bool = False
 
     def write(self, document: str, path: Sequence[str], value: Any) -> None:
@@ -90,7 +92,8 @@ def draw_values(values: Sequence[VariedValue], source: QuantileSource, context: 
     drawn = DrawnValues(split=source.split)
     for value in values:
         drawn.values[value.field.name] = _DRAW[value.field.kind](value, source, context, drawn)
-        drawn.pictures_only &= value.field.effect != "physics"
+        drawn.pictures_only &= value.field.effect not in ("physics", "action")
+        drawn.same_scene &= value.field.effect != "physics"
         drawn.views |= value.field.places[0].path[0] == "cameras"
     return drawn
 

@@ -91,14 +91,14 @@ class ValueSampler:
         """
         # Texts such as the type of a light can exclude each other; all other values were checked one by one.
         texts = any(v.field.kind is ValueKind.WORD and v.field.effect == "pictures" for v in self.recipe.varied)
-        if drawn.pictures_only and not drawn.views and not texts:
+        if drawn.same_scene and not drawn.views and not texts:
             return self.twin
         try:
             scene = self._scene(index, drawn, replaced)
-            if drawn.pictures_only and not drawn.views:
+            if drawn.same_scene and not drawn.views:
                 return self.twin
             lowered = self._lowered(scene, drawn)
-            if drawn.pictures_only:
+            if drawn.same_scene:
                 return replace(self.twin, scene=replace(self.twin.scene, cameras=lowered.cameras))
             twin = Twin.of(lowered, self.twin.goal, self.twin.robots.names)
         except SpecError as error:

@@ -154,7 +154,7 @@ class _Draw:
     @property
     def is_moved(self) -> bool:
         """True if the scene differs from the twin and must be settled, or if cameras see it from elsewhere."""
-        return bool(self.layout.poses or self.others or self.added or not self.drawn.pictures_only or self.drawn.views)
+        return bool(self.layout.poses or self.others or self.added or not self.drawn.same_scene or self.drawn.views)
 
     @property
     def pictures_only(self) -> bool:
@@ -208,7 +208,7 @@ def _lost_relations(shared: CandidateSampler, draw: _Draw) -> Iterator[Reason]:
 
     Relations about a joint that varies need not hold.
     """
-    if draw.drawn.pictures_only:
+    if draw.drawn.same_scene:
         return
     joints = {name for name in draw.drawn.values if name.count(".") == 1}
     moved = {*draw.drawn.poses, *draw.others}

@@ -99,7 +99,8 @@ PAUSE = 1.0
 class ExpertPolicy(Policy):
     """A scripted policy that plans with MuJoCo and mink.
 
-    The policy has access to the true state and does not use cameras.
+    The policy has access to the true state, without the noise and latency of observations, and does not use cameras.
+    The noise and latency of actions act on it like on any other policy.
     """
 
     name = "expert"
@@ -121,7 +122,7 @@ class ExpertPolicy(Policy):
 
     def infer(self, observation: Observation) -> Array:
         """Return the next actions, as an array of shape (3, action size)."""
-        self._worker.look(observation)
+        self._worker.look(observation.privileged())
         if self._script is None:
             self._script = self._work()
         rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -52,12 +52,15 @@ class Observation:
     Attributes:
         time: The time since the start of the rollout [s].
         instruction: The instruction of the task.
-        robots: The readings of the robots that act, in the order of the task.
+        robots: The readings of the robots that act, in the order of the task, with the latency and noise of the task.
         images: The requested color images, keyed by the name of the camera in the scene.
         depths: The requested depth images [m], float32, shape (height, width), 0 where nothing is visible.
         masks: The requested instance masks, int32, shape (height, width); values are explained by
             :func:`simfoundry.worlds.base.instances`.
         state: The true state, for privileged policies such as the scripted expert.
+        sensed: The state with the latency and noise of the task, or None if it is the true state. Policies that are not
+            privileged use it through :attr:`objects` and :attr:`joints`.
+        true_robots: The true readings of the robots, for privileged policies, or None if they are those in ``robots``.
     """
 
     time: float
@@ -67,6 +70,22 @@ class Observation:
     state: SceneState
     depths: Mapping[str, NDArray[np.float32]] = field(default_factory=lambda: MappingProxyType({}))
     masks: Mapping[str, NDArray[np.int32]] = field(default_factory=lambda: MappingProxyType({}))
+    sensed: SceneState | None = None
+    true_robots: Mapping[str, RobotReading] | None = None
+
+    @property
+    def objects(self) -> Mapping[str, Pose]:
+        """The observed poses of the objects, keyed by name."""
+        return (self.sensed or self.state).poses
+
+    @property
+    def joints(self) -> Mapping[str, float]:
+        """The observed positions of the objects' joints [rad or m], keyed by ``object.joint``."""
+        return (self.sensed or self.state).joints
+
+    def privileged(self) -> Observation:
+        """Return the observation with the true readings of the robots."""
+        return self if self.true_robots is None else replace(self, robots=self.true_robots)
 
 
 class Policy(Protocol):

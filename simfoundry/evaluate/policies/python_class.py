@@ -16,7 +16,7 @@ from typing import Any
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ImageSize, InvalidAnswerError, Observation, PolicyError
-from simfoundry.evaluate.rollouts.control import check_rate
+from simfoundry.evaluate.rollouts.execution import check_rate
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.plugins import fault_text
 from simfoundry.spec.models.signals import ActionSpace, ImageKind

@@ -5,7 +5,7 @@ The interface provides observations and applies actions as joint targets.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from simfoundry.spec.models.signals import (
 from simfoundry.worlds.base import World, WorldRobot
 
 if TYPE_CHECKING:
+    from simfoundry.evaluate.rollouts.noise import ActionNoise
     from simfoundry.robots.arm import Arm
 
 
@@ -94,26 +95,6 @@ def camera_images(
 # largest step.
 FARTHEST = MAX_JOINT_DELTA
 
-# Maximum number of actions per second [Hz]; a physics step usually takes 2 ms.
-MAX_RATE = 1000.0
-
-
-def physics_steps(step: int, control_hz: float, timestep: float) -> int:
-    """Return the number of physics steps in a control step, which is at least 1.
-
-    The end of each control step, rather than its length, is rounded to a physics step, so that rounding errors do not
-    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps consist of 33, 34, 33, ... physics steps.
-    After 10 s, there have been exactly 150 control steps.
-
-    Args:
-        step: The index of the control step, counted from 0.
-        control_hz: The control frequency [Hz].
-        timestep: The duration of a physics step [s].
-    """
-    period = 1.0 / (control_hz * timestep)
-    return max(1, round((step + 1) * period) - round(step * period))
-
-
 # Maximum distance [m] and angle [rad] between the hand and its target when changes of its pose are added up: two of the
 # largest steps, so that a moving hand is not slowed down.
 HAND_AHEAD, HAND_TURN = 2 * MAX_TRANSLATION, 2 * MAX_ROTATION
@@ -139,9 +120,17 @@ class Controller:
         robots: The names of the robots, in the order of an action.
         space: The meaning of the numbers in an action.
         control_hz: The number of actions per second [Hz].
+        noise: The errors of targets, which do not add up, or None.
     """
 
-    def __init__(self, world: World, robots: Iterable[str], space: ActionSpace, control_hz: float) -> None:
+    def __init__(
+        self,
+        world: World,
+        robots: Iterable[str],
+        space: ActionSpace,
+        control_hz: float,
+        noise: ActionNoise | None = None,
+    ) -> None:
         self.robots: dict[str, WorldRobot] = {name: world.robot(name) for name in robots}
         self._space, self._period = space, 1.0 / control_hz
         self._targets = {name: robot.positions() for name, robot in self.robots.items()}
@@ -150,6 +139,8 @@ class Controller:
         self._hands = {name: self.robots[name].frame("hand") for name in self._arms}
         self._grippers = {name: robot.gripper() for name, robot in self.robots.items()}
         self._action: Array = np.zeros(0)
+        self._noise = noise
+        self._errors: dict[str, tuple[Array, float]] = {}
 
     @property
     def targets(self) -> Mapping[str, Mapping[str, float]]:
@@ -167,6 +158,8 @@ class Controller:
         Targets are set for its whole duration, except those of velocities, which :meth:`move` moves.
         """
         self._action = denormalized(action, self._limits) if self._space.normalized else action
+        if self._noise is not None:
+            self._errors = self._noise.draw({name: len(robot.joints) for name, robot in self.robots.items()})
         for name, arm, gripper in columns(self.robots, self._space):
             robot, values = self.robots[name], self._action[arm]
             match self._space.kind:
@@ -177,7 +170,7 @@ class Controller:
                 case ActionKind.HAND_POSE | ActionKind.HAND_DELTA:
                     self._set(name, self._reached(name, values))
             self._grippers[name] = min(max(float(self._action[gripper]), 0.0), 1.0)
-            robot.set_gripper(self._grippers[name])
+            robot.set_gripper(self._grippers[name] + self._errors.get(name, (None, 0.0))[1])
 
     def move(self, share: float) -> None:
         """Move the targets of velocities by ``share`` of the duration of the action."""
@@ -186,7 +179,10 @@ class Controller:
                 self._set(name, self._added(name, [float(v) * self._period * share for v in self._action[arm]]))
 
     def _set(self, name: str, targets: dict[str, float]) -> None:
-        self.robots[name].set_targets(targets)
+        """Set the targets of a robot's joints, with the errors of the action, which the next targets do not inherit."""
+        errors = self._errors.get(name)
+        disturbed = targets if errors is None else dict(zip(targets, errors[0] + list(targets.values()), strict=True))
+        self.robots[name].set_targets({joint: float(target) for joint, target in disturbed.items()})
         self._targets[name] = targets
 
     def _added(self, name: str, changes: Iterable[float]) -> dict[str, float]:
@@ -240,79 +236,3 @@ def _arm(scene: Scene, name: str) -> Arm:
 
     need_extra("expert", "an action space for the hand")
     return Arm(scene.robot(name))
-
-
-def check_rate(control_hz: float | None, who: str) -> None:
-    """Check the control frequency of a policy, or do nothing if it is None.
-
-    Raises:
-        SimfoundryError: If the frequency is not a number between 0 and :data:`MAX_RATE` [Hz].
-    """
-    if control_hz is None:
-        return
-    if isinstance(control_hz, bool) or not isinstance(control_hz, int | float) or not 0 < control_hz <= MAX_RATE:
-        raise SimfoundryError(
-            f"{who} has `control_hz` {control_hz!r}; it must be the number of actions per second, at most {MAX_RATE:g}"
-        )
-
-
-class Execution:
-    """The execution of actions in a world, at a frequency that may differ from the task's.
-
-    Action ``k`` starts at the time k / ``action_hz`` and lasts until the next action starts; control step ``j`` of the
-    task ends at (j + 1) / ``control_hz``. Both times are rounded to physics steps, without accumulating errors. A slow
-    policy's action therefore lasts for several control steps, and a fast policy acts several times in a control step.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        robots: Iterable[str],
-        space: ActionSpace,
-        control_hz: float,
-        action_hz: float | None = None,
-        step: Callable[[int], object] | None = None,
-    ) -> None:
-        """Prepare to execute actions.
-
-        Args:
-            world: The world.
-            robots: The names of the robots, in the order of an action.
-            space: The meaning of the numbers in an action.
-            control_hz: The number of control steps of the task per second [Hz].
-            action_hz: The number of actions per second [Hz]; by default, one in each control step.
-            step: Function that advances the world by a number of physics steps; by default, ``world.step``.
-        """
-        self._world, self._control_hz = world, control_hz
-        self._step = step or world.step
-        self.action_hz = control_hz if action_hz is None else float(action_hz)
-        self.controller = Controller(world, robots, space, self.action_hz)
-        # The number of actions that have begun, the number of control steps that have ended, and the physics steps at
-        # which the current action and the current control step end.
-        self.actions = self.steps = 0
-        self._now = self._action_end = 0
-        self._step_end = physics_steps(0, control_hz, world.timestep)
-
-    @property
-    def is_between_steps(self) -> bool:
-        """True if the last action ended within a control step."""
-        return self._step_end - self._now < physics_steps(self.steps, self._control_hz, self._world.timestep)
-
-    def act(self, action: Array) -> Iterator[int]:
-        """Execute an action, and yield the number of ended control steps whenever a control step has ended.
-
-        If the caller stops iterating, the rest of the action is not executed.
-        """
-        length = physics_steps(self.actions, self.action_hz, self._world.timestep)
-        self.actions += 1
-        self._action_end += length
-        self.controller.begin(action)
-        while self._now < self._action_end:
-            n = min(self._action_end, self._step_end) - self._now
-            self.controller.move(n / length)
-            self._step(n)
-            self._now += n
-            if self._now == self._step_end:
-                self.steps += 1
-                self._step_end += physics_steps(self.steps, self._control_hz, self._world.timestep)
-                yield self.steps

@@ -27,7 +27,9 @@ from simfoundry.evaluate.policies.base import (
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.clearance import Clearances
-from simfoundry.evaluate.rollouts.control import Execution, camera_images, check_cameras, check_rate, pictures, readings
+from simfoundry.evaluate.rollouts.control import check_cameras, pictures, readings
+from simfoundry.evaluate.rollouts.execution import Execution, check_rate
+from simfoundry.evaluate.rollouts.sensors import Sensors
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
@@ -249,8 +251,11 @@ class _Run:
         with self.clock("physics"):
             world.reset(start.state)
             self.state = world.state()
-        self.execution = Execution(world, task.robots, policy.action_space, task.control_hz, policy.control_hz)
+        about, seed = task.disturbances, (start.seed, start.index)
+        space, rates = policy.action_space, (task.control_hz, policy.control_hz)
+        self.execution = Execution(world, task.robots, space, *rates, about.action, seed)
         self.robots = self.execution.controller.robots
+        self.sensors = Sensors(world, self.execution, policy.cameras, policy.image_kinds, about.observation, seed)
         with self.clock("judge"):
             self.progress = Progress(task, judge, self.state)
         objects = task.scene.objects
@@ -315,20 +320,25 @@ class _Run:
         return RolloutEnd.SUCCESS, ""
 
     def _ask(self) -> Array:
-        with self.clock("render"):
-            images = camera_images(self.world, self.policy.cameras, self.policy.image_kinds)
+        state = self.world.state() if self.execution.is_between_steps else self.state
+        with self.clock("render" if self.policy.cameras else "physics"):
+            sensed = self.sensors.observe(state)
         observation = Observation(
             time=len(self.actions) / self.execution.action_hz,
             instruction=self.task.instruction,
-            robots=readings(self.world, self.robots),
-            images=images.get(ImageKind.COLOR, {}),
-            depths=images.get(ImageKind.DEPTH, {}),
-            masks=images.get(ImageKind.MASK, {}),
-            state=self.world.state() if self.execution.is_between_steps else self.state,
+            robots=sensed.robots,
+            images=sensed.images.get(ImageKind.COLOR, {}),
+            depths=sensed.images.get(ImageKind.DEPTH, {}),
+            masks=sensed.images.get(ImageKind.MASK, {}),
+            state=state,
+            sensed=sensed.state,
+            true_robots=sensed.true_robots,
         )
         self.chunks += 1
         with self.clock("policy"):
-            return checked_actions(self.policy.infer(observation), self.robots, self.policy.action_space)
+            actions = checked_actions(self.policy.infer(observation), self.robots, self.policy.action_space)
+        self.sensors.skip(len(actions))
+        return actions
 
     def _control_steps(self, actions: Array) -> Iterator[tuple[RolloutEnd, str] | None]:
         """Execute actions, and yield after each control step the reason if the rollout ends, otherwise None."""

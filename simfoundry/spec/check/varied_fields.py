@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -89,6 +90,8 @@ class FieldFinder:
         self._as_density = as_density
         if entry == "instruction":
             return [self._instruction()]
+        if head == "disturbances":
+            return self._of_disturbances(rest, entry)
         if head == "parameter":
             return self._of_parameters(rest, entry)
         if head in SCENE_KEYS:
@@ -107,6 +110,15 @@ class FieldFinder:
             raise VaryPathError("the twin is a scene, which has no `instruction`", "name a task as the `twin`")
         place = VariedPlace("task", ("instruction",), self.task.instruction, owner=self.task)
         return VariedField("instruction", ValueKind.WORD, (place,), "instruction")
+
+    def _of_disturbances(self, rest: Sequence[str], entry: str) -> list[VariedField]:
+        if self.task is None:
+            raise VaryPathError("the twin is a scene, which has no `disturbances`", "name a task as the `twin`")
+        keys = ("disturbances", *rest)
+        found = [self._field("task", path, owner) for path, owner in _walk(self.task, keys)]
+        kinds: dict[str, Effect] = {"action": "action", "observation": "observation"}
+        found = [replace(field, effect=kinds[field.places[0].path[1]]) for field in found]
+        return _needed(found, self.task, keys, entry)
 
     def _of_parameters(self, rest: Sequence[str], entry: str) -> list[VariedField]:
         known = self.scene.parameters
@@ -223,7 +235,7 @@ class FieldFinder:
     def _of_joints(self, head: str, rest: Sequence[str], entry: str) -> list[VariedField]:
         names = [name for name in self.spec.objects if fnmatchcase(name, head)]
         if not names:
-            first = nearest(head, [*SECTIONS, *SCENE_KEYS, "instruction", *self.spec.objects])
+            first = nearest(head, [*SECTIONS, *SCENE_KEYS, "instruction", "disturbances", *self.spec.objects])
             raise VaryPathError(f"`{entry}` starts with `{head}`, which is neither a section nor an object", first)
         if not rest:
             hint = f"write `object.{entry}.KEY` or `{entry}.JOINT`"

@@ -35,7 +35,9 @@ class ValueKind(StrEnum):
     WORD = "a text"
 
 
-Effect = Literal["pictures", "physics", "instruction"]
+# What depends on a value: pictures, the physics of the scene, the instruction, or the noise and latency of observations
+# or actions. Only physics and actions affect the states that given actions lead to.
+Effect = Literal["pictures", "physics", "instruction", "observation", "action"]
 DocumentPath = tuple[str, ...]
 
 

@@ -166,6 +166,9 @@ def _missing(entry: str, distribution: AnyDistribution, field: VariedField) -> V
         if isinstance(distribution, relative) and place.base is None:
             message = f"the twin states no value for `{field.name}`, to which `{_key(distribution)}` could apply"
             return VaryProblem("SF201", (entry,), message, "use `uniform`, or write the value in the twin")
+        if isinstance(distribution, FactorDistribution) and place.base == 0:
+            message = f"`{field.name}` is 0 in the twin, and `times` does not change it"
+            return VaryProblem("SF107", (entry, "times"), message, "use `uniform`, or write another value in the twin")
     absolute = (UniformDistribution, LogUniformDistribution)
     if field.places[0].path[-1] in ("mass", "inertia") and len(field.places) > 1 and isinstance(distribution, absolute):
         message = f"`{field.object}` has {len(field.places)} links, which cannot all have the same mass"

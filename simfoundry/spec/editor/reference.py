@@ -138,6 +138,8 @@ def default_text(value: Any) -> str:
             return "–"
         case dict() | list() if not value:
             return "empty"
+        case dict() if any(isinstance(v, dict) and v for v in value.values()):
+            return "–"  # sections of their own, which state their defaults
         case dict():
             return ", ".join(f"`{k}: {literal(v)}`" for k, v in value.items() if v is not None)
     return f"`{literal(value)}`"

@@ -20,6 +20,7 @@ from simfoundry.spec.models.base import (
     consistent,
     fault,
 )
+from simfoundry.spec.models.disturbances import Disturbances
 from simfoundry.spec.models.predicate import Condition
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
@@ -94,6 +95,9 @@ class TaskSpec(DocumentSpec):
     control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
         600, description="Maximum number of control steps, after which the rollout fails."
+    )
+    disturbances: Disturbances = Field(
+        Disturbances.model_construct(), description="Latency and noise of actions and observations in rollouts."
     )
     origin: Origin | None = Field(None, description="Origin of the task.")
 

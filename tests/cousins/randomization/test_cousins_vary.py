@@ -16,7 +16,7 @@ from simfoundry.evaluate.statistics.results import cousin_of
 from simfoundry.evaluate.task import load_task
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
-from simfoundry.spec.diagnostics import Severity
+from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.yaml.text import parse
 from tests.cli.command import run
@@ -265,3 +265,27 @@ def test_a_stage_contains_the_poses_but_not_the_other_values(room: Path) -> None
     variants.SetVariantSelection("c000001")
     chosen = stage.GetPrimAtPath("/World/Objects/cabinet").GetVariantSet("variant").GetVariantSelection()
     assert chosen.startswith("cabinet_")
+
+
+def test_latency_and_noise_of_the_task(room: Path, sampler: Sampler) -> None:
+    vary = """disturbances.action.latency: {uniform: [0.01, 0.05]}
+        disturbances.action.joint_noise: {uniform: [0, 0.02]}
+        disturbances.observation.image_latency: {choose: [0, 0.1]}
+        disturbances.observation.exposure: {normal: 0.5}"""
+    make = sampler(vary, twin="away.task.yaml")
+    one = make(1)
+    assert set(one.documents) == {"task"} and not one.pictures_only and one.accepted
+    task = load_task(write(room, one)["task"])
+    about = task.disturbances
+    assert run("fmt", "--check", room / "out" / one.files()["task"]).code == 0
+    assert about.action.latency == one.vary["disturbances.action.latency"] >= 0.01
+    assert about.action.joint_noise == one.vary["disturbances.action.joint_noise"] > 0
+    assert about.observation.exposure == one.vary["disturbances.observation.exposure"]
+    assert -1.5 <= about.observation.exposure <= 1.5
+    assert make(2).vary != one.vary
+    seen = sampler("disturbances.observation.joint_noise: {log_uniform: [0.001, 0.01]}", twin="away.task.yaml")(1)
+    assert seen.pictures_only  # what happens in the twin happens here, too; only the policy sees it differently
+    with pytest.raises(SpecError, match=r"`disturbances\.action\.latency` is 0 in the twin, and `times` does not"):
+        sampler("disturbances.action.latency: {times: [0.5, 2]}", twin="away.task.yaml")
+    with pytest.raises(SpecError, match="the twin is a scene, which has no `disturbances`"):
+        sampler("disturbances.action.latency: {uniform: [0, 0.1]}")
