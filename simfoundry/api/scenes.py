@@ -111,6 +111,7 @@ class RobotEntry(DocumentEntry):
     model = ValueField[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
     pose = EntryField(PoseEntry)
     joints = ValueField[str | Mapping[str, float], str | Mapping[str, float] | None]()
+    gains = ValueField[robot.GainsSpec, robot.GainsSpec | Values | None]()
     reach = OptionalNumber()
     opening = OptionalNumber()
 

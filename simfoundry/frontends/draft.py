@@ -21,7 +21,7 @@ from simfoundry.frontends.shapes import PrimitiveShape, Rgba
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.joint import DriveSpec
-from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot import GainsSpec, RobotSpec
 from simfoundry.spec.models.shapes import BoxShape
 
 # Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision.
@@ -383,7 +383,8 @@ def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> 
     known = spec.known()
     if known is None or not isinstance(spec.model, str):
         raise ImportRefusedError(path, f"robot `{name}` has an unknown model: {spec.model!r}")
-    usual = {"joints": dict(known.home), "reach": known.reach, "opening": known.opening}
+    usual: dict[str, Any] = {"joints": dict(known.home), "gains": GainsSpec().model_dump()}
+    usual |= {"reach": known.reach, "opening": known.opening}
     given = spec.model_dump(include=set(usual), exclude_none=True)
     changed = {field: value for field, value in given.items() if value != usual[field] and value != "home"}
     return RobotDraft(name, spec.model, X_WB, changed)

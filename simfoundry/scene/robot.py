@@ -111,6 +111,8 @@ class Robot:
 
     Attributes:
         positions: The positions of the arm joints [rad or m], keyed by their names in the scene. The gripper is open.
+        stiffness: The factor of the stiffness of the arm's servos, relative to the models.
+        damping: The factor of the damping of the arm's servos and joints, relative to the models.
         reach: The horizontal reach [m], or None if unknown.
         opening: The gripper opening [m], or None if unknown.
         models: The available models, of which there is at least one.
@@ -123,6 +125,13 @@ class Robot:
     reach: float | None
     opening: float | None
     models: Mapping[ModelFormat, NativeModel]
+    stiffness: float = 1.0
+    damping: float = 1.0
+
+    @property
+    def has_own_gains(self) -> bool:
+        """True if the gains of the servos differ from those in the models."""
+        return (self.stiffness, self.damping) != (1.0, 1.0)
 
     def best(self, *formats: ModelFormat) -> NativeModel | None:
         """Return the robot's model in the first available format."""
@@ -189,6 +198,8 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
         reach=spec.reach or described.reach,
         opening=spec.opening or described.opening,
         models=MappingProxyType(models),
+        stiffness=spec.gains.stiffness,
+        damping=spec.gains.damping,
     )
     return _ROBOTS.setdefault(key, robot)
 

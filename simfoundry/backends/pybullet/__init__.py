@@ -43,6 +43,9 @@ BACKGROUND = "_background.urdf"
 # mm but take three times as long.
 GRASP_ITERATIONS = 200
 
+# Share of the error of a position that Bullet's motors correct in each step by default.
+BULLET_GAIN = 0.1
+
 _GRIPS = {
     False: "Bullet multiplies the friction in the robot's file by the square root of the scene's friction.",
     True: "The robot grips as in MuJoCo, which uses the larger friction; with unequal frictions, this is approximate.",
@@ -52,6 +55,11 @@ _MOTORS = {
     False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
     True: "The arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
 }
+
+# The addition for a URDF whose gains the scene changes.
+_OWN_GAINS = (
+    " Of the scene's `gains`, only the ratio of stiffness and damping acts: on the speed of the motors."
+)
 
 # Near and far clipping distances of the cameras [m]. A wrist camera sees its own fingers at 2 cm, and no room is larger
 # than the far distance.
@@ -145,7 +153,8 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         robots[robot.name] = found
         converted = found.item is not None
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
-        losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
+        own = "" if converted or not robot.has_own_gains else _OWN_GAINS
+        losses.append(approximate("robot_motors", robot.name, _MOTORS[converted] + own))
     for mounted in scene.mounted:
         reason = f"The camera is mounted on `{mounted.carrier}`, but cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
@@ -184,7 +193,8 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
     oscillations.
     """
     if joint not in robot.servos:
-        return {}
+        is_scaled = robot.quickness != 1.0 and joint in robot.joints.values()
+        return {"gain": rounded(min(BULLET_GAIN * robot.quickness, 1.0))} if is_scaled else {}
     stiffness, damping = robot.servos[joint]
     lag = {"gain": rounded(min(stiffness * timestep / damping, 1.0))} if damping > 0 else {}
     return lag | ({"stiffness": rounded(stiffness)} if joint in robot.gripper else {})

@@ -10,7 +10,7 @@ import hashlib
 import math
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -85,6 +85,9 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
             model = spec.compile()
             servos = tuple(_add_servos(spec, model, {prefix + name: force for name, force in native.effort.items()}))
             model = spec.compile() if servos else model
+            if robot.has_own_gains:
+                _scale_gains(spec, model, robot, {prefix + name for name in native.joints.values()})
+                model = spec.compile()
             _explicit_masses(spec, model)
     except (ValueError, OSError, KeyError) as error:
         reason = str(error).strip().splitlines()[0]
@@ -205,6 +208,26 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
         yield joint.name
 
 
+def _scale_gains(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, arm: Set[str]) -> None:
+    """Scale the servos and the damping of the joints in ``arm``, or of all joints if it is empty.
+
+    The compiled values are scaled, because the specification may state a damping ratio instead of a damping.
+    """
+    import mujoco
+
+    on_joint = int(mujoco.mjtTrn.mjTRN_JOINT)
+    for k, actuator in enumerate(spec.actuators):
+        joint = model.joint(int(model.actuator_trnid[k][0])).name
+        if int(model.actuator_trntype[k]) == on_joint and (not arm or joint in arm):
+            gain, bias = model.actuator_gainprm[k].copy(), model.actuator_biasprm[k].copy()
+            gain[0] *= robot.stiffness
+            bias[:3] *= (robot.stiffness, robot.stiffness, robot.damping)
+            actuator.gainprm, actuator.biasprm = gain, bias
+    for joint in spec.joints:
+        if not arm or joint.name in arm:
+            joint.damping = joint.damping * robot.damping
+
+
 def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
     """Return the initial positions specified by the scene and the gripper, or otherwise by the ``home`` keyframe."""
     import mujoco
@@ -284,4 +307,5 @@ def document_fields(robot: Robot) -> dict[str, object] | None:
         return None
     sizes = {"reach": robot.reach, "opening": robot.opening}
     fields: dict[str, object] = {"model": robot.kind, "joints": dict(robot.positions)}
+    fields |= {"gains": {"stiffness": robot.stiffness, "damping": robot.damping}} if robot.has_own_gains else {}
     return fields | {name: value for name, value in sizes.items() if value is not None}

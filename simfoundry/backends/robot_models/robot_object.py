@@ -251,7 +251,8 @@ class RobotUrdf:
 
     ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` and ``servos`` are keyed by the joint names in the
     URDF. ``servos`` contains the servos with known gains: the stiffness [N m/rad or N/m], and the damping, which
-    includes the damping of the joint itself. ``joints`` maps joint names in the scene to joint names in the URDF, and
+    includes the damping of the joint itself. ``quickness`` is the factor of the ratio of stiffness and damping of the
+    servos of the arm without known gains. ``joints`` maps joint names in the scene to joint names in the URDF, and
     ``frames`` maps frames in the scene to links. ``item`` is the object from which the URDF was converted, if any.
     """
 
@@ -267,6 +268,7 @@ class RobotUrdf:
     frames: Mapping[str, LinkFrame]
     item: SceneObject | None
     losses: tuple[Loss, ...]
+    quickness: float = 1.0
 
 
 def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
@@ -309,6 +311,7 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
         frames=native.links,
         item=None,
         losses=(),
+        quickness=robot.stiffness / robot.damping,
     )
 
 

@@ -95,6 +95,8 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
     model.place(_UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
     for name, position in robot.start(native).items():
         _set_joint(_over(model, default, by_name[name]), by_name[name], position)
+    for name in native.joints.values() if robot.has_own_gains else ():
+        _scale_drive(_over(model, default, by_name[name]), by_name[name], robot)
     _hold(prim, model, default)
     for name in wanted:
         frame = native.frame(name) if name else LinkFrame(default.GetName())
@@ -158,6 +160,17 @@ def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
     spec.floats(0.0, f"state:{kind}:physics:velocity")
     if UsdPhysics.DriveAPI.Get(joint, kind):
         spec.floats(value, f"drive:{kind}:physics:targetPosition")
+
+
+def _scale_drive(spec: Prim, joint: Usd.Prim, robot: Robot) -> None:
+    """Set the gains of a joint's drive, if it has one, to those in the robot's file times the scene's factors."""
+    from pxr import UsdPhysics
+
+    kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
+    drive = UsdPhysics.DriveAPI.Get(joint, kind)
+    if drive:
+        spec.floats(drive.GetStiffnessAttr().Get() * robot.stiffness, f"drive:{kind}:physics:stiffness")
+        spec.floats(drive.GetDampingAttr().Get() * robot.damping, f"drive:{kind}:physics:damping")
 
 
 def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:

@@ -57,6 +57,17 @@ class RobotFiles(Model):
             raise fault("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed")
 
 
+# Smallest and greatest factor of a gain. Servos that are a hundred times as stiff need a shorter time step.
+GainFactor = Annotated[float, Field(ge=0.01, le=100, allow_inf_nan=False)]
+
+
+class GainsSpec(Model):
+    """The gains of an arm's servos, as factors of those in the robot's model."""
+
+    stiffness: GainFactor = Field(1.0, description="Factor of the servos' stiffness.")
+    damping: GainFactor = Field(1.0, description="Factor of the servos' damping, including that of the joints.")
+
+
 class RobotSpec(Model):
     """A robot whose base is welded to the world."""
 
@@ -71,6 +82,9 @@ class RobotSpec(Model):
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; joints not listed are at home.")
+    gains: GainsSpec = Field(
+        GainsSpec.model_construct(), description="Factors of the gains of the arm's servos, but not of the gripper's."
+    )
     reach: Positive | None = Field(
         None, description="Horizontal reach from the base [m]; default: the known robot's reach."
     )
