@@ -191,7 +191,7 @@ def test_every_imported_library_is_a_dependency() -> None:
     whole = {
         name: entries
         for name, entries in extras.items()
-        if name not in ("dev", "pybullet", "drake", "newton", "sapien")
+        if name not in ("browser", "dev", "pybullet", "drake", "newton", "sapien")
     }
     entries = [*PYPROJECT["project"]["dependencies"], *(e for listed in whole.values() for e in listed)]
     needed = {re.split(r"[<>=!;\[ ]", entry)[0].lower() for entry in entries}

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from simfoundry.api.entries import DataPath, DocumentEntry, FixedField, UnknownNameError, to_plain
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import Rename, renamed, same
+from simfoundry.spec.change.edit_data import is_member, with_value
 from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
@@ -200,7 +201,7 @@ class EditableDocument(DocumentEntry):
         for k, part in enumerate(path):
             members = value if isinstance(value, dict) else {}
             value = members.get(part, ABSENT)
-            if value is ABSENT and _is_member(self._model, path[: k + 1]):
+            if value is ABSENT and is_member(self._model, path[: k + 1]):
                 kind = path[k - 1].removesuffix("s")
                 raise UnknownNameError(f"{self.path} has no {kind} `{part}`; {nearest(str(part), members)}")
         return value
@@ -219,7 +220,7 @@ class EditableDocument(DocumentEntry):
         for path, value in given.items():
             before = self._get(path if value is ABSENT else path[:-1])
             if value is not ABSENT or before is not ABSENT:
-                data = _replaced(self._model, data, path, value)
+                data = with_value(self._model, data, path, value)
         with self._replacing(data, given):
             for path, value in given.items():
                 if value is not ABSENT:
@@ -261,25 +262,6 @@ class EditableDocument(DocumentEntry):
             reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
             raise SpecError(findings or [Diagnostic(code, Severity.ERROR, reason, str(self.path))]) from None
         self._data = data
-
-
-def _is_member(model: type[Model], path: DataPath) -> bool:
-    """Return True if a path ends with the name of a member, such as an object, and False if it ends with a field."""
-    return not any(path[-1] in owner.model_fields for owner in models_at(model, path[:-1]))
-
-
-def _replaced(model: type[Model], data: dict[str, Any], path: DataPath, value: Any, depth: int = 1) -> dict[str, Any]:
-    """Return a copy of ``data`` with a new value at a path. The original data is not modified.
-
-    If the value is :data:`ABSENT`, the key is removed, and so are fields and sections that become empty as a result.
-    Named members, such as objects, are kept even if they become empty.
-    """
-    part, new = path[depth - 1], value
-    if depth < len(path):
-        new = _replaced(model, data.get(part, {}), path, value, depth + 1)
-    if new is ABSENT or (value is ABSENT and not new and not _is_member(model, path[:depth])):
-        return {key: item for key, item in data.items() if key != part}
-    return {**data, part: new}
 
 
 def _values(data: Any, pattern: tuple[str, ...]) -> Iterator[Any]:

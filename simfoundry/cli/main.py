@@ -46,6 +46,7 @@ COMMANDS = {
     "schema": ("language", "Print the JSON Schemas for documents."),
     "settle": ("scenes", "Simulate a scene until it is at rest, and report how objects moved."),
     "show": ("scenes", "Show a scene as a tree with sizes and masses."),
+    "studio": ("studio", "Open a scene or task in the browser, and edit it there."),
     "synthesize": ("scenes", "Render a scene as a synthetic capture with sensor noise."),
     "verify": ("verify", "Load builds in real simulators and compare them with the scene."),
 }

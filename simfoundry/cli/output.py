@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.text_diff import unified_diff as unified_diff
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
@@ -215,14 +216,6 @@ def write_in_place(path: Path, text: str) -> None:
     from simfoundry.runtime.files import write_in_place
 
     write_in_place(path, text.encode())
-
-
-def unified_diff(before: str, after: str, old: str, new: str) -> str:
-    """Return a unified diff of two texts, with the names ``old`` and ``new`` in its header."""
-    import difflib
-
-    lines = difflib.unified_diff(before.splitlines(keepends=True), after.splitlines(keepends=True), old, new)
-    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
 
 
 def plural(count: int, noun: str) -> str:

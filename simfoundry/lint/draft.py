@@ -120,9 +120,12 @@ def _is_usable(shape: Hulls) -> bool:
 
 
 def drafted_start(
-    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None, earlier: DraftScene | None = None
+    loaded: Loaded,
+    checkpoint: Callable[[], None] = lambda: None,
+    earlier: DraftScene | None = None,
+    shown: bool = False,
 ) -> DraftScene | None:
-    """Return the draft of a scene document or of the initial state of a task.
+    """Return the draft of a scene document or of the initial state of a task; see :func:`drafted`.
 
     Returns:
         The draft, or None if the scene could not be read.
@@ -131,7 +134,7 @@ def drafted_start(
         SpecError: If lowering fails.
     """
     if isinstance(loaded.spec, SceneSpec):
-        return drafted(loaded, (), checkpoint, earlier)
+        return drafted(loaded, (), checkpoint, earlier, shown)
     from simfoundry.spec.models.task import TaskSpec
 
     assert isinstance(loaded.spec, TaskSpec)
@@ -139,7 +142,7 @@ def drafted_start(
     return (
         None
         if scene is None or not isinstance(scene.spec, SceneSpec)
-        else drafted(scene, [loaded.spec.start], checkpoint, earlier)
+        else drafted(scene, [loaded.spec.start], checkpoint, earlier, shown)
     )
 
 
@@ -148,11 +151,13 @@ def drafted(
     starts: Sequence[Start] = (),
     checkpoint: Callable[[], None] = lambda: None,
     earlier: DraftScene | None = None,
+    shown: bool = False,
 ) -> DraftScene:
     """Return the draft of a scene document after applying the changes in ``starts``, in order.
 
     ``checkpoint`` is called before each object is lowered. It can raise an exception to stop. Objects that have not
-    changed are taken from an ``earlier`` draft of the same document.
+    changed are taken from an ``earlier`` draft of the same document. If ``shown`` is set, the draft has the same
+    visuals as a build.
 
     Raises:
         SpecError: If lowering fails.
@@ -164,6 +169,7 @@ def drafted(
 
         spec = with_starts(spec, starts)
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), lambda *_: checkpoint(), fetch=False, draft=True)
+    lowering.shown = shown
     if earlier is not None:
         lowering.earlier = EarlierLowering(earlier.spec, earlier.scene.viewer, earlier.lowered, earlier.scene.by_name)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))

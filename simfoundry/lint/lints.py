@@ -197,7 +197,10 @@ def _lints(loaded: Loaded, subject: Subject | None, errors: Sequence[Diagnostic]
 
 
 def subject_of(
-    loaded: Loaded, checkpoint: Callable[[], None] = lambda: None, earlier: DraftScene | None = None
+    loaded: Loaded,
+    checkpoint: Callable[[], None] = lambda: None,
+    earlier: DraftScene | None = None,
+    shown: bool = False,
 ) -> tuple[Subject | None, list[Diagnostic]]:
     """Return the drafts of a document, or None if it has none or cannot be lowered; and the errors from lowering.
 
@@ -205,6 +208,7 @@ def subject_of(
         loaded: The document, which has no errors.
         checkpoint: Function that is called before each step, here and in the lints. It can raise an exception to stop.
         earlier: An earlier draft of the same document, whose objects are reused if they have not changed.
+        shown: Whether the draft of the scene, or of the initial state of a task, gets the visuals of a build.
     """
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
@@ -216,7 +220,9 @@ def subject_of(
         return Subject(loaded, links=links, checkpoint=checkpoint), errors
     steps, errors = draft.drafted_steps(loaded, checkpoint) if kind == "task/1" else ({}, [])
     try:
-        return Subject(loaded, draft.drafted_start(loaded, checkpoint, earlier), steps, checkpoint=checkpoint), errors
+        return Subject(
+            loaded, draft.drafted_start(loaded, checkpoint, earlier, shown), steps, checkpoint=checkpoint
+        ), errors
     except SpecError as error:
         starts: Starts | None = {("start",): getattr(loaded.spec, "start")} if kind == "task/1" else None  # noqa: B009
         return None, list(dict.fromkeys([*draft.own_findings(loaded, error, starts), *errors]))

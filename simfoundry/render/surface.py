@@ -52,7 +52,7 @@ class SceneSurface:
 
 
 @dataclass(frozen=True, eq=False)
-class _Patch:
+class SurfacePatch:
     """The triangles of a geometry in its own frame. For the array shapes, see :class:`SceneSurface`."""
 
     corners: Array
@@ -67,7 +67,7 @@ def scene_surface(scene: Scene, state: SceneState | None = None, segments: int =
     ``segments`` is the number of segments around round primitives.
     """
     state = SceneState.initial(scene) if state is None else state
-    patches: list[_Patch] = []
+    patches: list[SurfacePatch] = []
     visuals: list[Visual] = []
     owners: list[int] = []
     for index, item in enumerate(scene.objects):
@@ -76,7 +76,9 @@ def scene_surface(scene: Scene, state: SceneState | None = None, segments: int =
         for link in item.links:
             for visual in link.visuals:
                 if visual.rgba[3] > 0:
-                    patches.append(_posed(_patch(visual.geometry, segments), X_WO @ X_OL[link.name] @ visual.X_LG))
+                    patches.append(
+                        _posed(surface_patch(visual.geometry, segments), X_WO @ X_OL[link.name] @ visual.X_LG)
+                    )
                     visuals.append(visual)
                     owners.append(index)
     sizes = [len(p.corners) for p in patches]
@@ -91,19 +93,20 @@ def scene_surface(scene: Scene, state: SceneState | None = None, segments: int =
     )
 
 
-def _posed(patch: _Patch, X_WG: Pose) -> _Patch:
+def _posed(patch: SurfacePatch, X_WG: Pose) -> SurfacePatch:
     R_WG = X_WG.rotation
-    return _Patch(turned(R_WG, patch.corners) + X_WG.p, turned(R_WG, patch.normals), patch.uv, patch.closed)
+    return SurfacePatch(turned(R_WG, patch.corners) + X_WG.p, turned(R_WG, patch.normals), patch.uv, patch.closed)
 
 
 @lru_cache(maxsize=512)
-def _patch(geometry: Geometry, segments: int) -> _Patch:
+def surface_patch(geometry: Geometry, segments: int) -> SurfacePatch:
+    """Return the triangles of a geometry; ``segments`` is the number of segments around round primitives."""
     mesh = tessellate(geometry, segments)
     corners = mesh.vertices[mesh.faces]
     uv = np.zeros((len(mesh.faces), 3, 2)) if mesh.uv is None else np.asarray(mesh.uv)[mesh.faces]
     _, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = merged.reshape(-1)[mesh.faces].astype(np.int64)
-    return _Patch(corners, _corner_normals(corners, faces), uv, _is_closed(corners, faces))
+    return SurfacePatch(corners, _corner_normals(corners, faces), uv, _is_closed(corners, faces))
 
 
 def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:

@@ -48,6 +48,7 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
           {"msgpack": "msgpack", "pyzmq": "zmq", "websockets": "websockets"}),
     Extra("gymnasium", "tasks as Gymnasium environments", {"gymnasium": "gymnasium"}),
     Extra("editor", "the language server (`lsp`)", {"pygls": "pygls", "lsprotocol": "lsprotocol"}),
+    Extra("studio", "the editor in the browser (`studio`, `show --web`, `show --html`)", {"viser": "viser"}),
     Extra("vlm", "vision-language models that propose tasks and variants", {"pydantic-ai-slim": "pydantic_ai"}),
     Extra("ray", "cousins on a cluster (`cousins --on ray`)", {"ray": "ray"}),
     Extra("drake", "verification of builds in Drake (`verify`)", {"drake": "pydrake"}),

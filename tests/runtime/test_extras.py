@@ -21,7 +21,7 @@ def test_the_extras_are_those_of_the_package() -> None:
     declared = {
         extra: {NAME.match(requirement)[0] for requirement in requirements}  # type: ignore[index]
         for extra, requirements in PROJECT["optional-dependencies"].items()
-        if extra not in ("dev", "docs")  # for those who work on the package
+        if extra not in ("browser", "dev", "docs")  # for those who work on the package
     }
     assert {name: set(extra.packages) for name, extra in EXTRAS.items()} == declared
 

@@ -86,6 +86,10 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
         return own
     if after is ABSENT:
         return ABSENT if base is ABSENT else None
+    if isinstance(after, tuple) and isinstance(own, tuple) and isinstance(before, tuple):
+        if len(own) == len(before) == len(after):  # a component that stays may be written as an expression
+            return tuple(mine if same(old, new) else new for mine, old, new in zip(own, before, after, strict=True))
+        return after
     if not isinstance(after, dict) or not (isinstance(own, dict) or isinstance(base, dict)):
         return after
     mine, inherited = (side if isinstance(side, dict) else {} for side in (own, base))

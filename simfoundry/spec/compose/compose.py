@@ -109,15 +109,16 @@ def _composed(
     return Composed(document, (*findings, *faults), tuple(bases), reuse)
 
 
-def inherited_data(composed: Composed | Loaded, kind: str, root: Path) -> dict[str, Any]:
+def inherited_data(composed: Composed | Loaded, kind: str, root: Path, reader: Read = read) -> dict[str, Any]:
     """Return the data that a document would have without its own entries for inherited or written-out members.
 
     This is the content of its base, the copies of repeated objects, the members of included scenes, and what templates
     contribute to objects. An edit of the composed document that differs from this data becomes an entry of its own.
+    ``reader`` reads the base.
     """
     data: dict[str, Any] = {}
     if composed.bases:
-        base = compose(read(composed.bases[0]), kind, root).document.data
+        base = compose(reader(composed.bases[0]), kind, root, reader=reader).document.data
         data = dict(base) if isinstance(base, dict) else {}
     for (section, name), generated in composed.reuse.generated.items() if composed.reuse is not None else ():
         data[section] = {**data.get(section, {}), name: generated.value}

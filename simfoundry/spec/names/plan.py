@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import MappingProxyType
 
 from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.models.kinds import is_document
@@ -25,7 +26,7 @@ from simfoundry.spec.names.rename import (
 )
 from simfoundry.spec.names.symbols import Symbol
 from simfoundry.spec.project import DocumentFiles, document_files, find_project, is_shared, project_root
-from simfoundry.spec.yaml.text import Document, read
+from simfoundry.spec.yaml.text import Document, parse, read
 
 # Maximum number of documents in a project that is searched; a batch of cousins has 10,000.
 MAX_DOCUMENTS = 50_000
@@ -51,7 +52,9 @@ class RenamePlan:
     notes: tuple[str, ...]
 
 
-def plan_rename(file: Path, written: str, new: str, kind: str = "") -> RenamePlan:
+def plan_rename(
+    file: Path, written: str, new: str, kind: str = "", texts: Mapping[str, str] = MappingProxyType({})
+) -> RenamePlan:
     """Plan the rename of a symbol in all documents of the project of a document.
 
     These are the documents below the project's folder that commands on folders read, and those that they use. Nothing
@@ -62,12 +65,13 @@ def plan_rename(file: Path, written: str, new: str, kind: str = "") -> RenamePla
         written: The name; see :func:`simfoundry.spec.names.rename.find_symbol`.
         new: The new name.
         kind: The kind of the symbol if several have the name; otherwise empty.
+        texts: Texts of documents that are open in an editor, by resolved path, which replace the files.
 
     Raises:
         RenameError: If the symbol is not found, or if the rename is not possible; nothing would be written.
         SpecError: If the document cannot be read.
     """
-    project = _Project(project_root(file).resolve(), written.rpartition(".")[2])
+    project = _Project(project_root(file).resolve(), written.rpartition(".")[2], texts)
     names = project.names({os.path.realpath(file)})
     if (error := names.unreadable.get(os.path.realpath(file))) is not None:
         raise SpecError([error.diagnostic(str(file))])
@@ -96,6 +100,7 @@ class _Project:
 
     root: Path
     old: str
+    texts: Mapping[str, str]
     parsed: dict[Path, Document] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -110,14 +115,15 @@ class _Project:
             reason = f"the project {self.root} has more than {MAX_DOCUMENTS} documents"
             raise RenameError(f"cannot rename `{self.old}`", [reason])
         self.word = self.old.encode()
-        self.contents = _contents(found.included)
+        self.contents = _contents(found.included) | {file: text.encode() for file, text in self.texts.items()}
         self.foreign = [path for path in found.included if not Path(os.path.realpath(path)).is_relative_to(self.root)]
         self.excluded = _contents(found.excluded)
 
     def read(self, path: Path) -> Document:
         """Read a document that has not been joined with others, because joining changes its nodes."""
         if path not in self.parsed:
-            self.parsed[path] = read(path)
+            text = self.texts.get(os.path.realpath(path))
+            self.parsed[path] = read(path) if text is None else parse(text, str(path))
         return self.parsed[path]
 
     def names(self, files: set[str]) -> ProjectNames:

@@ -1,0 +1,43 @@
+"""The command ``studio``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli import output
+from simfoundry.cli.options import FILE, option
+from simfoundry.errors import SimfoundryError
+
+
+@output.subcommand()
+@click.argument("document", type=FILE)
+@option("--host", default="localhost", help="Address to listen on; a token is required if it is not this machine only.")
+@option("--port", type=click.IntRange(0, 65535), default=8080, help="Port; if it is taken, the next free one is used.")
+@click.option("--token", default="", help="Token that browsers must know. Default: random if it is required.")
+def studio_command(document: Path, host: str, port: int, token: str, as_json: bool) -> None:
+    """Open a scene or task in the browser, and turn each act there into an edit of the text.
+
+    Nothing is written before you save. The page follows changes of the file, and several windows show the same. No
+    display is needed on the machine that runs the command.
+    """
+    from simfoundry.runtime.extras import need_extra
+    from simfoundry.studio.server import StudioServer
+
+    need_extra("studio", "the studio")
+    if token and len(token) < MIN_TOKEN:
+        raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
+    with StudioServer(document, host, port, token) as server:
+        facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
+        output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
+        click.get_text_stream("stdout").flush()
+        try:
+            server.wait()
+        except KeyboardInterrupt:
+            if server.session.is_modified:
+                click.echo("stopped; there were edits that have not been saved", err=True)
+
+
+# Minimum length of a token [characters]: 16 random letters and digits cannot be found by trying.
+MIN_TOKEN = 16

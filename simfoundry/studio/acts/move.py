@@ -1,0 +1,138 @@
+"""Move and turn objects: snapped to a grid and to angles, dropped onto what is beneath, with what stands on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.scene.drop import TOUCHING, DropResult, drop_onto
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import hulls
+from simfoundry.spec.change.edit_data import DataPath
+from simfoundry.studio.acts.act import ActEdits, require_object
+from simfoundry.studio.acts.placement import STILL_M, STILL_RAD, written_pose
+from simfoundry.studio.reading import StudioScene
+
+
+@dataclass(frozen=True)
+class Snap:
+    """What a moved object snaps to: a grid of positions [m] and a step of angles [deg]. Zero turns each of them off."""
+
+    grid: float = 0.0
+    angle_deg: float = 0.0
+
+    def snapped(self, X_WO: Pose) -> Pose:
+        """Return the nearest pose on the grid. The height is not changed."""
+        p = X_WO.p.copy()
+        if self.grid > 0:
+            p[:2] = np.round(p[:2] / self.grid) * self.grid
+        if self.angle_deg <= 0:
+            return Pose.of(p, X_WO.q)
+        step = math.radians(self.angle_deg)
+        roll, pitch, yaw = (float(np.round(angle / step) * step) for angle in rpy_from_quat(X_WO.q))
+        return Pose.of(p, quat_from_rpy(roll, pitch, yaw))
+
+
+@dataclass(frozen=True, eq=False)
+class MoveObject:
+    """Move an object to a pose.
+
+    Attributes:
+        name: The object.
+        X_WO: Its new pose.
+        drop: Whether it then falls onto what is beneath, if it is not fixed.
+        carry: Whether objects that stand on it move with it.
+        snap: What the pose snaps to first.
+    """
+
+    name: str
+    X_WO: Pose
+    drop: bool = True
+    carry: bool = True
+    snap: Snap = Snap()
+
+    @property
+    def label(self) -> str:
+        """Return a short description."""
+        return f"move {self.name}"
+
+    def edits(self, scene: StudioScene) -> ActEdits:
+        """Return the edits of the object's place or pose, and of those of the objects that it carries."""
+        require_object(scene, self.name)
+        item = scene.objects[self.name]
+        X_WO = self.snap.snapped(self.X_WO)
+        riders = carried_objects(scene, self.name) if self.carry else {}
+        rest = None
+        if self.drop and not item.fixed and self.name in scene.draft.shapes:
+            rest = rest_below(scene, hulls(item, X_WO=X_WO), {self.name, *riders})
+            if rest is not None:
+                X_WO = Pose.of(X_WO.p + np.array([0.0, 0.0, rest.lift]), X_WO.q)
+        change = X_WO @ item.X_WO.inverse()
+        placed: dict[str, SceneObject] = {**scene.objects, self.name: replace(item, X_WO=X_WO)}
+        placed |= {n: replace(scene.objects[n], X_WO=change @ scene.objects[n].X_WO) for n in riders}
+        values: dict[Any, dict[DataPath, Any]] = {}
+        for name in (self.name, *riders):
+            if name != self.name and _follows(scene, name):
+                continue
+            if not _is_moved(scene.objects[name].X_WO, placed[name].X_WO):
+                continue
+            support = rest if name == self.name else riders[name]
+            found = written_pose(scene, name, placed[name].X_WO, placed, support)
+            for path, edits in found.values.items():
+                values.setdefault(path, {}).update(edits)
+        return ActEdits(values)
+
+
+def _is_moved(before: Pose, after: Pose) -> bool:
+    return bool(np.abs(after.p - before.p).max() > STILL_M) or after.angle_to(before) > STILL_RAD
+
+
+def _follows(scene: StudioScene, name: str) -> bool:
+    """Return True if the place of an object moves it together with its support."""
+    place = scene.draft.spec.objects[name].place
+    if place is None:
+        return scene.frames.carrier(scene.draft.spec.objects[name].pose.frame) is not None
+    is_beside = any((place.left_of, place.right_of, place.in_front_of, place.behind))
+    is_turned = place.yaw_deg is not None or place.rpy_deg is not None
+    return place.xy is None and place.frame is None and not is_beside and not is_turned
+
+
+def rest_below(scene: StudioScene, held: Hulls, without: Collection[str]) -> DropResult | None:
+    """Return where a posed shape comes to rest among the objects of a scene, except some of them."""
+    low, high = held.bounds()
+    near = (
+        name
+        for name, (least, most) in scene.draft.bounds.items()
+        if name not in without and (most[:2] >= low[:2]).all() and (least[:2] <= high[:2]).all()
+    )
+    return drop_onto(held, {name: scene.draft.shapes[name] for name in near})
+
+
+def carried_objects(scene: StudioScene, name: str) -> dict[str, DropResult]:
+    """Return the objects that stand on or in an object, directly or on others of them, with what each rests on."""
+    bounds, carried = scene.draft.bounds, dict[str, DropResult]()
+    todo = [name]
+    while todo:
+        below = todo.pop()
+        if below not in bounds:
+            continue
+        for other, box in bounds.items():
+            if other == name or other in carried or scene.objects[other].fixed or not _is_above(bounds[below], box):
+                continue
+            found = rest_below(scene, scene.draft.shapes[other], (other,))
+            if found is not None and found.support == below and abs(found.lift) <= 4 * TOUCHING:
+                carried[other] = found
+                todo.append(other)
+    return carried
+
+
+def _is_above(below: tuple[Array, Array], above: tuple[Array, Array]) -> bool:
+    """Return True if a bounding box overlaps another one as seen from above, and does not start below it."""
+    overlaps = (above[0][:2] <= below[1][:2]).all() and (above[1][:2] >= below[0][:2]).all()
+    return bool(overlaps and above[0][2] >= below[0][2] and above[0][2] <= below[1][2] + 4 * TOUCHING)

@@ -1,0 +1,144 @@
+"""Files of a session on disk: their states, and the merge of their changes with edits that are not saved yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.changes import copied
+from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.merge.conflict import CONFLICTS, MergeConflict, dotted, shown
+from simfoundry.spec.change.merge.texts import UnmergeableError, resolve
+from simfoundry.spec.change.merge.trees import merge_trees, model_in
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import MAX_BYTES, parse
+from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
+
+# How bytes that are not UTF-8 are kept: as they are, so that saving does not change them.
+_ERRORS = "surrogateescape"
+
+
+@dataclass(frozen=True)
+class DiskFile:
+    """The content of a file when it was last read or written here.
+
+    ``stamp`` identifies the state of the file: its inode, size and time of change. It is empty if there is no file.
+    """
+
+    path: Path
+    data: bytes
+    stamp: tuple[int, ...]
+
+    @classmethod
+    def read(cls, path: Path) -> DiskFile:
+        """Read a file.
+
+        Raises:
+            SimfoundryError: If the file is too large for a document.
+        """
+        stamp = file_stamp(path)  # before the content, so that a change meanwhile is noticed
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise SimfoundryError(f"{path} is larger than {MAX_BYTES >> 20} MiB, the limit for documents")
+        return cls(path, data, stamp)
+
+    @property
+    def text(self) -> str:
+        """The content as text, from which :func:`encoded` returns the same bytes."""
+        return self.data.decode("utf-8", _ERRORS)
+
+    def has_changed(self) -> bool:
+        """Return True if the file exists and is in another state than when it was read."""
+        stamp = file_stamp(self.path)
+        return bool(stamp) and stamp != self.stamp
+
+
+def encoded(text: str) -> bytes:
+    """Return the bytes of a text to be saved."""
+    return text.encode("utf-8", _ERRORS)
+
+
+def file_stamp(path: Path) -> tuple[int, ...]:
+    """Return what identifies the state of a file, or an empty tuple if there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@dataclass(frozen=True)
+class DiskQuestion:
+    """A value that was edited differently here and on disk. The document has the value of this session."""
+
+    path: Path
+    conflict: MergeConflict
+
+    @property
+    def label(self) -> str:
+        """Return the path of the value, such as ``objects.mug.mass``."""
+        return dotted(self.conflict.path)
+
+    def __str__(self) -> str:
+        here, there, was = map(shown, (self.conflict.ours, self.conflict.theirs, self.conflict.base))
+        return f"{self.label}: here {here}, on disk {there}, before {was}"
+
+
+def merged_with_disk(path: Path, base: str, ours: str, theirs: str) -> tuple[str, tuple[DiskQuestion, ...]]:
+    """Merge the edits of a session with those of a file.
+
+    Args:
+        path: The document.
+        base: The text that both started from.
+        ours: The text of the session.
+        theirs: The text of the file.
+
+    Returns:
+        The file's text with the edits of the session, which keep its layout and comments, and the conflicts. Where
+        both edited the same value, the text has that of the session.
+
+    Raises:
+        UnmergeableError: If a text with edits is not a document, so that only one of both could be kept.
+    """
+    if ours in (base, theirs):
+        return theirs, ()
+    trees = [_tree(text) for text in (base, ours, theirs)]
+    if len({str(tree.value[KIND].data) for tree in trees if KIND in tree.value}) > 1:
+        raise UnmergeableError("is a document of another kind")
+    merged = merge_trees(trees[0], trees[1], trees[2])
+    data = copied(merged.data)
+    if merged.conflicts:
+        known = trees[1].data.get(CONFLICTS)
+        data = {key: value for key, value in data.items() if key != CONFLICTS}
+        data |= {} if known is None else {CONFLICTS: known}
+    text = edit_text(theirs, data, model_in(trees[1]))
+    return text, tuple(DiskQuestion(path, conflict) for conflict in merged.conflicts)
+
+
+def answered(text: str, question: DiskQuestion) -> str:
+    """Return a text with the value of the file in place of that of the session.
+
+    Raises:
+        SimfoundryError: If what contains the value no longer exists.
+    """
+    tree = read_tree(parse(text))
+    data: dict[str, Any] = copied(tree.data)
+    key = dotted(question.conflict.path)
+    data[CONFLICTS] = {**(data.get(CONFLICTS) or {}), key: question.conflict.record()}
+    resolved, _ = resolve(with_data(tree, data), model_in(tree), "theirs", [key])
+    return edit_text(text, resolved.data, model_in(tree))
+
+
+def _tree(text: str) -> YamlTree:
+    try:
+        tree = read_tree(parse(text))
+    except (YamlError, SpecError) as error:
+        first = error.diagnostics[0] if isinstance(error, SpecError) else error
+        raise UnmergeableError(f"could not be parsed: line {first.line}: {first.message}") from None
+    if not isinstance(tree.value, dict):
+        raise UnmergeableError("is not a document")
+    return tree

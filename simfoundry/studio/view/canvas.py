@@ -1,0 +1,147 @@
+"""Send nodes to the browser: only those that were added, removed, moved or changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simfoundry.geometry.frames import Pose, rotations
+from simfoundry.studio.view.nodes import (
+    CAMERA_RGB,
+    FRUSTUM_M,
+    FrameContent,
+    FrustumContent,
+    LabelContent,
+    LinesContent,
+    SplatContent,
+    SurfaceContent,
+    ViewNode,
+)
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+    from simfoundry.scene.model import Splat as Gaussians
+
+# Called with what a click selects, such as ``objects.mug``.
+Select = Callable[[str], None]
+
+
+class Canvas:
+    """The scene in the browser, which follows the nodes that it is given.
+
+    Attributes:
+        sent: The number of messages about nodes that were sent so far, for measurements and tests.
+    """
+
+    def __init__(self, scene: SceneApi, select: Select = lambda name: None) -> None:
+        self._scene, self._select = scene, select
+        self._nodes: dict[str, ViewNode] = {}
+        self._handles: dict[str, Any] = {}
+        self.sent = 0
+
+    @property
+    def nodes(self) -> Mapping[str, ViewNode]:
+        """The nodes that are shown."""
+        return dict(self._nodes)
+
+    def show(self, nodes: Mapping[str, ViewNode]) -> None:
+        """Show exactly these nodes. A node's name is a path; its parents are shown as well."""
+        for name in [name for name in self._nodes if name not in nodes]:
+            self._remove(name)
+        for name in sorted(nodes, key=lambda name: name.count("/")):
+            self.put(name, nodes[name])
+
+    def put(self, name: str, node: ViewNode) -> None:
+        """Show one node, in place of the present one with this name."""
+        old = self._nodes.get(name)
+        if old is None or old.content != node.content or old.selects != node.selects:
+            if old is not None:
+                below = {n: each for n, each in self._nodes.items() if n.startswith(f"{name}/")}
+                self._remove(name)
+            else:
+                below = {}
+            handle = self._add(name, node)
+            self._handles[name], self._nodes[name] = handle, node
+            self.sent += 1
+            for each in sorted(below, key=lambda n: n.count("/")):
+                self.put(each, below[each])
+            return
+        handle = self._handles[name]
+        if not _is_same(old.X_PN, node.X_PN):
+            self._pose(handle, node.X_PN)
+        if old.is_visible != node.is_visible:
+            handle.visible = node.is_visible
+            self.sent += 1
+        self._nodes[name] = node
+
+    def move(self, name: str, X_PN: Pose) -> None:
+        """Move a node for the time being, such as while it is dragged."""
+        if name in self._handles:
+            self._pose(self._handles[name], X_PN)
+            old = self._nodes[name]
+            self._nodes[name] = ViewNode(old.content, X_PN, old.selects, old.is_visible)
+
+    def _pose(self, handle: Any, X_PN: Pose) -> None:
+        handle.position, handle.wxyz = X_PN.p, X_PN.q
+        self.sent += 1
+
+    def _remove(self, name: str) -> None:
+        for each in [n for n in self._nodes if n == name or n.startswith(f"{name}/")]:
+            del self._nodes[each]
+            del self._handles[each]
+        self._scene.remove_by_name(name)
+        self.sent += 1
+
+    def _add(self, name: str, node: ViewNode) -> Any:
+        scene = self._scene
+        place: dict[str, Any] = {"position": node.X_PN.p, "wxyz": node.X_PN.q, "visible": node.is_visible}
+        handle: Any
+        match node.content:
+            case SurfaceContent() as content:
+                handle = scene.add_glb(name, content.glb, **place)
+            case FrameContent(axes):
+                size = {"axes_length": axes or 0.1, "axes_radius": (axes or 0.1) / 40}
+                return scene.add_frame(name, show_axes=axes > 0, **size, **place)
+            case LinesContent(points, rgb, thickness):
+                lines = np.array(points, dtype=np.float32).reshape(-1, 2, 3)
+                return scene.add_line_segments(name, lines, rgb, thickness=thickness, thickness_units="screen", **place)
+            case FrustumContent(fov, aspect, image):
+                picture = _decoded(image) if image else None
+                handle = scene.add_camera_frustum(
+                    name, fov, aspect, scale=FRUSTUM_M, thickness=1.5, thickness_units="screen", color=CAMERA_RGB,
+                    image=picture, **place,
+                )  # fmt: skip
+            case LabelContent(text):
+                return scene.add_label(name, text, **place)
+            case SplatContent(gaussians):
+                return scene.add_gaussian_splats(name, *_splat_arrays(gaussians), **place)
+        if node.selects:
+            selects = node.selects
+            handle.on_click(lambda _event: self._select(selects))
+        return handle
+
+
+def _is_same(a: Pose, b: Pose) -> bool:
+    return a is b or (a.p.tolist() == b.p.tolist() and a.q.tolist() == b.q.tolist())
+
+
+# Factor of the constant spherical harmonic, 1 / (2 sqrt(pi)).
+_SH0 = 0.28209479177387814
+
+
+def _splat_arrays(gaussians: Gaussians) -> tuple[Any, Any, Any, Any]:
+    """Return the centers (n, 3), covariances (n, 3, 3), colors (n, 3) and opacities (n, 1) of a splat."""
+    axes = rotations(gaussians.rotations) * gaussians.scales[:, None, :]
+    colors = np.clip(gaussians.harmonics[:, 0] * _SH0 + 0.5, 0.0, 1.0)
+    return gaussians.positions, axes @ axes.transpose(0, 2, 1), colors, gaussians.opacities[:, None]
+
+
+def _decoded(png: bytes) -> np.ndarray[Any, Any]:
+    import io
+
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))

@@ -1,0 +1,36 @@
+"""What is shown of the scene: materials, colliders, frames, joints, cameras, names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.studio.view.panels.panel import Panel, by_person
+
+if TYPE_CHECKING:
+    from simfoundry.studio.view.window import StudioWindow
+
+# Each switch, by the name of its option.
+LABELS = {
+    "visuals": "Materials",
+    "colliders": "Colliders",
+    "frames": "Frames",
+    "joints": "Joint axes",
+    "cameras": "Cameras",
+    "names": "Names",
+}
+
+
+class DisplayPanel(Panel):
+    """One switch for each part of the scene that can be hidden."""
+
+    def __init__(self, window: StudioWindow) -> None:
+        super().__init__(window)
+        with window.gui.add_folder("Show"):
+            for option, label in LABELS.items():
+                box = window.gui.add_checkbox(label, getattr(window.options, option))
+                box.on_update(by_person(lambda event, option=option: self._switch(option, event)))
+
+    def _switch(self, option: str, event: Any) -> None:
+        self.window.options = replace(self.window.options, **{option: bool(event.target.value)})
+        self.window.request_refresh()

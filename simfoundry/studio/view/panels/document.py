@@ -1,0 +1,91 @@
+"""The document: undo and redo, the diff to the file on disk, saving, and questions about changes on disk."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.studio.view.panels.panel import Panel, set_value
+
+if TYPE_CHECKING:
+    from simfoundry.studio.view.window import StudioWindow
+
+# Number of lines of a diff that are shown; a longer one is easier to read in an editor.
+MAX_LINES = 400
+
+_COLORS = {"+": "#d7f5dd", "-": "#fbdada", "@": "#e4ecf7"}
+
+
+class DocumentPanel(Panel):
+    """Undo, redo, save, and the diff that saving would write."""
+
+    def __init__(self, window: StudioWindow) -> None:
+        super().__init__(window)
+        gui = window.gui
+        self._state = gui.add_markdown("")
+        self._buttons = gui.add_button_group("", ("Undo", "Redo", "Save"))
+        self._buttons.on_click(lambda event: self._press(event.target.value))
+        self._questions = gui.add_folder("Changed here and on disk", visible=False)
+        self._asked: tuple[Any, ...] = ()
+        self._controls: list[Any] = []
+        with gui.add_folder("Diff to the file", expand_by_default=False):
+            self._diff = gui.add_html("")
+        commands = (("Undo", "Z", "cmd/ctrl", self.session.undo), ("Redo", "Z", "cmd/ctrl+shift", self.session.redo))
+        for label, key, modifier, method in commands:
+            command = gui.add_command(label, hotkey=key, modifier=modifier)
+            command.on_trigger(lambda _, method=method: window.run(method))
+        gui.add_command("Save", hotkey="S", modifier="cmd/ctrl").on_trigger(lambda _: window.save())
+
+    def refresh(self) -> None:
+        """Show what can be undone, and what saving would write."""
+        session = self.session
+        name = session.shown_path(session.path)
+        edited = " (edited)" if session.is_modified else ""
+        steps = [
+            f"{word}: {label}" for word, label in (("undo", session.undo_label), ("redo", session.redo_label)) if label
+        ]
+        set_value(self._state, "  \n".join([f"**{name}**{edited}", *steps]))
+        set_value(self._diff, diff_html(session.diff()))
+        self._ask()
+
+    def _press(self, button: str) -> None:
+        work = {"Undo": self.session.undo, "Redo": self.session.redo}
+        if button in work:
+            self.window.run(work[button])
+        else:
+            self.window.save()
+
+    def _ask(self) -> None:
+        questions = self.session.questions
+        if questions == self._asked:
+            return
+        self._asked = questions
+        for control in self._controls:
+            control.remove()
+        self._controls = []
+        self._questions.visible = bool(questions)
+        with self._questions:
+            for question in questions:
+                self._controls.append(self.window.gui.add_markdown(str(question)))
+                choice = self.window.gui.add_button_group("Keep", ("here", "on disk"))
+                choice.on_click(lambda event, q=question: self._answer(q, event.target.value == "on disk"))
+                self._controls.append(choice)
+
+    def _answer(self, question: Any, take_disk: bool) -> None:
+        self.window.run(lambda: self.session.answer(question, take_disk))
+
+
+def diff_html(diff: str) -> str:
+    """Return a unified diff as HTML with colored lines."""
+    lines = diff.splitlines()
+    if not lines:
+        return '<p style="margin:0.4em">The file contains everything.</p>'
+    rows = []
+    for line in lines[:MAX_LINES]:
+        color = "" if line.startswith(("+++", "---")) else _COLORS.get(line[:1], "")
+        style = f' style="background:{color};color:#111"' if color else ""
+        rows.append(f"<div{style}>{html.escape(line) or '&nbsp;'}</div>")
+    if len(lines) > MAX_LINES:
+        rows.append(f"<div>… and {len(lines) - MAX_LINES} more lines</div>")
+    body = "".join(rows)
+    return f'<div style="font-family:monospace;font-size:0.72em;white-space:pre-wrap;margin:0.4em">{body}</div>'

@@ -1,0 +1,218 @@
+"""The browser's view of a session, which all windows share: the scene, the selection, the gizmo and the panels."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.render.views import framing, overview
+from simfoundry.scene.state import SceneState
+from simfoundry.studio.acts.act import Act
+from simfoundry.studio.acts.move import Snap
+from simfoundry.studio.session import StudioSession
+from simfoundry.studio.view.canvas import Canvas
+from simfoundry.studio.view.gizmo import ObjectGizmo
+from simfoundry.studio.view.nodes import DisplayOptions, Nodes, scene_nodes
+from simfoundry.studio.view.panels.conditions import ConditionsPanel
+from simfoundry.studio.view.panels.display import DisplayPanel
+from simfoundry.studio.view.panels.document import DocumentPanel
+from simfoundry.studio.view.panels.findings import FindingsPanel
+from simfoundry.studio.view.panels.objects import ObjectPanel
+from simfoundry.studio.view.panels.panel import Panel
+
+if TYPE_CHECKING:
+    from viser import GuiApi, ViserServer
+
+# The panels of each tab. Those without a tab are above all tabs.
+PANELS: dict[str, tuple[type[Panel], ...]] = {
+    "": (DocumentPanel,),
+    "Edit": (ObjectPanel,),
+    "Check": (FindingsPanel, ConditionsPanel),
+    "Show": (DisplayPanel,),
+}
+
+# Seconds that a message stays; long enough to read two sentences.
+MESSAGE_S = 8.0
+
+_log = logging.getLogger(__name__)
+
+
+class StudioWindow:
+    """The user interface of one session.
+
+    Attributes:
+        selection: What is selected, such as ``objects.mug``, or empty.
+        options: What is shown besides the objects.
+        state: The state that is shown, or None for the initial state of the document.
+        is_editable: Whether objects can be moved. It is False while physics runs.
+        drops: Whether moved objects fall onto what is beneath.
+        snap: What moved objects snap to.
+    """
+
+    def __init__(self, session: StudioSession, server: ViserServer) -> None:
+        self.session, self.server = session, server
+        self.selection = ""
+        self.options = DisplayOptions()
+        self.state: SceneState | None = None
+        self.is_editable = True
+        self.drops = True
+        self.snap = Snap()
+        self.canvas = Canvas(server.scene, self.select)
+        self.gizmo = ObjectGizmo(self)
+        self._acts = ThreadPoolExecutor(1, "studio-acts")  # acts happen one after another
+        self._dirty, self._stopped = Event(), False
+        self._prepare_scene()
+        self._panels = self._built_panels()
+        self._unsubscribe = session.subscribe(lambda _what: self.request_refresh())
+        server.on_client_disconnect(lambda client: self.gizmo.cancel(client.client_id))
+        self.refresh()
+        self._worker = Thread(target=self._work, name="studio-view", daemon=True)
+        self._worker.start()
+        self.request_refresh()
+
+    @property
+    def gui(self) -> GuiApi:
+        """The controls of the browser, to which panels add theirs."""
+        return self.server.gui
+
+    @property
+    def selected_object(self) -> str:
+        """The name of the selected object, or an empty string."""
+        section, _, name = self.selection.partition(".")
+        return name if section == "objects" else ""
+
+    def panel(self, kind: type[Any]) -> Any:
+        """Return the panel of a class."""
+        return next(panel for panel in self._panels if isinstance(panel, kind))
+
+    # -- what people do ---------------------------------------------------------------------------------------------
+
+    def select(self, name: str) -> None:
+        """Select something, such as ``objects.mug``, or nothing if the name is empty."""
+        self.selection = name
+        self.request_refresh()
+
+    def submit(self, act: Act, gesture: str = "", then: Callable[[], None] = lambda: None) -> None:
+        """Apply an act after those submitted before, and then call ``then`` if it was possible."""
+
+        def apply() -> None:
+            notes = self.session.apply(act, gesture)
+            then()
+            if notes:
+                self.tell(act.label, " ".join(f"{note}." for note in notes))
+
+        self.run(apply)
+
+    def run(self, work: Callable[[], object]) -> None:
+        """Run work that changes the session after that submitted before. Errors are shown as messages."""
+        self._acts.submit(self._guarded, work)
+
+    def save(self) -> None:
+        """Save all documents."""
+
+        def write() -> None:
+            written = self.session.save()
+            names = ", ".join(self.session.shown_path(path) for path in written)
+            self.tell("Saved", names or "There was nothing to save.")
+
+        self.run(write)
+
+    def tell(self, title: str, text: str, is_error: bool = False) -> None:
+        """Show a message in all windows."""
+        color: Any = {"color": "red"} if is_error else {}
+        for client in self.server.get_clients().values():
+            client.add_notification(title, text, auto_close_seconds=MESSAGE_S, **color)
+
+    def _guarded(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except (SimfoundryError, OSError) as error:
+            self.tell("Not possible", str(error), is_error=True)
+        except Exception as error:
+            _log.exception("an act failed")
+            self.tell("Something went wrong", f"{type(error).__name__}: {error}", is_error=True)
+        self.request_refresh()  # a preview that is not followed by an act returns to the document
+
+    # -- what is shown ----------------------------------------------------------------------------------------------
+
+    def request_refresh(self) -> None:
+        """Show the present state soon."""
+        self._dirty.set()
+
+    def refresh(self) -> None:
+        """Show the present state of the session."""
+        with self.session.lock, self.server.atomic():
+            for panel in self._panels:
+                panel.refresh()
+            self.gizmo.refresh()
+            self.canvas.show(self._nodes())
+        self.server.flush()
+
+    def _nodes(self) -> Nodes:
+        scene = self.session.scene
+        nodes = scene_nodes(scene.scene, self.options, self.state) if scene is not None else {}
+        for panel in self._panels:
+            nodes |= panel.nodes()
+        nodes |= self.gizmo.nodes()
+        if self.gizmo.dragged_by is not None:
+            dragged = f"/objects/{self.selected_object}"
+            nodes = {n: self.canvas.nodes.get(n, node) if n == dragged else node for n, node in nodes.items()}
+        return nodes
+
+    def _work(self) -> None:
+        """Follow the session until the window is closed."""
+        while True:
+            self._dirty.wait()
+            if self._stopped:
+                return
+            self._dirty.clear()
+            try:
+                self.refresh()
+                self.session.examine(self._pause)
+            except _MoreUrgentError:
+                continue
+            except Exception:
+                _log.exception("the view could not be updated")
+
+    def _pause(self) -> None:
+        if self._dirty.is_set():
+            raise _MoreUrgentError
+
+    def close(self) -> None:
+        """End the view."""
+        self._stopped = True
+        self._dirty.set()
+        self._unsubscribe()
+        self._acts.shutdown(wait=True)
+        self._worker.join(timeout=5)
+
+    def _prepare_scene(self) -> None:
+        server = self.server
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        server.gui.set_panel_label("SimFoundry Studio")
+        server.scene.set_up_direction("+z")
+        server.scene.add_grid("/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0)
+        scene = self.session.scene
+        if scene is not None:
+            camera = overview([scene.scene], 640, 480)
+            server.initial_camera.position = tuple(camera.X_WC.p.tolist())
+            center, _ = framing([scene.scene])
+            server.initial_camera.look_at = tuple(center.tolist())
+
+    def _built_panels(self) -> list[Panel]:
+        gui = self.gui
+        built = [kind(self) for kind in PANELS[""]]
+        tabs = gui.add_tab_group()
+        for tab, kinds in PANELS.items():
+            if tab:
+                with tabs.add_tab(tab):
+                    built += [kind(self) for kind in kinds]
+        return built
+
+
+class _MoreUrgentError(Exception):
+    """Raised to end an examination of a state that has changed meanwhile."""

@@ -1,0 +1,62 @@
+"""The studio in a real browser: each test acts as a person would, and asserts the text of the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.studio.conftest import SCENE, OpenStudio, StudioPage
+
+pytestmark = pytest.mark.slow
+
+
+def _select(studio: StudioPage, name: str) -> None:
+    studio.choose("Selected", name)
+    studio.until(lambda: studio.server.window.selected_object == name)
+    studio.until(lambda: "/objects/" + name + "/selection" in studio.server.window.canvas.nodes)
+
+
+def _drag_gizmo(studio: StudioPage, name: str, by: tuple[float, float]) -> None:
+    """Drag the red arrow of the gizmo, along x of the object, by a distance along x and y of the screen [px]."""
+    item = studio.server.session.scene.objects[name]  # type: ignore[union-attr]
+    size = studio.server.window.gizmo._size
+    tip = studio.screen_point(tuple((item.X_WO.p + item.X_WO.rotation[:, 0] * size * 0.8).tolist()))
+    studio.drag(tip, (tip[0] + by[0], tip[1] + by[1]))
+
+
+def test_an_object_is_selected_and_renamed_and_saved(desk: Path, open_studio: OpenStudio) -> None:
+    studio = open_studio(desk)
+    _select(studio, "mug")
+    studio.until(lambda: studio.control("Name").input_value() == "mug")
+    studio.enter("Name", "beaker")
+    studio.press("Apply")
+    renamed = SCENE.replace("mug:", "beaker:").replace("OnTop(mug", "OnTop(beaker")
+    studio.until(lambda: studio.text == renamed, "the rename")
+    assert studio.file_text == SCENE
+    studio.press("Save")
+    studio.until(lambda: studio.file_text == renamed, "saving")
+    studio.press("Undo")
+    studio.until(lambda: studio.text == SCENE, "undoing")
+    assert studio.problems == []
+
+
+def test_a_dragged_object_lands_on_the_desk(desk: Path, open_studio: OpenStudio) -> None:
+    studio = open_studio(desk)
+    _select(studio, "mug")
+    _drag_gizmo(studio, "mug", (60.0, 0.0))
+    studio.until(lambda: studio.text != SCENE, "the move")
+    (line,) = [line for line in studio.text.splitlines() if line not in SCENE.splitlines()]
+    assert line.startswith("    place: {on: desk, xy: [") and "xy: [0.2, 0.1]" not in line
+    studio.page.keyboard.press("Control+z")
+    studio.until(lambda: studio.text == SCENE, "undoing by a key")
+
+
+def test_a_change_on_disk_appears(desk: Path, open_studio: OpenStudio) -> None:
+    studio = open_studio(desk)
+    _select(studio, "ball")
+    desk.write_text(SCENE.replace("sphere: 0.02", "sphere: 0.03").replace("0.0201", "0.0301"))
+    studio.until(lambda: "sphere: 0.03" in studio.text, "the change")
+    assert studio.server.window.selected_object == "ball"
+    mass = studio.control("Mass [kg]")
+    assert mass.input_value() == "0.05"

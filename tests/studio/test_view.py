@@ -1,0 +1,94 @@
+"""What is sent to the browser: everything once, and afterwards only what changed."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Box, Cylinder, closed_mesh
+from simfoundry.studio.acts.move import MoveObject
+from simfoundry.studio.acts.properties import SetProperties
+from simfoundry.studio.session import StudioSession
+from simfoundry.studio.view.canvas import Canvas
+from simfoundry.studio.view.glb import glb_of
+from simfoundry.studio.view.nodes import DisplayOptions, FrustumContent, SurfaceContent, scene_nodes
+
+viser = pytest.importorskip("viser")
+
+
+@pytest.fixture(scope="module")
+def canvas() -> Iterator[Canvas]:
+    """A canvas on a real server, without a browser."""
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield Canvas(server.scene)
+    server.stop()
+
+
+def test_a_glb_file_is_read_by_trimesh(tmp_path: Path) -> None:
+    import trimesh
+
+    triangle = closed_mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]]), np.array([[0, 1, 2]]))
+    box = (Box(np.array([0.2, 0.4, 0.6])), Pose.of((1, 2, 3)), (1.0, 0.5, 0.0, 1.0))
+    data = glb_of([box, (Cylinder(0.1, 0.3), Pose.of(), (0.0, 0.0, 1.0, 0.5)), (triangle, Pose.of(), (1, 1, 1, 1))])
+    assert data == glb_of(
+        [box, (Cylinder(0.1, 0.3), Pose.of(), (0.0, 0.0, 1.0, 0.5)), (triangle, Pose.of(), (1, 1, 1, 1))]
+    )
+    (tmp_path / "a.glb").write_bytes(data)
+    scene = trimesh.load(tmp_path / "a.glb")
+    assert len(scene.geometry) == 3
+    boxes = [g for g in scene.geometry.values() if np.allclose(g.extents, [0.2, 0.4, 0.6], atol=1e-6)]
+    assert len(boxes) == 1 and boxes[0].bounds.mean(axis=0) == pytest.approx([1, 2, 3])
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    document = json.loads(data[20 : 20 + length])
+    assert kind == b"JSON" and len(document["materials"]) == 3
+    assert document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [1.0, 0.214041, 0.0, 1.0]
+    assert document["materials"][1]["alphaMode"] == "BLEND" and document["materials"][2]["doubleSided"]
+    assert glb_of([]).startswith(b"glTF")
+
+
+def test_only_what_changed_is_sent(desk: Path, canvas: Canvas) -> None:
+    session = StudioSession(desk)
+
+    def sent() -> int:
+        before = canvas.sent
+        assert session.scene is not None
+        canvas.show(scene_nodes(session.scene.scene, DisplayOptions()))
+        return canvas.sent - before
+
+    assert sent() == len(canvas.nodes) == 4 * 2 + 1
+    assert sent() == 0
+    session.apply(MoveObject("mug", Pose.of((0.3, 0.2, 0.3))))
+    assert sent() == 1  # its frame
+    session.apply(SetProperties("mug", {"mass": 1.0}))
+    assert sent() == 0
+    session.apply(SetProperties("mug", {"color": (1.0, 0.0, 0.0)}))
+    assert sent() == 2  # its surface, without the old one
+    session.apply(SetProperties("tray", {"color": (1.0, 0.0, 0.0)}))
+    session.undo()
+    session.undo()
+    assert sent() == 2
+    canvas.show({})
+    assert canvas.nodes == {}
+
+
+def test_the_nodes_show_what_is_asked_for(desk: Path) -> None:
+    session = StudioSession(desk)
+    assert session.scene is not None
+    scene = session.scene.scene
+    plain = scene_nodes(scene, DisplayOptions())
+    assert plain["/objects/mug"].selects == "objects.mug"
+    assert plain["/objects/mug"].X_PN.p == pytest.approx([0.2, 0.1, 0.0501], abs=1e-4)
+    frustum = plain["/cameras/front"].content
+    assert isinstance(frustum, FrustumContent) and frustum.fov == pytest.approx(np.radians(50))
+    everything = scene_nodes(scene, DisplayOptions(colliders=True, joints=True, names=True, frames=True))
+    assert {n for n in everything if n.startswith("/objects/tray/")} == {
+        "/objects/tray/base", "/objects/tray/base_colliders", "/objects/tray/name",
+    }  # fmt: skip
+    tray = everything["/objects/tray/base_colliders"].content
+    assert isinstance(tray, SurfaceContent) and len(tray.pieces) == 5  # the walls and the floor of the box
