@@ -57,9 +57,7 @@ _MOTORS = {
 }
 
 # The addition for a URDF whose gains the scene changes.
-_OWN_GAINS = (
-    " Of the scene's `gains`, only the ratio of stiffness and damping acts: on the speed of the motors."
-)
+_OWN_GAINS = " Of the scene's `gains`, only the ratio of stiffness and damping acts: on the speed of the motors."
 
 # Near and far clipping distances of the cameras [m]. A wrist camera sees its own fingers at 2 cm, and no room is larger
 # than the far distance.
