@@ -111,13 +111,14 @@ class Demonstration:
 class DemonstrationSet(Sequence[Demonstration]):
     """The demonstrations in a folder that ``simfoundry record`` wrote.
 
-    Shards are read when they are needed.
+    Arrays are read when they are needed.
 
     Attributes:
         folder: The folder.
         about: The facts that all tasks share: the policy, seed and versions, and with a single task also those in
             :attr:`Demonstration.about`.
         tasks: The facts of each task.
+        heads: The entry of each demonstration in its shard: what it contains except for its arrays.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -125,9 +126,10 @@ class DemonstrationSet(Sequence[Demonstration]):
         index = read_index(folder / INDEX)
         self.tasks: tuple[Mapping[str, Any], ...] = tuple(facts_of_tasks(index))
         self.about: Mapping[str, Any] = {key: value for key, value in index.items() if key != TASKS}
-        self._places = [
-            (path, attempt.index) for path in shard_files(folder) for attempt in read_shard(path) if attempt.is_kept
-        ]
+        shards = {path: read_shard(path, with_arrays=False) for path in shard_files(folder)}
+        kept = [(path, attempt) for path, attempts in shards.items() for attempt in attempts if attempt.is_kept]
+        self._places = [(path, attempt.index) for path, attempt in kept]
+        self.heads: tuple[Mapping[str, Any], ...] = tuple(attempt.about for _, attempt in kept)
         self._last: tuple[Path, dict[int, Demonstration]] | None = None
         self._loaded: tuple[Path, Task] | None = None
 
@@ -147,6 +149,10 @@ class DemonstrationSet(Sequence[Demonstration]):
         if self._last is None or self._last[0] != path:
             self._last = path, self._read(path)
         return self._last[1][index]
+
+    def facts(self, k: int) -> Mapping[str, Any]:
+        """Return the facts that the k-th demonstration shares with all others of its task."""
+        return self.tasks[int(self.heads[k]["index"]) % len(self.tasks)]
 
     def _read(self, path: Path) -> dict[int, Demonstration]:
         try:

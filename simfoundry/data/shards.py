@@ -70,8 +70,8 @@ def _add(files: zipfile.ZipFile, name: str, data: bytes) -> None:
     files.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
 
 
-def read_shard(path: Path) -> list[Attempt]:
-    """Read the attempts in a shard.
+def read_shard(path: Path, with_arrays: bool = True) -> list[Attempt]:
+    """Read the attempts in a shard, with the arrays of demonstrations or without them.
 
     Raises:
         OutputError: If the file is not a shard.
@@ -83,6 +83,8 @@ def read_shard(path: Path) -> list[Attempt]:
             head = json.loads(files.read(_HEAD))
             if head["simfoundry"] != FORMAT:
                 raise ValueError(f"its format is {str(head['simfoundry'])[:40]}, not {FORMAT}")
+            if not with_arrays:
+                return [Attempt({**about, "kept": bool(about["kept"])}) for about in head["attempts"]]
             attempts = [Attempt(about, _arrays(files, int(about["index"]))) for about in head["attempts"]]
             if any(bool(attempt.about["kept"]) != bool(attempt.arrays) for attempt in attempts):
                 raise ValueError("its arrays do not match its attempts")

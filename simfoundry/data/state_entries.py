@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -14,12 +14,12 @@ from simfoundry.evaluate.policies.remote import reading
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.policy import GripperConvention, Reading
+from simfoundry.spec.models.dataset import StateEntry
+from simfoundry.spec.models.policy import GripperConvention
 from simfoundry.spec.models.signals import GRIPPER, HAND_READINGS, OBSERVATIONS, ROTATION_ORDER, ActionSpace
 
-# The readings of a robot as in policy documents, and the true state of the objects, which only simulations know.
-StateEntry = Literal[Reading, "objects", "object_joints"]
-STATE_ENTRIES: tuple[str, ...] = (*get_args(Reading), "objects", "object_joints")
+# The names of the entries.
+STATE_ENTRIES: tuple[str, ...] = get_args(StateEntry)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ LONGEST_MESSAGE = 300
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
     "simfoundry.dataset_formats": "dataset format",
+    "simfoundry.dataset_profiles": "dataset profile",
     "simfoundry.importers": "importer",
     "simfoundry.lints": "lint",
     "simfoundry.policies": "policy protocol",

@@ -38,20 +38,118 @@ ASSET = ".asset"
 
 
 @dataclass(frozen=True, eq=False)
-class ValueSampler:
-    """Draws the values of a recipe's cousins and derives the twins that have them.
+class VariedScenes:
+    """Draws the values of a recipe and derives the scenes that have them, without settling them.
 
     Attributes:
         recipe: The recipe.
-        out: Folder of the cousins.
-        twin: The twin of the recipe.
+        out: Folder in which the documents would be located; relative paths in them start there.
+        context: The properties of the twin on which draws depend.
     """
 
     recipe: Recipe
     out: Path
-    twin: Twin
     context: TwinContext
     _known: Known = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_pictures(cls, recipe: Recipe, scene: Scene) -> VariedScenes:
+        """Return the scenes of a recipe that changes only pictures.
+
+        Args:
+            recipe: The recipe.
+            scene: The twin's lowered scene.
+        """
+        out = recipe.loaded.path.parent
+        context = TwinContext(recipe.scene_spec, scene, recipe.loaded, out, MappingProxyType({}), MappingProxyType({}))
+        return cls(recipe, out, context)
+
+    def source(self, index: int) -> QuantileSource:
+        """Return the quantiles of the values with an index."""
+        return QuantileSource.of(self.recipe.seed, index, self.recipe.spec.splits, self.recipe.split)
+
+    def draw_pictures(self, index: int) -> DrawnValues:
+        """Draw values for the twin's own assets."""
+        return draw_values(self.recipe.varied, self.source(index), self.context)
+
+    def lowered(self, index: int, drawn: DrawnValues) -> Scene:
+        """Lower the scene with drawn values, in the initial state of the task if the twin is a task.
+
+        Raises:
+            SpecError: If a value is invalid in its document.
+        """
+        return self._lowered(self._scene(index, drawn, {}), drawn)
+
+    def asset_documents(self, index: int, drawn: DrawnValues, replaced: Mapping[str, Path]) -> dict[str, str]:
+        """Return the texts of the assets with drawn values, by kind of document (`cup.asset`)."""
+        found = {}
+        for kind, entries in drawn.documents.items():
+            if kind.endswith(ASSET):
+                name = kind.removesuffix(ASSET)
+                item = self.recipe.scene_spec.objects[name]
+                file = replaced.get(name) or self.recipe.scene.file(str(item.asset))
+                found[kind] = asset_overlay(self.recipe, self.out, index, file, entries)
+        return found
+
+    def _scene(self, index: int, drawn: DrawnValues, replaced: Mapping[str, Path]) -> Loaded:
+        """Return the twin's scene with drawn values.
+
+        Raises:
+            SpecError: If a value is invalid in its document.
+        """
+        text = scene_overlay(
+            self.recipe, self.out, index, {}, drawn.poses, {}, self.recipe.scene_spec.relations,
+            drawn.documents.get("scene", {}),
+        )  # fmt: skip
+        file = self.out / file_of(index, "scene")
+        loaded = load(file, self.recipe.scene.root, self._known, text=text)
+        assets = {}
+        for kind, document in self.asset_documents(index, drawn, {}).items():
+            name = kind.removesuffix(ASSET)
+            if name not in replaced:
+                assets[name] = load(self.out / file_of(index, kind), self.recipe.scene.root, self._known, text=document)
+        errors = [*loaded.errors, *(e for asset in assets.values() for e in asset.errors)]
+        if errors:
+            raise SpecError(errors)
+        return self._with_assets(loaded, assets)
+
+    def _with_assets(self, scene: Loaded, assets: Mapping[str, Loaded]) -> Loaded:
+        """Return a scene whose objects have other assets, which are not on disk."""
+        assert isinstance(scene.spec, SceneSpec)
+        objects, uses = dict(scene.spec.objects), dict(scene.uses)
+        for name, asset in assets.items():
+            objects[name] = objects[name].model_copy(update={"asset": asset.path.name})
+            uses[str(scene.file(asset.path.name))] = asset
+        return replace(scene, spec=scene.spec.model_copy(update={"objects": objects}), uses=uses)
+
+    def _lowered(self, scene: Loaded, drawn: DrawnValues) -> Scene:
+        """Lower the scene, in the initial state of the task if the twin is a task."""
+        task, spec = self.recipe.task, self.recipe.task_spec
+        if task is None or spec is None:
+            return lower(scene, _cache())
+        moved = drawn.poses.keys()
+        start = spec.start
+        given = drawn.documents.get("task", {}).get("start", {}).get("joints", {})
+        joints = {name: {**start.joints.get(name, {}), **of} for name, of in given.items()}
+        kept = Start(
+            place={name: place for name, place in start.place.items() if name not in moved},
+            pose={name: pose for name, pose in start.pose.items() if name not in moved},
+            joints={**start.joints, **joints},
+        )
+        task_spec = spec.model_copy(update={"start": kept})
+        uses = {**task.uses, str(task.file(spec.scene)): scene}
+        return task_of(replace(task, spec=task_spec, uses=uses), _cache()).scene
+
+
+@dataclass(frozen=True, eq=False)
+class ValueSampler(VariedScenes):
+    """Draws the values of a recipe's cousins and derives the twins that have them.
+
+    Attributes:
+        twin: The twin of the recipe.
+    """
+
+    twin: Twin = field(kw_only=True)
     _replaced: dict[tuple[tuple[str, Path], ...], tuple[VariedValue, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -65,23 +163,11 @@ class ValueSampler:
         contents = {name: _contents(twin, recipe.scene_spec, name) for name in sorted(carrying)}
         limits = _arm_limits(twin) if recipe.varied else {}
         context = TwinContext(recipe.scene_spec, twin.scene, recipe.loaded, out, MappingProxyType(contents), limits)
-        return cls(recipe, out, twin, context)
+        return cls(recipe, out, context, twin=twin)
 
     def draw(self, index: int, replaced: Mapping[str, Path]) -> DrawnValues:
         """Draw the values of a cousin in which the files ``replaced`` are the assets of some objects."""
-        source = QuantileSource.of(self.recipe.seed, index, self.recipe.spec.splits, self.recipe.split)
-        return draw_values(self._values(replaced), source, self.context)
-
-    def asset_documents(self, index: int, drawn: DrawnValues, replaced: Mapping[str, Path]) -> dict[str, str]:
-        """Return the texts of the assets with drawn values, by kind of document (`cup.asset`)."""
-        found = {}
-        for kind, entries in drawn.documents.items():
-            if kind.endswith(ASSET):
-                name = kind.removesuffix(ASSET)
-                item = self.recipe.scene_spec.objects[name]
-                file = replaced.get(name) or self.recipe.scene.file(str(item.asset))
-                found[kind] = asset_overlay(self.recipe, self.out, index, file, entries)
-        return found
+        return draw_values(self._values(replaced), self.source(index), self.context)
 
     def varied_twin(self, index: int, drawn: DrawnValues, replaced: Mapping[str, Path]) -> Twin | Rejected:
         """Return the twin with drawn values, at rest, or the reasons why it cannot be settled.
@@ -139,55 +225,6 @@ class ValueSampler:
     def _asset(self, file: Path) -> Loaded:
         root = self.recipe.scene.root
         return load(file, root, self._known) if is_document(file.name) else Loaded(file, root, None, ())
-
-    def _scene(self, index: int, drawn: DrawnValues, replaced: Mapping[str, Path]) -> Loaded:
-        """Return the twin's scene with drawn values.
-
-        Raises:
-            SpecError: If a value is invalid in its document.
-        """
-        text = scene_overlay(
-            self.recipe, self.out, index, {}, drawn.poses, {}, self.recipe.scene_spec.relations,
-            drawn.documents.get("scene", {}),
-        )  # fmt: skip
-        file = self.out / file_of(index, "scene")
-        loaded = load(file, self.recipe.scene.root, self._known, text=text)
-        assets = {}
-        for kind, document in self.asset_documents(index, drawn, {}).items():
-            name = kind.removesuffix(ASSET)
-            if name not in replaced:
-                assets[name] = load(self.out / file_of(index, kind), self.recipe.scene.root, self._known, text=document)
-        errors = [*loaded.errors, *(e for asset in assets.values() for e in asset.errors)]
-        if errors:
-            raise SpecError(errors)
-        return self._with_assets(loaded, assets)
-
-    def _with_assets(self, scene: Loaded, assets: Mapping[str, Loaded]) -> Loaded:
-        """Return a scene whose objects have other assets, which are not on disk."""
-        assert isinstance(scene.spec, SceneSpec)
-        objects, uses = dict(scene.spec.objects), dict(scene.uses)
-        for name, asset in assets.items():
-            objects[name] = objects[name].model_copy(update={"asset": asset.path.name})
-            uses[str(scene.file(asset.path.name))] = asset
-        return replace(scene, spec=scene.spec.model_copy(update={"objects": objects}), uses=uses)
-
-    def _lowered(self, scene: Loaded, drawn: DrawnValues) -> Scene:
-        """Lower the scene, in the initial state of the task if the twin is a task."""
-        task, spec = self.recipe.task, self.recipe.task_spec
-        if task is None or spec is None:
-            return lower(scene, _cache())
-        moved = drawn.poses.keys()
-        start = spec.start
-        given = drawn.documents.get("task", {}).get("start", {}).get("joints", {})
-        joints = {name: {**start.joints.get(name, {}), **of} for name, of in given.items()}
-        kept = Start(
-            place={name: place for name, place in start.place.items() if name not in moved},
-            pose={name: pose for name, pose in start.pose.items() if name not in moved},
-            joints={**start.joints, **joints},
-        )
-        task_spec = spec.model_copy(update={"start": kept})
-        uses = {**task.uses, str(task.file(spec.scene)): scene}
-        return task_of(replace(task, spec=task_spec, uses=uses), _cache()).scene
 
     def _displaced(self, twin: Twin) -> list[Reason]:
         """Return a reason for each object that moves as the scene with drawn values settles, but not in the twin."""

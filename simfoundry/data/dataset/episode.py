@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,7 +26,7 @@ class EpisodeHeader:
         instruction: The instruction of the task.
         task_index: The index of the instruction in :attr:`DatasetInfo.instructions`.
         split: The split to which the episode belongs.
-        weight: How often the episode is to be drawn in training, relative to the others.
+        weight: How often each frame is to be drawn in training, relative to the mean of all frames.
         success: True if the goal was reached.
         subtasks: The frame during which each sub-task was completed, or None if it was not completed.
         source: The origin as JSON: ``dataset`` (its folder), ``index``, ``trajectory`` (its digest), and ``pictures``
@@ -42,8 +41,8 @@ class EpisodeHeader:
     split: str = "train"
     weight: float = 1.0
     success: bool = True
-    subtasks: Mapping[str, int | None] = field(default_factory=lambda: MappingProxyType({}))
-    source: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    subtasks: Mapping[str, int | None] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any
 
 from simfoundry.spec.models.signals import ImageKind
@@ -121,8 +120,8 @@ class DatasetInfo:
     frames: int
     profile: str = ""
     license: str = ""
-    environment: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    origin: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     def feature(self, name: str) -> DatasetFeature:
         """Return the feature called ``name``.

@@ -17,10 +17,6 @@ from simfoundry.data.dataset.features import DatasetInfo
 from simfoundry.data.dataset.statistics import FeatureStatistics
 from simfoundry.runtime.plugins import Registry
 
-# The file in the folder of each dataset that SimFoundry writes, whatever the format: the description of the dataset and
-# of its episodes, which formats cannot express completely.
-MANIFEST = "simfoundry.json"
-
 
 @dataclass(frozen=True)
 class StagedEpisode:
@@ -65,7 +61,12 @@ class StoredDataset(Protocol):
 
 @runtime_checkable
 class DatasetFormat(Protocol):
-    """A file format for datasets."""
+    """A file format for datasets.
+
+    A dataset is a folder. After :meth:`assemble`, the builder adds the file ``simfoundry.json`` to it, which
+    :func:`~simfoundry.data.dataset.manifest.read_manifest` reads: the description of the dataset and of its episodes,
+    which formats cannot express completely.
+    """
 
     def check(self, info: DatasetInfo) -> None:
         """Check that the format can store a dataset.

@@ -103,6 +103,23 @@ def read_varied(path: Path) -> VariedCousins:
     Raises:
         SimfoundryError: If the file is not a manifest, or if no values vary.
     """
+    file, data = read_cousins(path)
+    try:
+        values = {int(c["index"]): dict(_flat(c.get("vary", {}))) for c in data["cousins"]}
+        recipe, seed = str(data["recipe"]), int(data["seed"])
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise _no_manifest(file) from None
+    if not any(values.values()):
+        raise SimfoundryError(f"the cousins in {file} have no values that vary; add `vary` to the recipe")
+    return VariedCousins(recipe, seed, values)
+
+
+def read_cousins(path: Path) -> tuple[Path, dict[str, Any]]:
+    """Read a manifest of cousins, or the one in a folder, and return its path and content.
+
+    Raises:
+        SimfoundryError: If the file is not a manifest.
+    """
     file = path / "manifest.json" if path.is_dir() else path
     try:
         if file.stat().st_size > MAX_MANIFEST:
@@ -110,14 +127,13 @@ def read_varied(path: Path) -> VariedCousins:
         data = json.loads(file.read_text(encoding="utf-8"))
         if data["simfoundry"] != MANIFEST_VERSION:
             raise ValueError
-        values = {int(c["index"]): dict(_flat(c.get("vary", {}))) for c in data["cousins"]}
-        recipe, seed = str(data["recipe"]), int(data["seed"])
+        return file, data
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        hint = "pass the output folder of `simfoundry cousins`"
-        raise SimfoundryError(f"{file} is not a manifest of cousins; {hint}") from None
-    if not any(values.values()):
-        raise SimfoundryError(f"the cousins in {file} have no values that vary; add `vary` to the recipe")
-    return VariedCousins(recipe, seed, values)
+        raise _no_manifest(file) from None
+
+
+def _no_manifest(file: Path) -> SimfoundryError:
+    return SimfoundryError(f"{file} is not a manifest of cousins; pass the output folder of `simfoundry cousins`")
 
 
 def _flat(values: Mapping[str, Any]) -> Iterator[tuple[str, float | str]]:

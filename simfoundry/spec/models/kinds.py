@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.base import DocumentSpec
 
 # Document kinds with versions, as written in the first key of a document.
-KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
+KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1", "dataset/1")
 
 
 def suffix(kind: str) -> str:
