@@ -7,7 +7,7 @@ commanded until the next frame. The last frame ends with the demonstration, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -158,62 +158,63 @@ class TrajectorySampler:
 
 
 class _Recorder:
-    """A replay that notes the state and the targets at the end of each frame.
+    """A replay that notes the state at the end of each frame, and the targets that were commanded until then.
 
-    Physics steps are counted, so that frames may end within a control step without changing the trajectory. If actions
-    have a latency, the targets of a frame are noted later by it, so that they are those that the policy commanded.
+    Physics steps are counted, so that frames may end within a control step without changing the trajectory. A target
+    that takes effect later because of a latency belongs to the frame in which it was commanded.
     """
 
     def __init__(self, world: World, demonstration: Demonstration, task: Task, frames: int, hz: float) -> None:
-        world.reset(demonstration.start.state)
+        start = demonstration.start
+        world.reset(start.state)
         self._world, self._actions = world, demonstration.actions
-        ends = [round(k / (hz * world.timestep)) for k in range(frames)]
-        self._ends = [*ends, round(demonstration.steps / (task.control_hz * world.timestep))]
-        space, start = demonstration.action_space, demonstration.start
         rates, about = (task.control_hz, demonstration.action_hz), task.disturbances.action
         seed = start.seed, start.index
-        self._execution = Execution(world, task.robots, space, *rates, about, seed, self._step)
+        self._execution = Execution(
+            world, task.robots, demonstration.action_space, *rates, about, seed, step=self._step
+        )
+        ends = [round(k / (hz * world.timestep)) for k in range(1, frames)]
+        ends.append(round(demonstration.steps / (task.control_hz * world.timestep)))
+        self._ends, self._late_ends = ends, [end + self._execution.delay for end in ends]
         self._now = 0
         self.moments: list[Moment] = []
         self.targets: dict[str, list[list[float]]] = {name: [] for name in task.robots}
         self.grippers: dict[str, list[float]] = {name: [] for name in task.robots}
 
     def run(self) -> None:
-        """Execute the actions until the last frame has ended."""
-        self._note()
+        """Execute the actions until the last frame has ended, and its targets have taken effect."""
+        self._note_state()
+        self._note_targets()
         for action in self._actions:
             for _ in self._execution.act(action):
-                if self._is_complete:
-                    return
+                pass
         self._execution.finish()
-
-    @property
-    def _is_complete(self) -> bool:
-        count = len(self._ends)
-        return len(self.moments) == count and all(len(rows) == count for rows in self.grippers.values())
 
     def _step(self, n: int) -> None:
         last = self._now + n
         while self._now < last:
-            end = int(min(last, *self._dates()))
-            self._world.step(end - self._now)
-            self._now = end
-            self._note()
+            marks = self._next(self._ends, len(self.moments)), self._next(self._late_ends, len(self._noted))
+            until = min(last, *marks)
+            self._world.step(until - self._now)
+            self._now = until
+            if until == marks[0]:
+                self._note_state()
+            if until == marks[1]:
+                self._note_targets()
 
-    def _dates(self) -> Iterator[float]:
-        """Yield the physics steps of the next state and the next targets, which are infinite after the last ones."""
-        noted = [(len(self.moments), 0)]
-        noted += [(len(rows), self._execution.delay) for rows in self.grippers.values()]
-        for k, delay in noted:
-            yield self._ends[k] + delay if k < len(self._ends) else math.inf
+    @property
+    def _noted(self) -> list[float]:
+        return next(iter(self.grippers.values()))
 
-    def _note(self) -> None:
-        """Note the state and the targets, if they are those at the end of a frame."""
-        state, *targets = self._dates()
+    def _next(self, ends: list[int], noted: int) -> int:
+        """Return the next physics step to note, or a step after all others."""
+        return ends[noted - 1] if noted <= len(ends) else self._late_ends[-1] + self._now + 1
+
+    def _note_state(self) -> None:
+        self.moments.append((self._world.state(), readings(self._world, self._execution.controller.robots)))
+
+    def _note_targets(self) -> None:
         controller = self._execution.controller
-        if state == self._now:
-            self.moments.append((self._world.state(), readings(self._world, controller.robots)))
-        for name, due in zip(self.grippers, targets, strict=True):
-            if due == self._now:
-                self.targets[name].append(list(controller.targets[name].values()))
-                self.grippers[name].append(controller.grippers[name])
+        for name, targets in controller.targets.items():
+            self.targets[name].append(list(targets.values()))
+            self.grippers[name].append(controller.grippers[name])

@@ -20,7 +20,7 @@ from simfoundry.data.dataset.pictures import PictureSampler, PictureSource
 from simfoundry.data.dataset.plan import DatasetPlan, EpisodePlan
 from simfoundry.data.dataset.reading import open_dataset
 from simfoundry.data.dataset.rendering import RenderedFrames
-from simfoundry.data.demonstrations import DemonstrationSet, read_demonstrations
+from simfoundry.data.demonstrations import Demonstration, DemonstrationSet, read_demonstrations
 from simfoundry.data.trajectory import TrajectorySampler
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.policies.base import ImageSize
@@ -80,52 +80,62 @@ class EpisodeBuilder:
         contents, header = self._contents, planned.header
         assert contents is not None
         demonstration = source.demonstrations[planned.position]
-        check_cameras(source.sampler.task.scene, _sizes(contents), "the dataset")
-        trajectory = source.sampler.sample(demonstration, contents.fps)
-        values = array_values(contents, trajectory, source.sampler)
+        sampler = source.sampler(demonstration)
+        check_cameras(sampler.task.scene, _sizes(contents), "the dataset")
+        trajectory = sampler.sample(demonstration, contents.fps)
+        values = array_values(contents, trajectory, sampler)
         _check_features(values.features, self._info, str(source.demonstrations.folder))
         if trajectory.length != header.length:
             raise OutputError(f"{planned.folder} has changed while the dataset was built; build it again")
-        names = {key: tuple(map(str, source.demonstrations.about[key])) for key in ("objects", "joints", "motions")}
+        names = {key: tuple(map(str, demonstration.about[key])) for key in ("objects", "joints", "motions")}
         ends = np.arange(header.length) == header.length - 1
         return Episode(
             header=header,
             arrays=values.arrays,
             final=values.final,
-            images=RenderedFrames(contents.views, trajectory, lambda: self._opened(source, planned), names),
+            images=RenderedFrames(contents.views, trajectory, lambda: self._opened(source, sampler, planned), names),
             rewards=(ends & header.success).astype(np.float32),
             dones=ends,
             states=simulation_states(trajectory),
-            generation=generation_data(trajectory, source.sampler, names["objects"], header.subtasks),
+            generation=generation_data(trajectory, sampler, names["objects"], header.subtasks),
         )
 
-    def _opened(self, source: _OpenDemonstrations, planned: EpisodePlan) -> World:
+    def _opened(self, source: _OpenDemonstrations, sampler: TrajectorySampler, planned: EpisodePlan) -> World:
         """Return the world in which the images of an episode are rendered."""
         if planned.pictures is None or self._pictures is None:
-            return source.sampler.world
+            return sampler.world
         if self._world is None:
-            scene = source.pictures(self._pictures).sample(planned.pictures).scene
+            scene = source.pictures(self._pictures, sampler).sample(planned.pictures).scene
             self._world = open_world(scene, ENGINE)
         return self._world
 
 
 class _OpenDemonstrations:
-    """A folder of demonstrations with its task, a world for rendering, and the recipe of its pictures."""
+    """A folder of demonstrations with the task of the last one, a world for rendering, and the recipe of pictures."""
 
     def __init__(self, folder: Path) -> None:
         self.demonstrations: DemonstrationSet = read_demonstrations(folder)
-        self.sampler = TrajectorySampler(self.demonstrations.task)
+        self._sampler: tuple[Path, TrajectorySampler] | None = None
         self._pictures: PictureSampler | None = None
 
-    def pictures(self, source: PictureSource) -> PictureSampler:
-        """Return the sampler of pictures, which is created on first use."""
+    def sampler(self, demonstration: Demonstration) -> TrajectorySampler:
+        """Return the sampler for the task of a demonstration."""
+        if self._sampler is None or self._sampler[0] != demonstration.document:
+            self.close()
+            self._sampler = demonstration.document, TrajectorySampler(self.demonstrations.task_of(demonstration))
+        return self._sampler[1]
+
+    def pictures(self, source: PictureSource, sampler: TrajectorySampler) -> PictureSampler:
+        """Return the sampler of pictures for the task of a sampler, which is created on first use."""
         if self._pictures is None:
-            self._pictures = PictureSampler(source, self.sampler.task)
+            self._pictures = PictureSampler(source, sampler.task)
         return self._pictures
 
     def close(self) -> None:
         """Close the world."""
-        self.sampler.close()
+        if self._sampler is not None:
+            self._sampler[1].close()
+        self._sampler = self._pictures = None
 
 
 def _sizes(contents: DatasetContents) -> dict[str, ImageSize]:

@@ -55,6 +55,11 @@ class PictureSampler:
         own = replace(recipe, scene=task.setup.scene, task=task.setup.task)
         self._scenes = VariedScenes.of_pictures(own, task.scene)
 
+    @property
+    def varies_instruction(self) -> bool:
+        """True if the recipe varies the instruction."""
+        return "instruction" in self._scenes.recipe.spec.vary
+
     def instruction(self, index: int) -> str:
         """Return the drawn instruction, or an empty string if it does not vary."""
         document = self._scenes.draw_pictures(index).documents.get("task", {})

@@ -24,6 +24,7 @@ from simfoundry.data.dataset.sources import (
     existing_datasets,
     select_demonstrations,
 )
+from simfoundry.data.demonstrations import DemonstrationSet
 from simfoundry.data.trajectory import TrajectorySampler, frame_count
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.dataset import DatasetSource, DatasetSpec
@@ -96,6 +97,7 @@ class _Draft:
     split: str
     instruction: str
     origin: dict[str, Any]
+    task: str = ""
     success: bool = True
     subtasks: dict[str, int | None] = field(default_factory=dict)
     pictures: int | None = None
@@ -132,7 +134,9 @@ def plan_dataset(spec: DatasetSpec, folder: Path, formats: Sequence[str] = ()) -
     for one in existing:
         drafts += _stored_drafts(one, stored[one.name], spec, fps)
     order = list(dict.fromkeys((*spec.splits, *(draft.split for draft in drafts))))
-    drafts.sort(key=lambda draft: order.index(draft.split))  # stable
+    # Episodes of the same task follow each other, so that processes open its world only once.
+    places = {key: k for k, key in enumerate(dict.fromkeys((d.source, d.folder, d.task) for d in drafts))}
+    drafts.sort(key=lambda draft: (order.index(draft.split), places[draft.source, draft.folder, draft.task]))
     info = DatasetInfo(
         name=spec.name or "dataset",
         fps=fps,
@@ -157,11 +161,14 @@ def _described(
 ) -> tuple[DatasetContents, tuple[DatasetFeature, ...], tuple[str, ...]]:
     """Return the contents and features, and notes on the conversion of actions, from the first demonstration."""
     first = selected[0]
-    demonstration, task = first.demonstrations[first.positions[0]], first.demonstrations.task
+    demonstration = first.demonstrations[first.positions[0]]
+    task = first.demonstrations.task_of(demonstration)
     profile = find_profile(spec.profile, folder)
     contents = contents_of(spec, profile, task.scene, task.control_hz, demonstration.action_space)
-    for one in selected[1:]:
-        _check_alike(first, one)
+    robots = demonstration.about["robots"]
+    for one in selected:
+        for position in one.positions:
+            _check_robots(robots, one.facts(position))
     with TrajectorySampler(task) as sampler:
         values = array_values(contents, sampler.sample(demonstration, contents.fps), sampler)
     observed = [feature for feature in values.features if feature.name in values.final]
@@ -174,13 +181,16 @@ def _described(
     return contents, (*observed, *image_features(contents), *actions), notes
 
 
-def _check_alike(first: SelectedDemonstrations, other: SelectedDemonstrations) -> None:
-    ours, theirs = first.demonstrations.about["robots"], other.demonstrations.about["robots"]
-    if ours != theirs:
+def _check_robots(robots: Mapping[str, str], facts: Mapping[str, Any]) -> None:
+    if facts["robots"] != robots:
         raise SimfoundryError(
-            f"{other.demonstrations.folder} was recorded with robots {theirs}, but {first.demonstrations.folder} with "
-            f"{ours}; build a dataset for each"
+            f"task `{facts['task']}` was recorded with the robots {_listed(facts['robots'])}, but others with "
+            f"{_listed(robots)}; build a dataset for each"
         )
+
+
+def _listed(robots: Mapping[str, str]) -> str:
+    return ", ".join(f"`{name}` ({kind})" for name, kind in robots.items())
 
 
 def _renamed(features: Iterable[DatasetFeature], keys: Mapping[str, str]) -> tuple[DatasetFeature, ...]:
@@ -197,33 +207,49 @@ def _drafts(
     one: SelectedDemonstrations, spec: DatasetSpec, fps: float, pictures: PictureSource | None
 ) -> Iterable[_Draft]:
     """Yield the episodes of a folder of demonstrations; several for each if the pictures vary."""
-    about, count = one.demonstrations.about, len(one.positions)
     copies: list[int | None] = [None]
-    sampler = None
-    if spec.pictures is not None and pictures is not None:
+    if spec.pictures is not None:
         copies = [*([None] if spec.pictures.keep_original else []), *range(spec.pictures.count)]
-        sampler = PictureSampler(pictures, one.demonstrations.task)
-    control_hz = float(about["control_hz"])
-    for k, (position, head) in enumerate(zip(one.positions, one.heads, strict=True)):
-        steps, split = int(head["steps"]), _split(one.source, spec, k, count)
-        length = frame_count(steps, control_hz, fps)
-        origin = {"source": one.name, "task": about["task"], "index": head["index"], "trajectory": head["trajectory"]}
+    samplers = _PictureSamplers(pictures, one.demonstrations)
+    for k, position in enumerate(one.positions):
+        facts = one.facts(position)
+        control_hz = float(facts["control_hz"])
+        length = frame_count(int(facts["steps"]), control_hz, fps)
+        origin = {"source": one.name, **{key: facts[key] for key in ("task", "index", "trajectory")}}
         for copy in copies:
-            index = None if copy is None or spec.pictures is None else head["index"] * spec.pictures.count + copy + 1
-            instruction = str(about["instruction"])
-            if index is not None and sampler is not None:
-                instruction = sampler.instruction(index) or instruction
+            index = None if copy is None or spec.pictures is None else facts["index"] * spec.pictures.count + copy + 1
             yield _Draft(
                 source=one.name,
                 folder=one.demonstrations.folder.resolve(),
                 position=position,
                 length=length,
-                split=split,
-                instruction=instruction,
+                split=_split(one.source, spec, k, len(one.positions)),
+                instruction=samplers.instruction(position, index) or str(facts["instruction"]),
                 origin=origin if index is None else {**origin, "pictures": index},
-                subtasks=completed_frames(head["subtasks"], control_hz, fps, length),
+                task=str(facts["document"]),
+                subtasks=completed_frames(facts["subtasks"], control_hz, fps, length),
                 pictures=index,
             )
+
+
+class _PictureSamplers:
+    """The samplers of pictures for the tasks of a folder of demonstrations, each created on first use."""
+
+    def __init__(self, source: PictureSource | None, demonstrations: DemonstrationSet) -> None:
+        self._source, self._demonstrations = source, demonstrations
+        self._samplers: dict[str, PictureSampler] = {}
+
+    def instruction(self, position: int, index: int | None) -> str:
+        """Return the instruction that is drawn for an episode, or an empty string if it does not vary."""
+        if index is None or self._source is None:
+            return ""
+        document = str(self._demonstrations.facts(position)["document"])
+        if document not in self._samplers:
+            if self._samplers and not next(iter(self._samplers.values())).varies_instruction:
+                return ""  # loading tasks takes time
+            task = self._demonstrations.task_of(self._demonstrations[position])
+            self._samplers[document] = PictureSampler(self._source, task)
+        return self._samplers[document].instruction(index)
 
 
 def _stored_drafts(one: SelectedDataset, stored: StoredDataset, spec: DatasetSpec, fps: float) -> Iterable[_Draft]:
@@ -308,17 +334,17 @@ def _numbered(
 
 def _robot_type(selected: Sequence[SelectedDemonstrations], stored: Sequence[StoredDataset]) -> str:
     if selected:
-        return "+".join(map(str, selected[0].demonstrations.about["robots"].values()))
+        return "+".join(map(str, selected[0].facts(selected[0].positions[0])["robots"].values()))
     return stored[0].info.robot_type
 
 
 def _environment(selected: Sequence[SelectedDemonstrations]) -> dict[str, Any]:
     if not selected:
         return {}
-    about = selected[0].demonstrations.about
-    tasks = list(dict.fromkeys(str(one.demonstrations.about["task"]) for one in selected))
-    keys = ("engine", "engine_version", "version", "control_hz", "robots")
-    return {**{key: about[key] for key in keys}, "tasks": tasks, "objects": list(about["objects"])}
+    facts = selected[0].facts(selected[0].positions[0])
+    tasks = list(dict.fromkeys(str(one.facts(position)["task"]) for one in selected for position in one.positions))
+    keys = ("engine", "engine_version", "version", "control_hz", "robots", "objects")
+    return {**{key: facts[key] for key in keys}, "tasks": tasks}
 
 
 def _origin(
@@ -329,7 +355,10 @@ def _origin(
 ) -> dict[str, Any]:
     """Return the digests of the sources. Folders are not included, so that a dataset does not depend on them."""
     keys = ("task", "policy", "policy_digest", "seed", "starts")
-    recorded = [{"source": one.name, **{key: one.demonstrations.about[key] for key in keys}} for one in selected]
+    recorded = []
+    for one in selected:
+        tasks = {str(facts["document"]): facts for facts in map(one.facts, one.positions)}
+        recorded += [{"source": one.name, **{key: facts[key] for key in keys}} for facts in tasks.values()]
     drawn = {}
     if pictures is not None:
         digest = hashlib.sha256(pictures.recipe.read_bytes()).hexdigest()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from simfoundry.data.demonstrations import DemonstrationSet, read_demonstrations
-from simfoundry.data.record import INDEX
+from simfoundry.data.index import INDEX
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.statistics.sensitivity import read_cousins
 from simfoundry.spec.diagnostics import nearest
@@ -31,10 +32,9 @@ class SelectedDemonstrations:
     demonstrations: DemonstrationSet
     positions: tuple[int, ...]
 
-    @property
-    def heads(self) -> list[Mapping[str, Any]]:
-        """The entries of the selected demonstrations in their shards."""
-        return [self.demonstrations.heads[k] for k in self.positions]
+    def facts(self, position: int) -> Mapping[str, Any]:
+        """Return what the shard and the index state about a demonstration."""
+        return {**self.demonstrations.facts(position), **self.demonstrations.heads[position]}
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def _passes(wanted: DemonstrationFilter, demonstrations: DemonstrationSet, k: in
     Raises:
         SimfoundryError: If the task has no such sub-task.
     """
-    head, about = demonstrations.heads[k], demonstrations.about
+    head, about = demonstrations.heads[k], demonstrations.facts(k)
     for name in wanted.subtasks:
         if name not in head["subtasks"]:
             hint = nearest(name, head["subtasks"]) or "it has no sub-tasks"
@@ -115,17 +115,23 @@ def _passes(wanted: DemonstrationFilter, demonstrations: DemonstrationSet, k: in
         return False
     duration = int(head["steps"]) / float(about["control_hz"])
     low, high = wanted.duration or (0.0, float("inf"))
-    return low <= duration <= high and wanted.split in (None, _split(demonstrations))
+    if not low <= duration <= high:
+        return False
+    return wanted.split is None or wanted.split == split_of((demonstrations.folder / str(about["document"])).resolve())
 
 
-def _split(demonstrations: DemonstrationSet) -> str | None:
-    """Return the split of the recipe from which the task of demonstrations was drawn, or None if there is none."""
-    document = (demonstrations.folder / str(demonstrations.about["document"])).resolve()
+@lru_cache(maxsize=100_000)  # one entry for each task; a batch of cousins has up to 10,000
+def split_of(document: Path) -> str | None:
+    """Return the split of the recipe from which a task was drawn, or None if there is none."""
+    return _splits(document.parent).get(document.name)
+
+
+@lru_cache(maxsize=16)
+def _splits(folder: Path) -> dict[str, str]:
+    """Return the split of each document in a folder of cousins, by file name."""
     try:
-        _, manifest = read_cousins(document.parent)
-        for cousin in manifest["cousins"]:
-            if document.name in cousin["files"].values():
-                return cousin.get("split") or None
-    except (SimfoundryError, KeyError, TypeError, AttributeError):  # the task is not a cousin
-        return None
-    return None
+        _, manifest = read_cousins(folder)
+        cousins = [(one["files"].values(), str(one.get("split", ""))) for one in manifest["cousins"]]
+    except (SimfoundryError, KeyError, TypeError, AttributeError):  # there are no cousins in the folder
+        return {}
+    return {str(name): split for names, split in cousins for name in names if split}
