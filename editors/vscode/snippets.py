@@ -36,6 +36,7 @@ MEMBERS = {
     "capture": ("Shot",),
     "cousins": ("ObjectVariants",),
     "policy": ("CameraView",),
+    "dataset": ("DatasetSource",),
 }
 
 Snippet = dict[str, str | list[str]]

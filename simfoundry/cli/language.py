@@ -17,6 +17,7 @@ from simfoundry.spec.models.kinds import KINDS
 NEXT = dict.fromkeys(("task", "asset", "cousins", "policy"), ("simfoundry check {path}",)) | {
     "scene": ("simfoundry check {path}", "simfoundry show {path}"),
     "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
+    "dataset": ("simfoundry check {path}", "simfoundry dataset build {path}"),
 }
 
 
@@ -33,8 +34,8 @@ def new_command(
 ) -> None:
     """Create a valid document with comments that explain its keys.
 
-    KIND is scene, task, asset, capture, cousins or policy. It may be omitted if the name of the file implies it, as in
-    desk.scene.yaml.
+    KIND is scene, task, asset, capture, cousins, policy or dataset. It may be omitted if the name of the file implies
+    it, as in desk.scene.yaml.
 
     If PATH is not inside a project (a folder with a simfoundry.yaml or .git), a simfoundry.yaml is written to the
     working folder or to the closest folder that contains all specified files. If the project does not contain schemas

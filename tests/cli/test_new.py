@@ -24,7 +24,7 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 from tests.cli.command import run
 
-NAMED = ("scene", "task", "asset", "cousins", "policy")
+NAMED = ("scene", "task", "asset", "cousins", "policy", "dataset")
 FILES = {kind: f"a.{kind}.yaml" for kind in NAMED} | {"capture": "shot/capture.yaml"}
 MODELINE = re.compile(r"# yaml-language-server: \$schema=(\S+)\n")
 

@@ -99,7 +99,9 @@ def test_every_kind_of_document_is_of_the_language() -> None:
 
 
 def _order(kind: str) -> int:
-    return [".scene", ".task", ".asset", ".capture", ".cousins", ".policy"].index(f".{kind.partition('/')[0]}")
+    return [".scene", ".task", ".asset", ".capture", ".cousins", ".policy", ".dataset"].index(
+        f".{kind.partition('/')[0]}"
+    )
 
 
 def test_every_command_is_registered() -> None:

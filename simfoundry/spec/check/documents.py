@@ -15,10 +15,10 @@ from simfoundry.spec.yaml.text import Document
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.capture import CaptureSpec
-    from simfoundry.spec.models.policy import PolicySpec
+    from simfoundry.spec.models.policy import CameraView, PolicySpec
 
 
-_MODULES = {**{kind: kind for kind in ("scene", "asset", "task")}, "cousins": "task"}
+_MODULES = {**{kind: kind for kind in ("scene", "asset", "task", "dataset")}, "cousins": "task"}
 _MODULES |= dict.fromkeys(("capture", "policy"), "documents")
 """The module that checks each document kind.
 
@@ -68,10 +68,15 @@ def check_capture(c: Checker, spec: CaptureSpec) -> None:
 
 def check_policy(c: Checker, spec: PolicySpec) -> None:
     """Check a policy."""
-    for key, view in spec.cameras.items():
+    check_views(c, spec.cameras, "the policy")
+
+
+def check_views(c: Checker, views: Mapping[str, CameraView], who: str) -> None:
+    """Check that no image is rendered smaller than it is used by ``who``."""
+    for key, view in views.items():
         if view.render is not None and (view.render[0] < view.size[0] and view.render[1] < view.size[1]):
             path = ("cameras", key, "render")
-            message = f"`{key}` is rendered smaller than the policy expects, so it would be upscaled"
+            message = f"`{key}` is rendered smaller than {who} expects, so it would be upscaled"
             c.add("SF104", path, message, f"make at least one side of `render` as long as in `size`: {list(view.size)}")
 
 

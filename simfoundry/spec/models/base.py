@@ -29,6 +29,7 @@ CODE = "^[A-Z]{2,8}[0-9]{3}$"
 JOINT_NAME = "^[A-Za-z_][A-Za-z0-9_./-]*$"
 WIRE_KEY = "^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
 VARIABLE = "^[A-Z_][A-Z0-9_]*$"
+FORMAT_NAME = "^[a-z][a-z0-9_.-]*$"
 # Names and keys separated by dots, in which `*` stands for any characters of a name.
 VARY_PATH = r"^[a-z*][a-z0-9_*]*(\.[A-Za-z0-9_*]+)*$"
 # Hexadecimal sRGB color, as in CSS: red, green, blue and optionally opacity, with two digits each.
@@ -57,6 +58,7 @@ PATTERNS = {
     VARIABLE: PatternText(
         "VARIABLE", "environment variable", "the name of an environment variable (uppercase), not the key itself"
     ),
+    FORMAT_NAME: PatternText("lerobot-v3", "format", "the name of a file format for datasets, such as `lerobot-v3`"),
     VARY_PATH: PatternText(
         "light.*.intensity",
         "path",

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, StringConstraints
 
 from simfoundry.spec.models.base import (
+    FORMAT_NAME,
     DocumentSpec,
     FileName,
     Fraction,
@@ -25,7 +26,7 @@ from simfoundry.spec.models.vary import SplitSpec
 
 # Name of a built-in profile or of one from an installed package, or the path of a profile.
 ProfileName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
-FormatName = Annotated[str, StringConstraints(pattern="^[a-z][a-z0-9_.-]*$", max_length=64)]
+FormatName = Annotated[str, StringConstraints(pattern=FORMAT_NAME, max_length=64)]
 License = Annotated[str, StringConstraints(min_length=1, max_length=100)]
 
 # The readings of a robot, as in policy documents, and the true state of the objects, which only a simulation knows.

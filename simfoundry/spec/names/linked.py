@@ -15,6 +15,9 @@ from simfoundry.spec.names.symbols import Layer
 # Key that names the document in which a document looks up names, by the kind of the document.
 SCENE_KEYS = {"task": "scene", "cousins": "twin", "capture": "truth"}
 
+# The kinds of documents that can be used with several scenes, and name cameras in them.
+ANY_SCENE = ("policy", "dataset")
+
 
 class LinkedDocuments:
     """The documents of a project, which are read when they are needed.
@@ -59,6 +62,7 @@ class LinkedDocuments:
             return []
         written = [names.data.get("extends"), names.data.get(SCENE_KEYS.get(names.kind, ""))]
         written += [entry.get("scene") for entry in _entries(names.section("include"))]
+        written.append(names.section("pictures").get("recipe"))
         members = [*_entries(names.section("objects")), *_entries(names.section("templates"))]
         written += [asset for entry in members for asset in asset_references(entry)]
         return list(dict.fromkeys(path for each in written if (path := self.locate(file, each)) is not None))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from simfoundry.spec.compose.expand import INDICES
 from simfoundry.spec.compose.join import SECTIONS
-from simfoundry.spec.names.linked import SCENE_KEYS, LinkedDocuments, asset_references
+from simfoundry.spec.names.linked import ANY_SCENE, SCENE_KEYS, LinkedDocuments, asset_references
 from simfoundry.spec.names.mentions import DocumentNames, Mention, Owner, Path_
 from simfoundry.spec.names.symbols import KINDS, Layer, Meaning, Symbol, plain_meaning
 
@@ -78,7 +78,7 @@ class NameLookup:
 
     def _found(self, file: str, section: str, name: str) -> Meaning | None:
         names = self.documents.names(file)
-        if names is not None and names.kind == "policy":
+        if names is not None and names.kind in ANY_SCENE:
             return self._only(section, name)
         home = self._home(file, section)
         if home is None:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.names.linked import ANY_SCENE
 from simfoundry.spec.names.mentions import VARIED_SECTIONS
 from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.names.rename import (
@@ -182,15 +183,15 @@ def _notes(
             f"to keep the old one, add `category: {symbol.name}`"
         )
     edited = {str(edit.file) for edit in edits}
-    policies = [
+    others = [
         f"{shown_path(o.file)}:{o.line}:{o.column}"
         for names_of in names.documents.values()
-        if names_of.kind == "policy" and symbol.kind == "camera"
+        if names_of.kind in ANY_SCENE and symbol.kind == "camera"
         for o in names.occurrences(names_of.file)
         if o.symbol is None and o.name == symbol.name
     ]
-    if policies:
-        yield f"these policies name a camera that several scenes have, and stay as they are:{_list(policies)}"
+    if others:
+        yield f"these documents name a camera that several scenes have, and stay as they are:{_list(others)}"
     if patterns := [*_changed_patterns(names, symbol, new, edits)]:
         yield f"these patterns match only one of the two names, and stay as they are:{_list(patterns)}"
     if lines := remaining_lines(names, edits, symbol.name):

@@ -14,6 +14,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.load import Known, load
 from simfoundry.spec.models.base import NAME, PATTERNS
 from simfoundry.spec.models.scene import DEFAULT_VARIANT
+from simfoundry.spec.names.linked import ANY_SCENE
 from simfoundry.spec.names.project import Occurrence, ProjectNames
 from simfoundry.spec.names.symbols import KINDS, Symbol
 from simfoundry.spec.project import project_root
@@ -302,9 +303,9 @@ def _changed_meanings(names: ProjectNames, edits: tuple[DocumentEdit, ...]) -> I
             )
             yield f"{_at(where) if where is not None else shown_path(file)}: the text would have another structure"
             continue
-        is_policy = names.documents[file].kind == "policy"
+        is_of_any_scene = names.documents[file].kind in ANY_SCENE
         for o, p in zip(old, now, strict=True):
-            if is_policy and None in (o.symbol, p.symbol):  # it can be used with several scenes
+            if is_of_any_scene and None in (o.symbol, p.symbol):  # it can be used with several scenes
                 continue
             if there.setdefault(o.symbol, p.symbol) != p.symbol or back.setdefault(p.symbol, o.symbol) != o.symbol:
                 meaning = f"{o.symbol}" if o.symbol is not None else "nothing"

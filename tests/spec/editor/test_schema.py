@@ -126,7 +126,7 @@ def test_every_field_is_described() -> None:
 
 
 def test_documents_name_the_schema_files() -> None:
-    names = ("scene", "task", "asset", "capture", "cousins", "policy")
+    names = ("scene", "task", "asset", "capture", "cousins", "policy", "dataset")
     assert set(schemas()) == {f"{kind}.schema.json" for kind in names}
     assert Path(REPOSITORY / "schemas").is_dir()
 
@@ -221,12 +221,12 @@ def _keys(kind: str) -> list[tuple[str, str, Any]]:
     return [(part, key, body) for part, model in parts.items() for key, body in model.get("properties", {}).items()]
 
 
-KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
+KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1", "dataset/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
     *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
-    *("noise", "cutoff", "solver_iterations", "gravity_compensation"),
+    *("noise", "cutoff", "solver_iterations", "gravity_compensation", "weight", "share"),
     *("uniform", "log_uniform", "times", "shift", "normal", "choose", "from", "until"),
     *("gripper_noise", "image_noise", "depth_dropout"),
 }

@@ -43,6 +43,12 @@ OTHERS: dict[Slot, str] = {
     ("RobotSpec", "joints{}"): "joints of the robot's own model",
     ("PolicySpec", "protocol"): "a protocol",
     ("CousinsSpec", "splits{}"): "defined here, and used by the command line only",
+    ("DatasetSpec", "sources{}"): "defined here",
+    ("DatasetSpec", "splits{}"): "defined here",
+    ("DatasetSource", "split"): "a split of the dataset",
+    ("DemonstrationFilter", "split"): "a split of the recipe of recorded demonstrations, as a record of the past",
+    ("DemonstrationFilter", "subtasks"): "sub-tasks of recorded demonstrations, as a record of the past",
+    ("PictureVariation", "split"): "a split of a recipe, which the command line uses too",
     **{(model, "together"): "a group of entries of one recipe" for model in DISTRIBUTIONS},
     ("CaptureSpec", "frames{}"): "defined here, and used by the command line only",
 }
