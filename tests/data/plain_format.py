@@ -86,7 +86,7 @@ class PlainFormat:
         with naming(path), path.open("wb") as stream:
             if os.environ.get("PLAIN_FAULT") == str(episode.header.index):
                 raise OSError(28, "No space left on device")
-            everything = {**episode.arrays, **final, **images, **more}
+            everything: dict[str, Any] = {**episode.arrays, **final, **images, **more}
             np.savez(stream, **{name.replace("/", "|"): value for name, value in everything.items()})
 
     def assemble(

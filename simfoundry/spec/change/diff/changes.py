@@ -146,7 +146,7 @@ NAMED = (
 )
 
 # Keys whose value is a mapping with named members.
-SECTIONS = (*NAMED, "axes", "parts", "compound", "variants", "place", "pose", "splits")
+SECTIONS = (*NAMED, "axes", "parts", "compound", "variants", "place", "pose", "splits", "sources")
 
 # Minimum fraction of equal values for which two members are treated as a rename.
 ALIKE = 0.6
