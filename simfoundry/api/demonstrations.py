@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import JOBS, Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.data.demonstrations import DemonstrationSet
     from simfoundry.data.plan import RecordPlan, RecordSummary
+    from simfoundry.data.shards import Attempt
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
-RANGES = {"count": (1, 1_000_000), "seed": (0, 2**31), "jobs": (1, 256)}
+RANGES = {"count": (1, 1_000_000), "seed": (0, 2**31), "jobs": JOBS}
 
 
 def default_attempts(count: int) -> int:
@@ -29,7 +31,8 @@ def record(
     count: int = 50,
     seed: int = 0,
     max_attempts: int | None = None,
-    jobs: int = 1,
+    jobs: int | None = None,
+    on: str = "local",
 ) -> DemonstrationSet:
     """Record demonstrations of a task, or of several tasks that take turns, starting from different initial states.
 
@@ -45,7 +48,8 @@ def record(
         count: Number of demonstrations.
         seed: Seed for the initial states.
         max_attempts: Maximum number of attempts; by default, four for each demonstration, and 16 more.
-        jobs: Number of parallel processes.
+        jobs: Number of parallel processes; by default, one on this machine, and one per CPU of a Ray cluster.
+        on: Where to run: ``local``, ``ray`` or ``ray:ADDRESS``.
 
     Raises:
         SpecError: If the task document has errors.
@@ -54,13 +58,14 @@ def record(
     from simfoundry.data.record import record as run
     from simfoundry.spec.files import files_below
 
-    for (name, (low, high)), value in zip(RANGES.items(), (count, seed, jobs), strict=True):
+    for (name, (low, high)), value in zip(RANGES.items(), (count, seed, 1 if jobs is None else jobs), strict=True):
         if not low <= value <= high:
             raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
     paths = [Path(one) for one in ([task] if isinstance(task, str | Path) else task)]
     documents = list(files_below(paths, ".task.yaml", "tasks"))
     plan = record_plan(documents, policy, Path(out), count, seed, max_attempts)
-    summary = run(plan, workers=jobs)
+    machines = Machines.parse(on)
+    summary = run(plan, workers=worker_count(machines, jobs), machines=machines)
     if summary.kept < count:
         raise SimfoundryError(shortage(plan, summary))
     return demonstrations(out)
@@ -103,8 +108,11 @@ def demonstrations(folder: str | Path) -> DemonstrationSet:
 Progress = Callable[[str, float], None]
 
 
-def run_record(plan: RecordPlan, jobs: int, progress: Progress) -> RecordSummary:
+def run_record(plan: RecordPlan, jobs: int | None, machines: Machines, progress: Progress) -> RecordSummary:
     """Execute a plan."""
     from simfoundry.data.record import record as run
 
-    return run(plan, lambda _, kept, of: progress(f"{kept} demonstrations, {of} attempts", kept / plan.count), jobs)
+    def seen(_: Attempt, kept: int, of: int) -> None:
+        progress(f"{kept} demonstrations, {of} attempts", kept / plan.count)
+
+    return run(plan, seen, worker_count(machines, jobs), machines)

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import JOBS, LOCAL, Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
-RANGES = {"rollouts": (1, 10_000), "seed": (0, 2**31), "jobs": (1, 256)}
+RANGES = {"rollouts": (1, 10_000), "seed": (0, 2**31), "jobs": JOBS}
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ def evaluate(
     seed: int = 0,
     engine: str = "mujoco",
     video: bool = False,
-    jobs: int = 1,
+    jobs: int | None = None,
+    on: str = "local",
 ) -> Evaluation:
     """Evaluate policies on tasks, all from the same initial states.
 
@@ -75,7 +77,8 @@ def evaluate(
         seed: Seed for the initial states.
         engine: Simulator in which to run the rollouts.
         video: Whether to record videos.
-        jobs: Number of parallel processes.
+        jobs: Number of parallel processes; by default, one on this machine, and one per CPU of a Ray cluster.
+        on: Where to run: ``local``, ``ray`` or ``ray:ADDRESS``.
 
     Raises:
         SpecError: If a task document has errors.
@@ -89,12 +92,13 @@ def evaluate(
     named = contenders((policies,) if isinstance(policies, str) else tuple(policies))
     if not entries or not named:
         raise SimfoundryError(f"no {'policy' if entries else 'task'} is specified; pass at least one")
-    for (name, (low, high)), value in zip(RANGES.items(), (rollouts, seed, jobs), strict=True):
+    for (name, (low, high)), value in zip(RANGES.items(), (rollouts, seed, 1 if jobs is None else jobs), strict=True):
         if not low <= value <= high:
             raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
     plan = EvaluationPlan(Path(out), entries, tuple(named), rollouts, seed, (engine,), video=video)
+    machines = Machines.parse(on)
     prepare(plan)
-    return run_plan(plan, jobs)
+    return run_plan(plan, jobs, machines)
 
 
 # `simfoundry.evaluate` is also a subpackage. Its modules are attributes of the function as well, because Python looks
@@ -103,7 +107,10 @@ evaluate.__dict__ = vars(sys.modules["simfoundry.evaluate"])
 
 
 def run_plan(
-    plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
+    plan: EvaluationPlan,
+    jobs: int | None,
+    machines: Machines = LOCAL,
+    progress: Callable[[str, float], None] = lambda name, share: None,
 ) -> Evaluation:
     """Execute a plan.
 
@@ -130,7 +137,7 @@ def run_plan(
             troubles.append(f"{label}, rollout {outcome.job.index} {verdict}: {outcome.trouble}")
         progress(f"{label} {tally[0]}/{tally[1]}", done / of)
 
-    run(plan, count, jobs)
+    run(plan, count, worker_count(machines, jobs), machines)
     records = tuple(record for _, record in read_all(plan.folder))
     found = Evaluation(plan.folder, records, results(records), len(pending(plan)), tuple(troubles))
     text = json.dumps(found.results, indent=1, ensure_ascii=False) + "\n"

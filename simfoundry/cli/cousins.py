@@ -9,9 +9,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, WorldName, option, resumable, scene_argument
+from simfoundry.cli.options import (
+    FILE,
+    NEW_FILE,
+    NEW_FOLDER,
+    WorldName,
+    jobs_option,
+    on_option,
+    option,
+    resumable,
+    scene_argument,
+)
 from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import Machines
 
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.document import Recipe
@@ -24,10 +35,10 @@ if TYPE_CHECKING:
 @click.option("-n", "--count", type=click.IntRange(1, 1_000_000),
               help="Number of cousins to make. Default: the count in the recipe.")  # fmt: skip
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder, inside the twin's project. Default: build/NAME.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Number of parallel processes. Default: one per core.")
+@jobs_option(None)
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Random seed, which overrides the seed in the recipe.")
 @click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
-@option("--on", "where", type=click.Choice(["local", "ray"]), default="local")
+@on_option
 @option("--gallery", type=click.IntRange(0, 1000), default=24, help="Number of images on the gallery page.")
 @click.option("--no-gallery", is_flag=True, help="Do not write the gallery page.")
 @click.option("--vlm", default="", metavar="MODEL", help="Model to use for recipes that require one.")
@@ -36,7 +47,7 @@ if TYPE_CHECKING:
 @click.option("--split", default="", metavar="NAME", help="Draw the values of `vary` only from this split.")
 def cousins_command(
     recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
-    shard: tuple[int, int] | None, where: str, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
+    shard: tuple[int, int] | None, machines: Machines, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
     preview: Path | None, split: str, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
@@ -79,7 +90,7 @@ def cousins_command(
         def report(ledger: Ledger) -> None:
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
 
-        ledger = run(plan, lambda: open_pool(Work(FUNCTION, setup), where, jobs), report)
+        ledger = run(plan, lambda: open_pool(Work(FUNCTION, setup), machines, jobs), report)
         if shard is None:
             write_manifest(plan, ledger)
             if gallery and not no_gallery:

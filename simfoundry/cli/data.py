@@ -8,7 +8,8 @@ import click
 
 from simfoundry.api.demonstrations import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FOLDER, option, resumable
+from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable
+from simfoundry.runtime.executors import Machines
 
 
 @output.subcommand("record")
@@ -20,23 +21,19 @@ from simfoundry.cli.options import ANY, NEW_FOLDER, option, resumable
 @option("--seed", type=click.IntRange(*RANGES["seed"]), default=0, help="Seed for the initial states.")
 @click.option("--max-attempts", type=click.IntRange(min=1),
               help="Maximum number of attempts. Default: four for each demonstration, and 16 more.")  # fmt: skip
-@option("-j", "--jobs", type=click.IntRange(*RANGES["jobs"]), default=1, help="Number of parallel processes.")
+@jobs_option(1)
+@on_option
 def record_command(
-    tasks: tuple[Path, ...],
-    policy: str,
-    count: int,
-    out: Path,
-    seed: int,
-    max_attempts: int | None,
-    jobs: int,
-    as_json: bool,
-) -> int:
+    tasks: tuple[Path, ...], policy: str, count: int, out: Path, seed: int, max_attempts: int | None,
+    jobs: int | None, machines: Machines, as_json: bool,
+) -> int:  # fmt: skip
     """Record demonstrations of tasks.
 
     TASKS are task documents, or folders that contain task documents, such as the output of `simfoundry cousins`. They
     take turns, and each attempt in a task starts from a different initial state. Attempts that succeed are replayed in
     another process, and kept if the trajectory is identical to the last bit. OUT contains shards of 25 demonstrations
-    with their actions and states; images are rendered later, on replay. The demonstrations do not depend on --jobs.
+    with their actions and states; images are rendered later, on replay. The demonstrations do not depend on --jobs and
+    --on.
 
     Existing demonstrations are kept, so you can repeat the command to resume an interrupted run, or to record more with
     a larger COUNT.
@@ -49,7 +46,7 @@ def record_command(
 
     plan = record_plan(list(files_below(tasks, ".task.yaml", "tasks")), policy, out, count, seed, max_attempts)
     with output.progress_bar(as_json) as progress, resumable(out):
-        summary = run_record(plan, jobs, progress)
+        summary = run_record(plan, jobs, machines, progress)
     is_short = summary.kept < count
     if as_json:
         listed = {"failures": dict(summary.failures), "reasons": dict(summary.reasons)}

@@ -10,9 +10,10 @@ import click
 
 from simfoundry.api.evaluation import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, option, resumable
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, jobs_option, on_option, option, resumable
 from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import Machines
 from simfoundry.spec.files import files_below
 
 if TYPE_CHECKING:
@@ -46,14 +47,15 @@ SENTENCES = 10
               help="Record a video of each rollout. Default: only if rendering is possible.")  # fmt: skip
 @click.option("--camera", "cameras", multiple=True,
               help="Record videos from this camera; may be repeated. Default: the scene's first.")  # fmt: skip
-@option("-j", "--jobs", type=click.IntRange(*RANGES["jobs"]), default=1, help="Number of parallel processes.")
+@jobs_option(1)
+@on_option
 @click.option("--shard", callback=shard_of, default="1/1", metavar="I/N",
               help="Run every N-th rollout, starting with the I-th.")  # fmt: skip
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
 def eval_command(
     tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
-    onward: str | None, alone: str | None, subtasks: bool, video: bool | None, cameras: tuple[str, ...], jobs: int,
-    shard: tuple[int, int], require: float | None, as_json: bool,
+    onward: str | None, alone: str | None, subtasks: bool, video: bool | None, cameras: tuple[str, ...],
+    jobs: int | None, machines: Machines, shard: tuple[int, int], require: float | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Evaluate policies on tasks.
 
@@ -90,7 +92,7 @@ def eval_command(
     )
     with output.progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"initial states of {name}", done / of))
-        evaluation = run_plan(plan, jobs, progress)
+        evaluation = run_plan(plan, jobs, machines, progress)
     return _print_report(plan, evaluation, require, as_json)
 
 

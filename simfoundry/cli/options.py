@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import JOBS, Machines
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 # An option whose help shows its default.
 option = partial(click.option, show_default=True)
@@ -54,6 +60,26 @@ def numbers(_context: click.Context, option: click.Parameter, values: tuple[str,
         if not name or not math.isfinite(found[name]):
             raise click.BadParameter(f"expected {option.metavar}, but got `{name}={value}`")
     return found
+
+
+def _machines(_context: click.Context, _option: click.Parameter, value: str) -> Machines:
+    try:
+        return Machines.parse(value)
+    except SimfoundryError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+on_option = option(
+    "--on", "machines", metavar="local|ray[:ADDRESS]", default="local", callback=_machines,
+    help="Where to run: on this machine, or on a Ray cluster.",
+)  # fmt: skip
+
+
+def jobs_option(default: int | None) -> Callable[[FunctionT], FunctionT]:
+    """Return the option for the number of parallel processes, with its default on this machine."""
+    number = "one per core" if default is None else str(default)
+    text = f"Number of parallel processes. Default: {number}; on a Ray cluster, one per CPU."
+    return click.option("-j", "--jobs", type=click.IntRange(*JOBS), help=text)
 
 
 set_option = click.option(

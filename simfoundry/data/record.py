@@ -13,24 +13,34 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from simfoundry.data.attempt import SILENCE_S, AttemptJob, carry_out, close, is_answered
+from simfoundry.data.attempt import SILENCE_S, AttemptJob, carry_out, is_answered
 from simfoundry.data.plan import RecordPlan, RecordSummary
 from simfoundry.data.shards import Attempt
 from simfoundry.data.store import AttemptStore
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import ExpertChoice
+from simfoundry.runtime.executors import LOCAL, Executor, JobLimits, Machines, carry_out_jobs, open_executor
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.files import locked_folder
-from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool
+from simfoundry.runtime.workers import WorkerError
 
 # Number of consecutive attempts without a response after which recording stops, as in an evaluation.
 GIVE_UP = 3
+
+# Each worker has a second process that replays, and the two take turns. An attempt takes no longer than a rollout of an
+# evaluation and its replay.
+LIMITS = JobLimits(SILENCE_S, processes=2)
 
 # Callback that receives each finished attempt, the number of demonstrations so far, and the number of attempts so far.
 Seen = Callable[[Attempt, int, int], None]
 
 
-def record(plan: RecordPlan, seen: Seen = lambda attempt, kept, of: None, workers: int = 1) -> RecordSummary:
+def record(
+    plan: RecordPlan,
+    seen: Seen = lambda attempt, kept, of: None,
+    workers: int | None = 1,
+    machines: Machines = LOCAL,
+) -> RecordSummary:
     """Record demonstrations until there are enough, or until the attempts are used up. Existing ones are kept.
 
     Raises:
@@ -40,14 +50,15 @@ def record(plan: RecordPlan, seen: Seen = lambda attempt, kept, of: None, worker
         need_extra("expert", "policy `expert`")
     with _writing(plan.folder):
         store = AttemptStore(plan)
-        carried_out = _in_workers(store, workers) if workers > 1 else _in_this_process(store)
-        try:
-            with closing(carried_out):
-                _collect(store, carried_out, seen)
-        except BaseException:
-            with suppress(OSError):  # what was recorded so far can be read, also if the rest never follows
-                store.finish()
-            raise
+        if store.next(set()) is not None:
+            executor = open_executor(machines, workers, LIMITS)
+            try:
+                with closing(_attempts(store, executor)) as attempts:
+                    _collect(store, attempts, seen)
+            except BaseException:
+                with suppress(OSError):  # what was recorded so far can be read, also if the rest never follows
+                    store.finish()
+                raise
         store.finish()
         return store.summary()
 
@@ -73,29 +84,20 @@ def _writing(folder: Path) -> Iterator[None]:
         yield
 
 
-def _in_this_process(store: AttemptStore) -> Generator[Attempt]:
-    try:
-        while (job := store.next(set())) is not None:
-            yield _raised(job, carry_out(job))
-    finally:
-        close()
+def _attempts(store: AttemptStore, executor: Executor) -> Generator[Attempt]:
+    """Yield attempts as they finish."""
+    running: set[int] = set()
 
+    def next_job() -> AttemptJob | None:
+        job = store.next(running)
+        if job is not None:
+            running.add(job.index)
+        return job
 
-def _in_workers(store: AttemptStore, workers: int) -> Generator[Attempt]:
-    # Each worker has a second process that replays, and the two take turns.
-    pool = WorkerPool(workers, Limits.shared(SILENCE_S, 2 * workers))
-    running: dict[int, AttemptJob] = {}
-    try:
-        while True:
-            while len(running) < workers and (job := store.next(set(running))) is not None:
-                running[job.index] = job
-                pool.submit(job.index, f"{carry_out.__module__}:carry_out", job, attempts=2)
-            if not running:
-                return
-            index, outcome = pool.next()
-            yield _raised(running.pop(index), outcome)
-    finally:
-        pool.close(GRACE_S)
+    with closing(carry_out_jobs(executor, f"{carry_out.__module__}:carry_out", next_job)) as finished:
+        for job, outcome in finished:
+            running.discard(job.index)
+            yield _raised(job, outcome)
 
 
 def _raised(job: AttemptJob, outcome: Attempt | SimfoundryError) -> Attempt:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
@@ -23,8 +24,9 @@ from simfoundry.evaluate.rollouts.videos import side_by_side, whole_picture, wri
 from simfoundry.evaluate.statistics.records import RecordSlot, check_layout, is_result
 from simfoundry.evaluate.statistics.results import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.runtime.executors import LOCAL, JobLimits, Machines, carry_out_jobs, open_executor
 from simfoundry.runtime.extras import need_extra
-from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
+from simfoundry.runtime.workers import WorkerError, at_worker_exit
 from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.spec.yaml.write import to_data
 from simfoundry.worlds import open_world
@@ -36,6 +38,8 @@ GIVE_UP = 3
 
 # Maximum duration of one rollout [s]; with a slow policy server, simulating one minute takes about ten minutes.
 SILENCE_S = 3600.0
+
+LIMITS = JobLimits(SILENCE_S)
 
 # Number of control steps between two video frames: five frames per second at 15 Hz.
 FRAME_EVERY = 3
@@ -138,56 +142,33 @@ def pending(plan: EvaluationPlan) -> list[RolloutJob]:
     return [job for job in jobs(plan) if not _is_done(plan, job)]
 
 
-def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
+def run(plan: EvaluationPlan, seen: Seen, workers: int | None = 1, machines: Machines = LOCAL) -> list[RolloutOutcome]:
     """Run the pending jobs.
 
     If a policy stops responding, its remaining jobs are skipped.
     """
     waiting, silent = pending(plan), Counter[str]()
     outcomes: list[RolloutOutcome] = []
-    for outcome in _carried_out(plan, waiting, workers, lambda job: silent[job.contender.label] >= GIVE_UP):
-        label = outcome.job.contender.label
-        silent[label] = 0 if outcome.answered else silent[label] + 1
-        outcomes.append(outcome)
-        seen(outcome, len(outcomes), len(waiting))
+    todo = iter(waiting)
+
+    def next_job() -> RolloutJob | None:
+        return next((job for job in todo if silent[job.contender.label] < GIVE_UP), None)
+
+    if not waiting:
+        return []
+    executor = open_executor(machines, 1 if len(waiting) == 1 and not machines.is_ray else workers, LIMITS)
+    with closing(carry_out_jobs(executor, f"{__name__}:carry_out_in_worker", next_job, plan)) as finished:
+        for job, outcome in finished:
+            if isinstance(outcome, WorkerError):
+                name = f"rollout {job.index} of {job.entry.path.name}"
+                raise SimfoundryError(f"the worker process for {name} {outcome.how}")
+            if isinstance(outcome, SimfoundryError):
+                raise outcome
+            label = job.contender.label
+            silent[label] = 0 if outcome.answered else silent[label] + 1
+            outcomes.append(outcome)
+            seen(outcome, len(outcomes), len(waiting))
     return outcomes
-
-
-def _carried_out(
-    plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
-) -> Iterator[RolloutOutcome]:
-    """Yield outcomes as jobs finish.
-
-    No more jobs are started for a policy that has stopped responding.
-    """
-    if workers == 1 or len(waiting) < 2:
-        try:
-            for job in waiting:
-                if not given_up(job):
-                    yield carry_out(plan, job)
-        finally:
-            _close()
-        return
-    pool = WorkerPool(workers, Limits.shared(SILENCE_S, workers))
-    try:
-        queue, running = list(reversed(waiting)), 0
-        while queue or running:
-            while queue and running < workers:
-                job = queue.pop()
-                if not given_up(job):
-                    pool.submit(job, f"{__name__}:carry_out_in_worker", plan, job)
-                    running += 1
-            if running:
-                job, outcome = pool.next()
-                running -= 1
-                if isinstance(outcome, WorkerError):
-                    name = f"rollout {job.index} of {job.entry.path.name}"
-                    raise SimfoundryError(f"the worker process for {name} {outcome.how}")
-                if isinstance(outcome, SimfoundryError):
-                    raise outcome
-                yield outcome
-    finally:
-        pool.close(GRACE_S)
 
 
 def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome | SimfoundryError:

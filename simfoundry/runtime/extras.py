@@ -50,7 +50,7 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
     Extra("editor", "the language server (`lsp`)", {"pygls": "pygls", "lsprotocol": "lsprotocol"}),
     Extra("studio", "the editor in the browser (`studio`, `show --web`, `show --html`)", {"viser": "viser"}),
     Extra("vlm", "vision-language models that propose tasks and variants", {"pydantic-ai-slim": "pydantic_ai"}),
-    Extra("ray", "cousins on a cluster (`cousins --on ray`)", {"ray": "ray"}),
+    Extra("ray", "batch commands on a cluster (`--on ray`)", {"ray": "ray"}),
     Extra("drake", "verification of builds in Drake (`verify`)", {"drake": "pydrake"}),
     Extra("newton", "verification of builds in Newton (`verify`)", {"newton": "newton"}),
     Extra("genesis", "verification of builds in Genesis (`verify`)", {"genesis-world": "genesis", "torch": "torch"}),

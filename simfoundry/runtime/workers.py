@@ -256,8 +256,13 @@ def serve() -> None:
             send("raised", f"exceeded its memory limit of {memory / 2**30:.3g} GiB")
         except Exception as error:
             send("raised", f"failed ({type(error).__name__}: {error})")
-    for at_exit in _exit_functions:
-        at_exit()
+    run_exit_functions()
+
+
+def run_exit_functions() -> None:
+    """Run the functions that :func:`at_worker_exit` has registered in this process."""
+    while _exit_functions:
+        _exit_functions.pop(0)()
 
 
 def _confine(parent: int, memory: int) -> None:

@@ -18,7 +18,7 @@ from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Log, log_file, read_places
 from simfoundry.cousins.run.report import write_manifest
 from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, Ledger, RunEnd, RunPlan, finish, run
-from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
+from simfoundry.cousins.run.worker_pools import CandidatePool, Work, open_pool
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
 from tests.cousins.run import toy
@@ -60,7 +60,7 @@ def test_the_first_accepted_by_index_whatever_the_order(tmp_path: Path) -> None:
     assert [int(name[:6]) for name in found if name.endswith(".scene.yaml")] == expected
     for seed in range(3):
         assert made(plan(tmp_path / f"b{seed}"), Shuffled(work(), seed=seed)) == found
-    assert made(plan(tmp_path / "c"), LocalPool(work(), 2)) == found
+    assert made(plan(tmp_path / "c"), open_pool(work(), jobs=2)) == found
 
 
 def test_the_manifest_lists_every_candidate_that_counts(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_recipe_with_an_end(tmp_path: Path) -> None:
 
 
 def test_a_process_that_dies_costs_its_candidate_at_most(tmp_path: Path) -> None:
-    pool = LocalPool(Work("tests.cousins.run.toy:fragile_sampler", (str(tmp_path / "mark"),)), 2)
+    pool = open_pool(Work("tests.cousins.run.toy:fragile_sampler", (str(tmp_path / "mark"),)), jobs=2)
     ledger = run(plan(tmp_path / "a", wanted=10), lambda: pool)
     assert ledger.accepted == [1, 2, 3, 4, 6, 8, 9, 10, 11, 12]
     assert ledger.totals == {"failed": 2}
@@ -191,8 +191,8 @@ def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
         "import sys; from pathlib import Path; from tests.cousins.run.test_run import plan, made, work;"
-        "from simfoundry.cousins.run.worker_pools import LocalPool;"
-        "made(plan(Path(sys.argv[1]), wanted=60), LocalPool(work(), 2))"
+        "from simfoundry.cousins.run.worker_pools import open_pool;"
+        "made(plan(Path(sys.argv[1]), wanted=60), open_pool(work(), jobs=2))"
     )
     out, chance = tmp_path / "b", random.Random(1)
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
@@ -222,38 +222,3 @@ def test_candidates_travel_as_lines() -> None:
 def test_an_empty_ledger_counts_nothing() -> None:
     ledger = Ledger(5)
     assert (ledger.examined, ledger.rate, ledger.last, list(ledger.counted())) == (0, 0.0, 0, [])
-
-
-def test_no_process_outlives_its_pool() -> None:
-    pool = LocalPool(work(), 2)
-    for index in range(1, 9):
-        pool.submit(index)
-    pool.next()
-    pool.close()
-    time.sleep(0.5)
-    assert all(worker._process is None for worker in pool._pool._workers)
-
-
-ON_RAY = """
-import sys
-from simfoundry.cousins.run.worker_pools import Work, open_pool
-pool = open_pool(Work("tests.cousins.run.toy:sampler", (0.5,)), "ray", 1)
-pool.submit(1)
-print(pool.next().index)
-pool.close()
-"""
-
-
-@pytest.mark.slow
-def test_processes_of_ray_import_what_is_installed_and_not_what_lies_around(tmp_path: Path) -> None:
-    pytest.importorskip("ray", reason="Ray is not installed")
-    decoy = tmp_path / "checkout" / "simfoundry"
-    decoy.mkdir(parents=True)
-    (decoy / "__init__.py").write_text("raise ImportError('this is not what is installed')")
-    script = tmp_path / "bin" / "simfoundry"
-    script.parent.mkdir()
-    script.write_text(ON_RAY)
-    env = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    command = [sys.executable, str(script)]
-    done = subprocess.run(command, cwd=decoy.parent, env=env, capture_output=True, text=True, timeout=300, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, "1"), done.stderr
