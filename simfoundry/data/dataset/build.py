@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +29,14 @@ from simfoundry.data.dataset.staging import (
     write_staged,
 )
 from simfoundry.errors import OutputError, SimfoundryError
+from simfoundry.runtime.executors import LOCAL, JobLimits, Machines, carry_out_jobs, open_executor
 from simfoundry.runtime.files import locked_folder, write_file
-from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
+from simfoundry.runtime.workers import WorkerError, at_worker_exit
 
 # Maximum duration of an episode [s]; rendering a minute with several cameras takes a few minutes.
 SILENCE_S = 3600.0
+
+LIMITS = JobLimits(SILENCE_S)
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,13 @@ class EpisodeJob:
 Built = Callable[[int], None]
 
 
-def build_dataset(plan: DatasetPlan, out: Path, built: Built = lambda done: None, workers: int = 1) -> list[Path]:
+def build_dataset(
+    plan: DatasetPlan,
+    out: Path,
+    built: Built = lambda done: None,
+    workers: int | None = 1,
+    machines: Machines = LOCAL,
+) -> list[Path]:
     """Build a dataset, and return its folder; with several formats, a folder in ``out`` for each of them.
 
     A dataset that is already complete is not built again.
@@ -73,10 +82,14 @@ def build_dataset(plan: DatasetPlan, out: Path, built: Built = lambda done: None
         ]
         done = len(plan.episodes) - len(jobs)
         built(done)
-        with closing(_in_workers(jobs, workers) if workers > 1 else _in_this_process(jobs)) as finished:
-            for _ in finished:
-                done += 1
-                built(done)
+        if jobs:
+            todo, stage = iter(jobs), f"{stage_episode.__module__}:stage_episode"
+            executor = open_executor(machines, workers, LIMITS)
+            with closing(carry_out_jobs(executor, stage, lambda: next(todo, None))) as finished:
+                for job, outcome in finished:
+                    _raise(job, outcome)
+                    done += 1
+                    built(done)
         _assemble(plan, staging, out)
     return folders
 
@@ -145,29 +158,6 @@ def stage_episode(job: EpisodeJob) -> SimfoundryError | OSError | None:
     except (SimfoundryError, OSError) as error:
         return error
     return None
-
-
-def _in_this_process(jobs: list[EpisodeJob]) -> Generator[None]:
-    try:
-        for job in jobs:
-            _raise(job, stage_episode(job))
-            yield
-    finally:
-        close()
-
-
-def _in_workers(jobs: list[EpisodeJob], workers: int) -> Generator[None]:
-    pool = WorkerPool(min(workers, max(1, len(jobs))), Limits.shared(SILENCE_S, workers))
-    try:
-        for job in jobs:
-            pool.submit(job.planned.header.index, f"{stage_episode.__module__}:stage_episode", job)
-        by_index = {job.planned.header.index: job for job in jobs}
-        for _ in jobs:
-            index, outcome = pool.next()
-            _raise(by_index[index], outcome)
-            yield
-    finally:
-        pool.close(GRACE_S)
 
 
 def _raise(job: EpisodeJob, outcome: object) -> None:

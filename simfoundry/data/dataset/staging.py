@@ -5,8 +5,8 @@ An episode is written to a hidden folder, which is renamed when it is complete. 
 
 from __future__ import annotations
 
-import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +38,8 @@ def clear_unfinished(staging: Path) -> None:
 def write_staged(episode: Episode, info: DatasetInfo, formats: Sequence[str], staging: Path) -> None:
     """Write the files of an episode in each format, its arrays, and the numbers of pixels of its images."""
     place = episode_folder(staging, episode.header.index)
-    unfinished = place.with_name(f".{place.name}.{os.getpid()}")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
     counted = _CountedFrames(episode.images, info, episode.header.length)
     try:
         for name in formats:
@@ -48,10 +49,21 @@ def write_staged(episode: Episode, info: DatasetInfo, formats: Sequence[str], st
         _save(unfinished / ARRAYS, [episode.arrays[feature.name] for feature in info.arrays])
         counts = counted.counts()
         _save(unfinished / PIXELS, [counts[feature.name].counts for feature in info.images])
-        unfinished.rename(place)
+        _rename(unfinished, place)
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
+
+
+def _rename(unfinished: Path, place: Path) -> None:
+    """Give an episode its final name, unless a process of a lost node, which was repeated, has staged it meanwhile."""
+    try:
+        unfinished.chmod(0o755)
+        unfinished.rename(place)
+    except OSError:
+        if not place.is_dir():
+            raise
+        shutil.rmtree(unfinished)
 
 
 class _CountedFrames:
