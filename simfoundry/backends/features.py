@@ -83,6 +83,10 @@ SIMPLIFIED_COLLIDERS = SupportCell(
 )
 
 
+# The reason why formats contain no random values.
+NO_RANDOM_VALUES = "Files contain one scene; generate cousins with `simfoundry cousins`, and compile their folder."
+
+
 def _of_objects(label: str, test: Callable[[SceneObject], object], quantity: str, group: str = "object") -> Feature:
     return Feature(group, label, lambda scene: [item.name for item in scene.objects if test(item)], quantity)
 
@@ -231,6 +235,7 @@ FEATURES: dict[str, Feature] = {
     "background_mesh": _of_background("background mesh", "visuals"),
     "background_splat": _of_background("Gaussian splat background", "splat"),
     "options": Feature("scene", "time step and solver", lambda s: ["options"] * (s.options != Options())),
+    "vary": Feature("scene", "random values of a recipe", lambda s: [value.name for value in s.random_values]),
     "native": Feature("scene", "data of one format", lambda s: ["native.mjcf"] * bool(native_count(s))),
     "pose": _of_objects("pose in the world", lambda o: True, "pose"),
     "fixed": _of_objects("welded to the world", lambda o: o.fixed, "fixed"),
@@ -337,6 +342,8 @@ def shared_losses(scene: Scene) -> Iterator[Loss]:
     """Yield the losses that lowering causes for every target, such as omitted parts and simplified colliders."""
     for part in scene.left_out:
         yield drop("robots" if part.path.startswith("robots.") else "mounted_cameras", part.path, part.reason)
+    for value in scene.random_values:
+        yield drop("vary", value.name, NO_RANDOM_VALUES)
     for item in scene.objects:
         error = max((link.collision_error for link in item.links), default=0.0)
         if error:

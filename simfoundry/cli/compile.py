@@ -25,6 +25,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
+RECIPE_SUFFIX = ".cousins.yaml"
+
 # Maximum number of characters in the text beside the progress bar; longer texts are cut off at the beginning.
 LONGEST_TEXT = 60
 
@@ -47,6 +49,8 @@ def compile_command(
     parameters: dict[str, float], as_json: bool,
 ) -> int:  # fmt: skip
     """Compile scenes for simulators, and report everything that a target cannot represent.
+
+    From a recipe, its twin is compiled, with the random values of `vary` as event terms if the target has them.
 
     A single scene is written to OUT/TARGET. Multiple scenes, or all scenes below a folder, are written to
     OUT/SCENE/TARGET. They are compiled in parallel in separate processes, and scenes that are up to date are skipped.
@@ -71,9 +75,16 @@ def _compile_one(
     from simfoundry.targets.build import LOSSES, TargetsError, build, report, table
 
     with output.progress_bar(as_json) as progress:
-        lowered = lower_file(
-            scene, Cache.default(), lambda name, done, total: progress(name, done / total), parameters=parameters
-        )
+
+        def seen(name: str, done: int, total: int) -> None:
+            progress(name, done / total)
+
+        if scene.name.endswith(RECIPE_SUFFIX):
+            from simfoundry.cousins.randomization.recipe_scene import recipe_scene
+
+            lowered = recipe_scene(scene, Cache.default(), seen, parameters)
+        else:
+            lowered = lower_file(scene, Cache.default(), seen, parameters=parameters)
         failures: Mapping[str, str] = {}
         try:
             artifacts = build(lowered, targets, out, force)

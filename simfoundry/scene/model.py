@@ -25,6 +25,7 @@ from simfoundry.scene.attachments import Actuator, NativeAttributes, Options, Se
 from simfoundry.scene.source import Source as Source
 
 if TYPE_CHECKING:
+    from simfoundry.scene.random_values import RandomValue
     from simfoundry.scene.robot import Robot
 
 
@@ -352,6 +353,7 @@ class Scene:
         native: What only MJCF knows of the scene, by section, or None if MJCF is written in the usual way.
         viewer: The frame that defines left, right, front and behind: x points away from the viewer, and y to the left.
             If None, the world axes are used.
+        random_values: The values that a recipe draws at random, if the scene is the twin of one.
     """
 
     name: str
@@ -369,6 +371,7 @@ class Scene:
     viewer: Pose | None = None
     options: Options = field(default_factory=Options)
     native: Mapping[str, Any] | None = None
+    random_values: tuple[RandomValue, ...] = ()
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:

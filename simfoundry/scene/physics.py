@@ -20,7 +20,9 @@ from simfoundry.scene.model import Link, Scene, SceneObject
 # Fields that no engine reads for its physics: pictures, names of documents, and annotations. The viewer stays, because
 # left and right in goals depend on it.
 _NOT_PHYSICAL: Mapping[type, frozenset[str]] = {
-    Scene: frozenset({"name", "cameras", "lights", "mounted", "background", "relations", "left_out", "source"}),
+    Scene: frozenset(
+        {"name", "cameras", "lights", "mounted", "background", "relations", "left_out", "source", "random_values"}
+    ),
     SceneObject: frozenset({"labels", "category", "variants"}),
     Link: frozenset({"visuals"}),
 }

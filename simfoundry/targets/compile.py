@@ -12,6 +12,7 @@ from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.features import FEATURES, Fidelity, Loss, approximate, combination_reason
 from simfoundry.scene.model import Scene
+from simfoundry.targets.event_terms import event_losses
 from simfoundry.targets.find import Target
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
         for name, gap in profile.gaps.items()
         if any(FEATURES[name].users(scene))
     ]
+    if "events" in profile.writes:
+        gaps += event_losses(scene)
     return replace(artifact, losses=(*left, *pair_losses(scene, profile.combines, profile.name), *gaps))
 
 

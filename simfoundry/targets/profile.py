@@ -12,7 +12,7 @@ Words = Annotated[str, StringConstraints(min_length=3, max_length=240)]
 Combine = Literal["average", "harmonic", "maximum", "minimum", "multiply"]
 EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)]
 ClassPath = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
-Writes = Literal["objects", "environment", "omnigibson"]
+Writes = Literal["objects", "environment", "events", "omnigibson"]
 PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
 
 # The key of the tolerance for quantities that do not have their own tolerance.

@@ -15,6 +15,7 @@ from simfoundry.backends.artifact import rounded, rounded_list
 from simfoundry.backends.usd import compile_usd
 from simfoundry.geometry.frames import IDENTITY, to_xyzw
 from simfoundry.scene.model import JointType, Scene, SceneObject
+from simfoundry.targets.event_terms import asset_kind, events_file
 
 SCENE_FILE = "scene.json"
 
@@ -103,11 +104,10 @@ def environment_file(_: Scene) -> dict[str, bytes]:
 def _object(item: SceneObject) -> dict[str, object]:
     prim = f"/World/Objects/{item.name}"
     moving = [joint for joint in item.joints if joint.type is not JointType.FIXED]
-    kind = "articulation" if item.joints and (moving or not item.fixed) else "static" if item.fixed else "rigid"
     return {
         "prim": prim,
         "body": f"{prim}/{item.root.name}",
-        "kind": kind,
+        "kind": asset_kind(item),
         "p": rounded_list(item.X_WO.p),
         "q_wxyz": rounded_list(item.X_WO.q),
         "joints": {joint.name: rounded(joint.position) for joint in moving},
@@ -118,5 +118,6 @@ def _object(item: SceneObject) -> dict[str, object]:
 WRITERS: dict[str, Writer] = {
     "objects": objects_file,
     "environment": environment_file,
+    "events": events_file,
     "omnigibson": omnigibson_files,
 }

@@ -9,7 +9,13 @@
     simulation.reset()
     scene["cup"].data.root_pos_w
 
-``python load.py`` does this for one environment. It accepts the arguments of ``AppLauncher``.
+If the build was compiled from a recipe, ``events_cfg()`` returns its random values as event terms, for the field
+``events`` of the configuration of an environment:
+
+    from load import events_cfg
+    environment.events = events_cfg()
+
+``python load.py`` loads one environment. It accepts the arguments of ``AppLauncher``.
 """
 
 from __future__ import annotations
@@ -77,6 +83,38 @@ def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> A
             state = ArticulationCfg.InitialStateCfg(pos=position, rot=rotation, joint_pos=item["joints"])
             setattr(config, name, ArticulationCfg(prim_path=prim, spawn=None, init_state=state, actuators={}))
     return config
+
+
+def events_cfg() -> Any:
+    """Return the event terms in ``events.json`` as a configuration class with one ``EventTermCfg`` for each term.
+
+    Raises:
+        FileNotFoundError: If the build was not compiled from a recipe.
+    """
+    import isaaclab.envs.mdp as mdp
+    from isaaclab.managers import EventTermCfg, SceneEntityCfg
+    from isaaclab.utils import configclass
+
+    path = HERE / "events.json"
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist; compile the recipe (*.cousins.yaml) instead of its scene")
+    fields: dict[str, Any] = {}
+    for name, term in json.loads(path.read_text(encoding="utf-8"))["terms"].items():
+        if not hasattr(mdp, term["func"]):
+            raise AttributeError(f"this release of Isaac Lab has no event term `{term['func']}`, which `{name}` needs")
+        params = {key: as_tuples(value) for key, value in term["params"].items()}
+        if term["asset"]:
+            params["asset_cfg"] = SceneEntityCfg(**term["asset"])
+        fields[name] = EventTermCfg(func=getattr(mdp, term["func"]), mode=term["mode"], params=params)
+    annotations = dict.fromkeys(fields, EventTermCfg)
+    return configclass(type("EventCfg", (), {"__annotations__": annotations, **fields}))()
+
+
+def as_tuples(value: Any) -> Any:
+    """Return a value with tuples instead of lists, because Isaac Lab validates the types of ranges."""
+    if isinstance(value, dict):
+        return {key: as_tuples(item) for key, item in value.items()}
+    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from simfoundry.backends.features import FEATURES, Fidelity, Loss, SupportCell, 
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
+from simfoundry.scene.random_values import RandomQuantity, RandomValue
 from simfoundry.targets.build import report, table
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import find_target, target_names
@@ -26,7 +27,7 @@ OF_ROBOTS = ("robots", "robot_motors", "robot_contacts", "mounted_cameras")
 
 APART = {name: name for name in (*LIGHTS, "background_mesh", "background_splat")} | dict.fromkeys(OF_ROBOTS, "robots")
 APART |= {"dome_textures": "dome_textures", **dict.fromkeys(("ellipsoid", "cone"), "hulls")}
-APART |= dict.fromkeys(("options", "native", "sites", "sensors", "actuators"), "attachments")
+APART |= {"vary": "vary"} | dict.fromkeys(("options", "native", "sites", "sensors", "actuators"), "attachments")
 """Features that are looked at one at a time: a picture has one light, one background; robots; attachments.
 
 Without its model a robot is left out, in all targets alike.
@@ -37,7 +38,9 @@ Without its model a robot is left out, in all targets alike.
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
     """The scene by the feature that is added to it; without any by ``""``."""
     names = ("", *dict.fromkeys(APART.values()))
-    return {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in names}
+    found = {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in names}
+    mass = RandomValue("object.cup.mass", RandomQuantity.MASS, ("cup",), "objects", "scale", "uniform", (0.8, 1.2))
+    return found | {"vary": replace(found["vary"], random_values=(mass,))}
 
 
 @pytest.fixture(scope="module")
