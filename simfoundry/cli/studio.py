@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -13,7 +14,7 @@ from simfoundry.errors import SimfoundryError
 
 @output.subcommand()
 @click.argument("document", type=FILE)
-@option("--host", default="localhost", help="Address to listen on; a token is required if it is not this machine only.")
+@option("--host", default="localhost", help="Address to listen on; others than this machine's need a token.")
 @option("--port", type=click.IntRange(0, 65535), default=8080, help="Port; if it is taken, the next free one is used.")
 @click.option("--token", default="", help="Token that browsers must know. Default: random if it is required.")
 def studio_command(document: Path, host: str, port: int, token: str, as_json: bool) -> None:
@@ -31,7 +32,7 @@ def studio_command(document: Path, host: str, port: int, token: str, as_json: bo
     with StudioServer(document, host, port, token) as server:
         facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
         output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
-        click.get_text_stream("stdout").flush()
+        sys.stdout.flush()
         try:
             server.wait()
         except KeyboardInterrupt:

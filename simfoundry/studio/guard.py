@@ -63,7 +63,7 @@ def _given(path: str, headers: Any) -> Iterator[bytes]:
     """Yield the tokens that a request contains."""
     for value in parse_qs(urlsplit(path).query).get("token", ()):
         yield value.encode()
-    cookies = SimpleCookie[str]()
+    cookies = SimpleCookie()
     try:
         cookies.load(headers.get("Cookie", ""))
     except CookieError:

@@ -103,8 +103,8 @@ class Canvas:
             case SurfaceContent() as content:
                 handle = scene.add_glb(name, content.glb, **place)
             case FrameContent(axes):
-                size = {"axes_length": axes or 0.1, "axes_radius": (axes or 0.1) / 40}
-                return scene.add_frame(name, show_axes=axes > 0, **size, **place)
+                place |= {"axes_length": axes or 0.1, "axes_radius": (axes or 0.1) / 40}
+                return scene.add_frame(name, show_axes=axes > 0, **place)
             case LinesContent(points, rgb, thickness):
                 lines = np.array(points, dtype=np.float32).reshape(-1, 2, 3)
                 return scene.add_line_segments(name, lines, rgb, thickness=thickness, thickness_units="screen", **place)
@@ -134,7 +134,7 @@ _SH0 = 0.28209479177387814
 
 def _splat_arrays(gaussians: Gaussians) -> tuple[Any, Any, Any, Any]:
     """Return the centers (n, 3), covariances (n, 3, 3), colors (n, 3) and opacities (n, 1) of a splat."""
-    axes = rotations(gaussians.rotations) * gaussians.scales[:, None, :]
+    axes = rotations(gaussians.rotations.astype(np.float64)) * gaussians.scales[:, None, :]
     colors = np.clip(gaussians.harmonics[:, 0] * _SH0 + 0.5, 0.0, 1.0)
     return gaussians.positions, axes @ axes.transpose(0, 2, 1), colors, gaussians.opacities[:, None]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 from simfoundry.studio.view.panels.panel import Panel, by_person
 
@@ -29,8 +30,8 @@ class DisplayPanel(Panel):
         with window.gui.add_folder("Show"):
             for option, label in LABELS.items():
                 box = window.gui.add_checkbox(label, getattr(window.options, option))
-                box.on_update(by_person(lambda event, option=option: self._switch(option, event)))
+                box.on_update(by_person(partial(self._switch, option)))
 
     def _switch(self, option: str, event: Any) -> None:
-        self.window.options = replace(self.window.options, **{option: bool(event.target.value)})
+        self.window.options = replace(self.window.options, **cast(Any, {option: bool(event.target.value)}))
         self.window.request_refresh()

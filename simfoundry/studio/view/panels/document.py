@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import html
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.studio.disk import DiskQuestion
 from simfoundry.studio.view.panels.panel import Panel, set_value
 
 if TYPE_CHECKING:
@@ -30,11 +32,11 @@ class DocumentPanel(Panel):
         self._controls: list[Any] = []
         with gui.add_folder("Diff to the file", expand_by_default=False):
             self._diff = gui.add_html("")
-        commands = (("Undo", "Z", "cmd/ctrl", self.session.undo), ("Redo", "Z", "cmd/ctrl+shift", self.session.redo))
-        for label, key, modifier, method in commands:
-            command = gui.add_command(label, hotkey=key, modifier=modifier)
-            command.on_trigger(lambda _, method=method: window.run(method))
-        gui.add_command("Save", hotkey="S", modifier="cmd/ctrl").on_trigger(lambda _: window.save())
+        undo = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl")
+        redo = gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift")
+        save = gui.add_command("Save", hotkey="S", modifier="cmd/ctrl")
+        for command, button in ((undo, "Undo"), (redo, "Redo"), (save, "Save")):
+            command.on_trigger(partial(self._trigger, button))
 
     def refresh(self) -> None:
         """Show what can be undone, and what saving would write."""
@@ -47,6 +49,9 @@ class DocumentPanel(Panel):
         set_value(self._state, "  \n".join([f"**{name}**{edited}", *steps]))
         set_value(self._diff, diff_html(session.diff()))
         self._ask()
+
+    def _trigger(self, button: str, _event: object) -> None:
+        self._press(button)
 
     def _press(self, button: str) -> None:
         work = {"Undo": self.session.undo, "Redo": self.session.redo}
@@ -68,11 +73,11 @@ class DocumentPanel(Panel):
             for question in questions:
                 self._controls.append(self.window.gui.add_markdown(str(question)))
                 choice = self.window.gui.add_button_group("Keep", ("here", "on disk"))
-                choice.on_click(lambda event, q=question: self._answer(q, event.target.value == "on disk"))
+                choice.on_click(partial(self._answer, question))
                 self._controls.append(choice)
 
-    def _answer(self, question: Any, take_disk: bool) -> None:
-        self.window.run(lambda: self.session.answer(question, take_disk))
+    def _answer(self, question: DiskQuestion, event: Any) -> None:
+        self.window.run(partial(self.session.answer, question, event.target.value == "on disk"))
 
 
 def diff_html(diff: str) -> str:

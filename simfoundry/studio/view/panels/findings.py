@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity
@@ -45,12 +46,12 @@ class FindingsPanel(Panel):
                 button = self.window.gui.add_button(
                     finding_label(finding), color="red" if finding.severity is Severity.ERROR else "yellow"
                 )
-                button.on_click(lambda _, d=finding: self._choose(d))
+                button.on_click(partial(self._choose, finding))
                 self._buttons.append(button)
         if not findings:
             set_value(self._details, "")
 
-    def _choose(self, finding: Diagnostic) -> None:
+    def _choose(self, finding: Diagnostic, _event: object) -> None:
         hint = f" {finding.hint}." if finding.hint else ""
         place = f"{finding.file.rpartition('/')[2]}:{finding.line}:{finding.column}"
         set_value(self._details, f"`{finding.code}` {place}: {finding.message}.{hint}")

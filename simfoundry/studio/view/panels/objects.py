@@ -33,7 +33,7 @@ class ObjectPanel(Panel):
                 self._friction = gui.add_number("Friction", 0.0, min=0.0, step=0.01)
                 self._material = gui.add_dropdown("Material", (INHERITED,), initial_value=INHERITED)
                 self._fixed = gui.add_checkbox("Fixed", False)
-                gui.add_button("Apply", icon="check").on_click(lambda _: form.submit())
+                gui.add_button("Apply").on_click(lambda _: form.submit())
             form.on_submit(lambda _: self._submit())
         self._shown: dict[int, tuple[str, Any]] = {}  # the object and the value that each control has shown
 
@@ -80,9 +80,10 @@ class ObjectPanel(Panel):
         with self.session.lock:
             if self.session.scene is None or name not in self.session.scene.objects:
                 return
-            changed = {id(handle): handle.value for handle, value in self._values(name) if handle.value != value}
-        keys = {"category": self._category, "mass": self._mass, "friction": self._friction, "fixed": self._fixed}
-        values: dict[str, Any] = {key: h.value for key, h in keys.items() if id(h) in changed}
+            changed = {id(handle) for handle, value in self._values(name) if handle.value != value}
+        keys: dict[str, Any] = {"category": self._category, "mass": self._mass}
+        keys |= {"friction": self._friction, "fixed": self._fixed}
+        values: dict[str, Any] = {key: handle.value for key, handle in keys.items() if id(handle) in changed}
         if "fixed" in values and not values["fixed"]:
             values["fixed"] = None
         if "category" in values and not values["category"]:

@@ -34,7 +34,7 @@ def set_value(handle: Any, value: Any) -> None:
         setattr(handle, attribute, value)
 
 
-def by_person(callback: Callable[[Any], None]) -> Callable[[Any], None]:
+def by_person(callback: Callable[[Any], object]) -> Callable[[Any], None]:
     """Return a callback that ignores changes that the program itself makes to a control."""
 
     def only_of_people(event: Any) -> None:
