@@ -28,6 +28,9 @@ POSITION_ERROR, ROTATION_ERROR = 1e-3, 2e-3
 # Movement [m] and rotation [rad] below which something counts as unmoved: half of what is written.
 STILL_M, STILL_RAD = 5e-5, 1e-4
 
+# Decimals of positions that are written [m], which is 0.1 mm.
+DIGITS = 4
+
 
 @dataclass(frozen=True)
 class PoseSource:
@@ -94,7 +97,7 @@ def written_pose(
     frame = source.data.get("frame")
     X_FO = scene.frames.pose(frame, placed).inverse() @ X_WO
     X_FO_before = scene.frames.pose(frame, scene.objects).inverse() @ scene.objects[name].X_WO
-    data = {**source.data, "xyz": _moved(source.data.get("xyz", (0.0, 0.0, 0.0)), X_FO.p, 4)}
+    data = {**source.data, "xyz": moved(source.data.get("xyz", (0.0, 0.0, 0.0)), X_FO.p)}
     if X_FO.angle_to(X_FO_before) > STILL_RAD:
         data = {key: value for key, value in data.items() if key not in ("yaw_deg", "rpy_deg", "quat_wxyz")}
         if "quat_wxyz" in source.data:
@@ -106,11 +109,11 @@ def written_pose(
     return source.edits(scene, name, "pose", data)
 
 
-def _moved(before: Any, after: Array, digits: int) -> tuple[float, ...]:
+def moved(before: Any, after: Array) -> tuple[float, ...]:
     """Return rounded coordinates [m], in which those that did not move stay as they were written."""
     old = before if isinstance(before, tuple) and len(before) == len(after) else (None,) * len(after)
     return tuple(
-        was if isinstance(was, int | float) and abs(was - now) < STILL_M else round(now, digits) + 0.0
+        was if isinstance(was, int | float) and abs(was - now) < STILL_M else round(now, DIGITS) + 0.0
         for was, now in zip(old, after.tolist(), strict=True)
     )
 
@@ -146,12 +149,12 @@ def _places(
             if "local_xy" in base:
                 try:
                     X_CO = Carrier.of(support, placed).X_WC.inverse() @ X_WO
-                    yield {**base, "local_xy": _moved(base["local_xy"], X_CO.p[:2], 4)}
+                    yield {**base, "local_xy": moved(base["local_xy"], X_CO.p[:2])}
                 except PlaceError:
                     continue
         plain = {k: v for k, v in base.items() if k not in (*RELATIONS, "gap", "offset", "local_xy", "seen_from")}
         p = (scene.frames.pose(base.get("frame"), placed).inverse() @ X_WO).p[:2]
-        yield {**plain, "xy": _moved(base.get("xy"), p, 4)}
+        yield {**plain, "xy": moved(base.get("xy"), p)}
 
 
 def _supports(
@@ -212,4 +215,4 @@ def _beside(
     if word is not None and abs(float(axes[1 - RELATIONS[word][0]] @ shift)) < STILL_M:
         yield {**plain, "gap": round(gaps[word], 4) + 0.0}
     offset = X_WF.rotation[:2, :2].T @ shift
-    yield {**plain, "offset": _moved(place.get("offset"), offset, 4)}
+    yield {**plain, "offset": moved(place.get("offset"), offset)}
