@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models import base, native, reuse, robot, scene, shapes, surroundings
 
 if TYPE_CHECKING:
@@ -187,6 +188,18 @@ class SceneDocument(EditableDocument):
         from simfoundry.scene.lower import lower
 
         return lower(self._checked(), Cache.default())
+
+    def _repr_html_(self) -> str | None:
+        """Return the scene as HTML that notebooks show, or None if it has errors or the studio is not installed."""
+        from simfoundry.runtime.extras import EXTRAS
+        from simfoundry.studio.export import notebook_html
+
+        if EXTRAS["studio"].missing:
+            return None
+        try:
+            return notebook_html(self.lower())
+        except SpecError:
+            return None
 
     def compile(self, *targets: str | Path, out: str | Path, force: bool = False) -> Build:
         """Compile the scene into one folder per target.

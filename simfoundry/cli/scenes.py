@@ -10,21 +10,41 @@ import click
 
 from simfoundry.cli import output
 from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, option, scene_argument, set_option
+from simfoundry.cli.studio import serve_studio
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.worlds.settle import ObjectSettle
 
 
-@output.subcommand()
+@output.subcommand(force=True)
 @scene_argument
 @set_option
-def show_command(scene: Path, parameters: dict[str, float], as_json: bool) -> None:
-    """Show a scene as a tree of support relations, with sizes, masses and joints."""
+@click.option("--web", is_flag=True, help="Show the scene or task in the browser, and follow changes of the file.")
+@option("--port", type=click.IntRange(0, 65535), default=8080, help="Port for --web, or the next free one.")
+@click.option("--html", type=NEW_FILE, help="Write the scene to this HTML file, which needs no other files.")
+def show_command(
+    scene: Path, parameters: dict[str, float], web: bool, port: int, html: Path | None, force: bool, as_json: bool
+) -> None:
+    """Show a scene as a tree of support relations, with sizes, masses and joints, or in a browser."""
     from simfoundry.scene.summary import summary, tree
 
-    _, spec, lowered = output.lower_scene(scene, as_json, parameters, fetch=False)
+    if web:
+        if parameters or html is not None:
+            raise SimfoundryError("--web shows the document as it is; it cannot be combined with --set or --html")
+        serve_studio(scene, as_json, port=port, is_editable=False)
+        return
+    loaded, spec, lowered = output.lower_scene(scene, as_json, parameters, fetch=False)
     facts = summary(lowered, spec)
+    if html is not None:
+        from simfoundry.runtime.extras import need_extra
+        from simfoundry.studio.export import scene_html
+
+        need_extra("studio", "`show --html`")
+        output.protect_output(html, [scene, *loaded.files()], force)
+        output.write_text(html, scene_html(lowered))
+        output.print_result(as_json, {**facts, "html": str(html)}, str(html))
+        return
     output.print_result(as_json, facts, tree(facts))
 
 

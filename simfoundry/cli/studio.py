@@ -23,13 +23,20 @@ def studio_command(document: Path, host: str, port: int, token: str, as_json: bo
     Nothing is written before you save. The page follows changes of the file, and several windows show the same. No
     display is needed on the machine that runs the command.
     """
+    if token and len(token) < MIN_TOKEN:
+        raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
+    serve_studio(document, as_json, host, port, token)
+
+
+def serve_studio(
+    document: Path, as_json: bool, host: str = "localhost", port: int = 8080, token: str = "", is_editable: bool = True
+) -> None:
+    """Serve a document until the user interrupts the program."""
     from simfoundry.runtime.extras import need_extra
     from simfoundry.studio.server import StudioServer
 
     need_extra("studio", "the studio")
-    if token and len(token) < MIN_TOKEN:
-        raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
-    with StudioServer(document, host, port, token) as server:
+    with StudioServer(document, host, port, token, is_editable) as server:
         facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
         output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
         sys.stdout.flush()

@@ -112,7 +112,7 @@ def test_an_asset_is_added_inside_of_the_project_only(desk: Path) -> None:
         ("mug", {"shape": {"sphere": 0.1}}, "already exists"),
         ("Mug", {"shape": {"sphere": 0.1}}, "name"),
         ("cup", {"shape": {"sphere": -0.1}}, "greater than 0"),
-        ("cup", {"shape": {"cube": 1}}, ""),
+        ("cup", {"shape": {"cube": 1}}, "cube"),
         ("cup", {}, "one of `shape`, `asset` is needed"),
     ],
 )

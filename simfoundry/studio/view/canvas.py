@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.geometry.frames import Pose, rotations
+from simfoundry.render.views import framing, overview
 from simfoundry.studio.view.nodes import (
     CAMERA_RGB,
     FRUSTUM_M,
@@ -21,8 +22,9 @@ from simfoundry.studio.view.nodes import (
 )
 
 if TYPE_CHECKING:
-    from viser import SceneApi
+    from viser import SceneApi, ViserServer
 
+    from simfoundry.scene.model import Scene
     from simfoundry.scene.model import Splat as Gaussians
 
 # Called with what a click selects, such as ``objects.mug``.
@@ -122,6 +124,16 @@ class Canvas:
             selects = node.selects
             handle.on_click(lambda _event: self._select(selects))
         return handle
+
+
+def prepare_view(server: ViserServer, scene: Scene | None) -> None:
+    """Let z point up, draw a grid of 10 cm on the ground, and start with a view of all movable objects of a scene."""
+    server.scene.set_up_direction("+z")
+    server.scene.add_grid("/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0)
+    if scene is not None:
+        camera, (center, _) = overview([scene], 640, 480), framing([scene])
+        server.initial_camera.position = tuple(camera.X_WC.p.tolist())
+        server.initial_camera.look_at = tuple(center.tolist())
 
 
 def _is_same(a: Pose, b: Pose) -> bool:

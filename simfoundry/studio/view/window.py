@@ -5,24 +5,31 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.render.views import framing, overview
+from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.studio.acts.act import Act
 from simfoundry.studio.acts.move import Snap
 from simfoundry.studio.session import StudioSession
-from simfoundry.studio.view.canvas import Canvas
-from simfoundry.studio.view.gizmo import ObjectGizmo
-from simfoundry.studio.view.nodes import DisplayOptions, Nodes, scene_nodes
-from simfoundry.studio.view.panels.conditions import ConditionsPanel
+from simfoundry.studio.view.canvas import Canvas, prepare_view
+from simfoundry.studio.view.gizmo import SelectionGizmo
+from simfoundry.studio.view.nodes import DisplayOptions, Nodes, object_nodes, scene_nodes
+from simfoundry.studio.view.panels.adding import AddPanel
+from simfoundry.studio.view.panels.cameras import CameraPanel
+from simfoundry.studio.view.panels.conditions import ConditionsPanel, PredicatePanel
 from simfoundry.studio.view.panels.display import DisplayPanel
 from simfoundry.studio.view.panels.document import DocumentPanel
 from simfoundry.studio.view.panels.findings import FindingsPanel
+from simfoundry.studio.view.panels.moving import JointPanel, MovingPanel
 from simfoundry.studio.view.panels.objects import ObjectPanel
 from simfoundry.studio.view.panels.panel import Panel
+from simfoundry.studio.view.panels.regions import RegionPanel
+from simfoundry.studio.view.pictures import camera_pictures
+from simfoundry.studio.view.robots import ShownRobots
 
 if TYPE_CHECKING:
     from viser import GuiApi, ViserServer
@@ -30,9 +37,10 @@ if TYPE_CHECKING:
 # The panels of each tab. Those without a tab are above all tabs.
 PANELS: dict[str, tuple[type[Panel], ...]] = {
     "": (DocumentPanel,),
-    "Edit": (ObjectPanel,),
-    "Check": (FindingsPanel, ConditionsPanel),
-    "Show": (DisplayPanel,),
+    "Edit": (ObjectPanel, JointPanel, RegionPanel, AddPanel, MovingPanel),
+    "Check": (FindingsPanel,),
+    "Goal": (ConditionsPanel, PredicatePanel),
+    "Show": (DisplayPanel, CameraPanel),
 }
 
 # Seconds that a message stays; long enough to read two sentences.
@@ -53,17 +61,20 @@ class StudioWindow:
         snap: What moved objects snap to.
     """
 
-    def __init__(self, session: StudioSession, server: ViserServer) -> None:
+    def __init__(self, session: StudioSession, server: ViserServer, is_editable: bool = True) -> None:
         self.session, self.server = session, server
+        self.is_editable = is_editable
         self.selection = ""
         self.options = DisplayOptions()
         self.state: SceneState | None = None
-        self.is_editable = True
         self.drops = True
         self.snap = Snap()
         self.canvas = Canvas(server.scene, self.select)
-        self.gizmo = ObjectGizmo(self)
+        self.gizmo = SelectionGizmo(self)
         self._acts = ThreadPoolExecutor(1, "studio-acts")  # acts happen one after another
+        self._latest: dict[str, Act] = {}
+        self._robots = ShownRobots()
+        self._pictured: Scene | None = None
         self._dirty, self._stopped = Event(), False
         self._prepare_scene()
         self._panels = self._built_panels()
@@ -106,6 +117,13 @@ class StudioWindow:
                 self.tell(act.label, " ".join(f"{note}." for note in notes))
 
         self.run(apply)
+
+    def submit_latest(self, act: Act, gesture: str) -> None:
+        """Apply the latest act of a continuous gesture; those that later ones replace before their turn are skipped."""
+        is_waiting = gesture in self._latest
+        self._latest[gesture] = act
+        if not is_waiting:
+            self.run(lambda: self.session.apply(self._latest.pop(gesture), gesture))
 
     def run(self, work: Callable[[], object]) -> None:
         """Run work that changes the session after that submitted before. Errors are shown as messages."""
@@ -154,13 +172,17 @@ class StudioWindow:
 
     def _nodes(self) -> Nodes:
         scene = self.session.scene
-        nodes = scene_nodes(scene.scene, self.options, self.state) if scene is not None else {}
+        nodes: Nodes = {}
+        if scene is not None:
+            nodes |= scene_nodes(scene.scene, self.options, self.state)
+            for robot in self._robots.known(scene.surroundings.robots):
+                nodes |= object_nodes(robot, self.options, "robots")
         for panel in self._panels:
             nodes |= panel.nodes()
         nodes |= self.gizmo.nodes()
-        if self.gizmo.dragged_by is not None:
-            dragged = f"/objects/{self.selected_object}"
-            nodes = {n: self.canvas.nodes.get(n, node) if n == dragged else node for n, node in nodes.items()}
+        dragged = self.gizmo.dragged_node
+        if dragged in nodes:
+            nodes[dragged] = self.canvas.nodes.get(dragged, nodes[dragged])
         return nodes
 
     def _work(self) -> None:
@@ -173,10 +195,24 @@ class StudioWindow:
             try:
                 self.refresh()
                 self.session.examine(self._pause)
+                self._complete()
             except _MoreUrgentError:
                 continue
             except Exception:
                 _log.exception("the view could not be updated")
+
+    def _complete(self) -> None:
+        """Add what takes longer: robots, and the pictures of cameras."""
+        scene = self.session.scene
+        if scene is None:
+            return
+        if self._robots.read(scene.surroundings.robots):
+            self.request_refresh()
+        if self.options.cameras and self.state is None and self._pictured is not scene.scene:
+            pictures = camera_pictures(scene.scene, self._pause)
+            self._pictured = scene.scene
+            self.options = replace(self.options, pictures=pictures)
+            self.request_refresh()
 
     def _pause(self) -> None:
         if self._dirty.is_set():
@@ -194,21 +230,16 @@ class StudioWindow:
         server = self.server
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         server.gui.set_panel_label("SimFoundry Studio")
-        server.scene.set_up_direction("+z")
-        server.scene.add_grid("/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0)
         scene = self.session.scene
-        if scene is not None:
-            camera = overview([scene.scene], 640, 480)
-            server.initial_camera.position = tuple(camera.X_WC.p.tolist())
-            center, _ = framing([scene.scene])
-            server.initial_camera.look_at = tuple(center.tolist())
+        prepare_view(server, scene.scene if scene is not None else None)
 
     def _built_panels(self) -> list[Panel]:
         gui = self.gui
-        built = [kind(self) for kind in PANELS[""]]
+        shown = {tab: [kind for kind in kinds if self.is_editable or not kind.edits] for tab, kinds in PANELS.items()}
+        built = [kind(self) for kind in shown.pop("")]
         tabs = gui.add_tab_group()
-        for tab, kinds in PANELS.items():
-            if tab:
+        for tab, kinds in shown.items():
+            if kinds:
                 with tabs.add_tab(tab):
                     built += [kind(self) for kind in kinds]
         return built

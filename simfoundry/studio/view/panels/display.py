@@ -25,6 +25,8 @@ LABELS = {
 class DisplayPanel(Panel):
     """One switch for each part of the scene that can be hidden."""
 
+    edits = False
+
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         with window.gui.add_folder("Show"):

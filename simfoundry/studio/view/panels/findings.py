@@ -21,6 +21,8 @@ MAX_LABEL = 60
 class FindingsPanel(Panel):
     """One line for each finding, and the details of the line that was clicked last."""
 
+    edits = False
+
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         self._summary = window.gui.add_markdown("")

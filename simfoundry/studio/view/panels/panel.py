@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 class Panel:
     """A part of the user interface. It builds its controls when it is created, and follows the session afterwards."""
 
+    # Whether the panel changes documents. Such panels are absent where a document is only shown.
+    edits = True
+
     def __init__(self, window: StudioWindow) -> None:
         self.window = window
         self.session = window.session
