@@ -60,7 +60,10 @@ class AddObject:
         asset = data.get("asset")
         if not data.keys() & {"mass", "density", "material", "fixed"} and not (asset and is_document(str(asset))):
             data["mass"] = NEW_MASS
-        item = lowered_object(scene, self.name, data)
+        try:
+            item = lowered_object(scene, self.name, data)
+        except ValidationError:  # `check` explains better what is wrong with the fields
+            return scene_edits(scene, {("objects", self.name): data})
         support = self.support or _largest_support(scene)
         if not support:
             low, _ = hulls(item, X_WO=Pose.of()).bounds()
@@ -76,12 +79,10 @@ def lowered_object(scene: StudioScene, name: str, data: Mapping[str, Any]) -> Sc
     """Return a new object as it would be lowered, at the origin.
 
     Raises:
-        ActError: If its fields are not valid, or if its files cannot be used.
+        ValidationError: If its fields are not valid.
+        ActError: If its files cannot be used.
     """
-    try:
-        spec = ObjectSpec.model_validate(data)
-    except ValidationError as error:
-        raise ActError(f"`{name}` is not valid: {error.errors()[0]['msg']}") from None
+    spec = ObjectSpec.model_validate(data)
     loaded = scene.loaded
     if spec.asset is not None:
         try:
