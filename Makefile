@@ -70,7 +70,7 @@ proofs: $(READY) ## Long runs that measure what is promised: minutes, and some n
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
 	@$(PYTHON) -m venv build/lock
 	@build/lock/bin/python -m pip install --quiet --disable-pip-version-check uv
-	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --extra docs --no-annotate \
+	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --extra docs --extra train --no-annotate \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file constraints.txt pyproject.toml
 
 hooks: $(READY) ## Run the checks at each commit

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from simfoundry.api.scenes import load as load
     from simfoundry.api.tasks import TaskDocument as TaskDocument
     from simfoundry.api.tasks import load_task as load_task
+    from simfoundry.api.training import Trained as Trained
+    from simfoundry.api.training import train_policy as train_policy
     from simfoundry.errors import SimfoundryError as SimfoundryError
     from simfoundry.spec.diagnostics import SpecError as SpecError
 
@@ -32,12 +34,14 @@ _MODULES = {
     "SimfoundryError": "errors",
     "SpecError": "spec.diagnostics",
     "TaskDocument": "api.tasks",
+    "Trained": "api.training",
     "UnknownNameError": "api.entries",
     "demonstrations": "api.demonstrations",
     "evaluate": "api.evaluation",
     "load": "api.scenes",
     "load_task": "api.tasks",
     "record": "api.demonstrations",
+    "train_policy": "api.training",
 }
 
 __all__ = [*_MODULES, "__version__"]

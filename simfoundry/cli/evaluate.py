@@ -88,7 +88,7 @@ def eval_command(
         engines=tuple(dict.fromkeys(worlds)),
         shard=(shard[0] - 1, shard[1]),
         cameras=cameras or None,
-        video=_can_film(worlds) if video is None else video,
+        video=can_film(worlds) if video is None else video,
     )
     with output.progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"initial states of {name}", done / of))
@@ -96,7 +96,7 @@ def eval_command(
     return _print_report(plan, evaluation, require, as_json)
 
 
-def _can_film(worlds: Sequence[str]) -> bool:
+def can_film(worlds: Sequence[str]) -> bool:
     """Return True if videos can be rendered. Otherwise, print the reason. PyBullet does not need a GL driver."""
     from simfoundry.render.gl import Engine, choose_engine
 

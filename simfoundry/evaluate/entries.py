@@ -17,6 +17,7 @@ from urllib.parse import parse_qsl
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Policy, PolicyError
+from simfoundry.evaluate.policies.checkpoint import LOADERS, CheckpointChoice
 from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.predicates import Judge
@@ -42,7 +43,10 @@ class ReplayChoice:
 
 
 # A selected policy that has not been created yet.
-Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | PythonClass
+Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | CheckpointChoice | PythonClass
+
+# Policies that are created separately for each task.
+TASK_CHOICES = (ExpertChoice, CheckpointChoice)
 
 
 def parse_policy(text: str) -> Choice:
@@ -52,6 +56,7 @@ def parse_policy(text: str) -> Choice:
 
     - ``random`` or ``expert``
     - ``replay:FILE``
+    - ``baseline:FOLDER``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
     - the path of a ``*.policy.yaml`` document
     - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses
@@ -68,6 +73,10 @@ def parse_policy(text: str) -> Choice:
         if not rest:
             raise PolicyError("`replay` requires a recording, such as `replay:rollout.npz`")
         return ReplayChoice(Path(rest))
+    if kind in LOADERS:
+        if not rest:
+            raise PolicyError(f"`{kind}` requires the folder of a trained policy, such as `{kind}:build/train/policy`")
+        return CheckpointChoice(kind, Path(rest))
     if kind == "python":
         return _python(rest)
     if text.endswith((".yaml", ".yml")):
@@ -76,7 +85,7 @@ def parse_policy(text: str) -> Choice:
         return spec
     if kind in PROTOCOLS:
         return _short(kind, rest)
-    words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
+    words = "`random`, `expert`, `replay:FILE`, `baseline:FOLDER`, `python:MODULE:CLASS`, a path to a .policy.yaml"
     servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PROTOCOLS.names())
     raise PolicyError(f"`{text}` is not a valid policy; use {words}, or a server such as {servers}")
 
@@ -84,8 +93,8 @@ def parse_policy(text: str) -> Choice:
 def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
     """Create a selected policy.
 
-    This function does not create the expert, which also requires the task. A policy behind a server connects when its
-    first rollout starts.
+    This function does not create the policies in :data:`TASK_CHOICES`, which also require the task. A policy behind a
+    server connects when its first rollout starts.
     """
     if isinstance(choice, RandomChoice):
         from simfoundry.evaluate.policies.open_loop import RandomPolicy
@@ -103,6 +112,8 @@ def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) 
 
 def create_policy(choice: Choice, task: Task, judge: Judge) -> Policy:
     """Create any selected policy for a task."""
+    if isinstance(choice, CheckpointChoice):
+        return choice.create(task)
     if isinstance(choice, ExpertChoice):
         from simfoundry.evaluate.expert.policy import ExpertPolicy
 
@@ -211,10 +222,10 @@ class Contender:
     def digest(self) -> str:
         """A digest of the selected policy.
 
-        It covers the content of the policy's document or recording.
+        It covers the content of the policy's document, recording or folder.
         """
         choice = self.choice()
-        if isinstance(choice, PythonClass):
+        if isinstance(choice, PythonClass | CheckpointChoice):
             return choice.digest
         said = choice.path.read_bytes() if isinstance(choice, ReplayChoice) else repr(choice).encode()
         return hashlib.sha256(said).hexdigest()[:16]
@@ -234,6 +245,8 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
         choice = one.choice()  # report an invalid policy immediately rather than after an hour
         if isinstance(choice, PythonClass):
             choice.find()
+        if isinstance(choice, CheckpointChoice):
+            _ = choice.digest
         if isinstance(choice, ReplayChoice):
             open_policy(choice)
         found.append(one)
@@ -242,6 +255,8 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
 
 def _label(text: str) -> str:
     word = text.partition("?")[0] if ":" in text else text
+    if (kind := text.partition(":")[0]) in LOADERS:
+        return kind
     if text.endswith((".yaml", ".yml")):
         word = Path(text).name.partition(".")[0]
     elif text.startswith("python:"):
@@ -256,9 +271,9 @@ class OpenPolicies:
         self._open: dict[tuple[Task | None, str], Policy] = {}
 
     def policy(self, contender: Contender, task: Task, judge: Judge) -> Policy:
-        """Return the policy for a task, which is created on first use. Experts of other tasks are closed."""
+        """Return the policy for a task, which is created on first use. Those of other tasks are closed."""
         choice = contender.choice()
-        key = (task if isinstance(choice, ExpertChoice) else None, contender.text)
+        key = (task if isinstance(choice, TASK_CHOICES) else None, contender.text)
         if key not in self._open:
             for stale in [k for k in self._open if k[0] is not None and k[0] is not task]:
                 self._open.pop(stale).close()

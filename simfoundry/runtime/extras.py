@@ -43,6 +43,8 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
           {"mink": "mink", "qpsolvers": "qpsolvers", "daqp": "daqp"}),
     Extra("robots", "known robots except `demo_arm`; each is downloaded on first use",
           {"mujoco-menagerie": "mujoco_menagerie"}),
+    Extra("train", "training of the baseline (`train`) and rollouts with it (`eval -p baseline:FOLDER`)",
+          {"torch": "torch", "safetensors": "safetensors", "mink": "mink", "qpsolvers": "qpsolvers", "daqp": "daqp"}),
     Extra("pybullet", "PyBullet worlds (not required for compiling to PyBullet)", {"pybullet": "pybullet"}),
     Extra("policies", "policies served over a network (`eval -p policy.yaml`)",
           {"msgpack": "msgpack", "pyzmq": "zmq", "websockets": "websockets"}),

@@ -1,0 +1,111 @@
+"""Commands that train policies: ``train``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.api.training import RANGES
+from simfoundry.cli import output
+from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable
+from simfoundry.runtime.executors import Machines
+
+if TYPE_CHECKING:
+    from simfoundry.api.training import Trained
+
+
+@output.subcommand("train")
+@click.argument("sources", nargs=-1, required=True, type=ANY)
+@option("-n", "--count", type=click.IntRange(*RANGES["count"]), default=200, help="Number of demonstrations.")
+@option("-o", "--out", type=NEW_FOLDER, default=Path("build/train"))
+@option("-p", "--policy", metavar="POLICY", default="expert",
+        help="Policy that demonstrates, as in `simfoundry record`.")  # fmt: skip
+@option("--seed", "seeds", type=click.IntRange(*RANGES["seed"]), multiple=True, default=[0],
+        help="Seed of the training; repeat the option to train several policies.")  # fmt: skip
+@click.option("--minutes", type=click.FloatRange(0, 10_000, min_open=True),
+              help="Time budget of each training, which limits the number of steps.")  # fmt: skip
+@option("--steps", type=click.IntRange(*RANGES["steps"]), default=10_000, help="Number of optimization steps.")
+@click.option("--cousins", type=click.IntRange(1, 1_000_000),
+              help="Number of cousins of a recipe. Default: the count in the recipe.")  # fmt: skip
+@click.option("--eval", "tasks", multiple=True, type=ANY, metavar="TASKS",
+              help="Task, or folder of tasks, to evaluate; may be repeated.")  # fmt: skip
+@click.option("--rollouts", type=click.IntRange(*RANGES["rollouts"]),
+              help="Number of rollouts of each task. Default: 25 in total, but at least one of each.")  # fmt: skip
+@option("--record-seed", type=click.IntRange(*RANGES["seed"]), default=0,
+        help="Seed for the initial states of the demonstrations.")  # fmt: skip
+@option("--eval-seed", type=click.IntRange(*RANGES["seed"]), default=1,
+        help="Seed for the initial states of the evaluation.")  # fmt: skip
+@click.option("--video/--no-video", default=None,
+              help="Record a video of each rollout. Default: only if rendering is possible.")  # fmt: skip
+@jobs_option(1)
+@on_option
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
+def train_command(
+    sources: tuple[Path, ...], count: int, out: Path, policy: str, seeds: tuple[int, ...], minutes: float | None,
+    steps: int, cousins: int | None, tasks: tuple[Path, ...], rollouts: int | None, record_seed: int, eval_seed: int,
+    video: bool | None, jobs: int | None, machines: Machines, require: float | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Record demonstrations, train a small policy on them, and evaluate it.
+
+    SOURCES are task documents, folders that contain task documents, a recipe of cousins, or folders of demonstrations.
+    The policy is a flow-matching network that reads the true poses of the objects. It is evaluated from initial states
+    that it has not seen: with several tasks, a fifth of them, at most 25, is held out, unless --eval names the tasks.
+
+    OUT contains the cousins, the demonstrations, the policies, the evaluation, and report.html. Finished stages are not
+    repeated, so you can repeat the command to resume an interrupted run; a resumed training gives the same weights. To
+    run a policy again, use `simfoundry eval TASK -p baseline:OUT/policies/NAME`.
+
+    The exit code is 1 if rollouts are missing or if a success rate is below --require.
+    """
+    from simfoundry.api.training import TrainingRun, run_training
+    from simfoundry.cli.evaluate import can_film
+    from simfoundry.train.fit import FitOptions
+
+    run = TrainingRun(
+        sources=sources,
+        folder=out,
+        options=FitOptions(steps=steps),
+        seeds=seeds,
+        minutes=minutes,
+        count=count,
+        policy=policy,
+        record_seed=record_seed,
+        tasks=tasks,
+        rollouts=rollouts,
+        eval_seed=eval_seed,
+        cousins=cousins,
+        jobs=jobs,
+        machines=machines,
+        video=can_film(("mujoco",)) if video is None else video,
+    )
+    with output.progress_bar(as_json) as progress, resumable(out):
+        trained = run_training(run, progress)
+    return _print_trained(trained, require, as_json)
+
+
+def _print_trained(trained: Trained, require: float | None, as_json: bool) -> int:
+    from simfoundry.api.training import PAGE
+
+    evaluation = trained.evaluation
+    rates = trained.rates
+    low = {label: rate for label, rate in rates.items() if require is not None and rate.of and rate.share < require}
+    if as_json:
+        output.print_json({**trained.report, "missing": evaluation.missing, "troubles": list(evaluation.troubles)})
+    else:
+        for label, rate in rates.items():
+            facts = trained.summaries[label].spec.training
+            learned = f"{output.plural(facts.demonstrations, 'demonstration')}, {facts.steps} steps"
+            click.echo(f"{label}: {rate}  ({learned}; baseline:{trained.policies[label]})")
+        for trouble in evaluation.troubles:
+            click.echo(trouble, err=True)
+        if trained.report["seen_starts"]:
+            seen = f"{trained.report['seen_starts']} of {len(evaluation.records)} rollouts"
+            click.echo(f"{seen} started from the initial state of a demonstration", err=True)
+        if evaluation.missing:
+            click.echo(f"{evaluation.missing} rollouts are missing; repeat the command to run them", err=True)
+        for label, rate in low.items():
+            click.echo(f"{label}: {rate.share:.0%} is below {require:.0%}", err=True)
+        click.echo(f"{trained.folder / PAGE}")
+    return output.FINDINGS if evaluation.missing or low else output.DONE

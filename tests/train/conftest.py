@@ -1,0 +1,46 @@
+"""Demonstrations of a small arm that pushes a block, which take a second to record and seconds to learn."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from simfoundry.api.demonstrations import record_plan
+from simfoundry.data import attempt as attempts
+from simfoundry.data.record import record
+from simfoundry.runtime.extras import EXTRAS
+from tests.data.test_record import POLICY
+from tests.evaluate.benches import write_bench
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    missing = EXTRAS["train"].missing
+    if missing:
+        reason = pytest.mark.skip(reason=f"{', '.join(missing)} not installed; pip install -e '.[train]'")
+        for item in items:
+            if Path(__file__).parent in item.path.parents and "needs_nothing" not in item.keywords:
+                item.add_marker(reason)
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The task document."""
+    folder = tmp_path_factory.mktemp("train")
+    (folder / "pushing.py").write_text(POLICY)
+    return write_bench(folder)
+
+
+@pytest.fixture(scope="session")
+def demos(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve demonstrations of a policy that pushes the block out."""
+    out = tmp_path_factory.mktemp("demos") / "demos"
+    before = Path.cwd()
+    os.chdir(bench.parent)
+    try:
+        record(record_plan([bench], "python:pushing.py:Push", out, 12))
+    finally:
+        os.chdir(before)
+        attempts.close()
+    return out
