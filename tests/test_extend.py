@@ -5,20 +5,24 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from simfoundry.api import scenes
 from simfoundry.backends.features import FEATURES
+from simfoundry.data.dataset.formats import dataset_format
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import open_policy, parse_policy
+from simfoundry.runtime.plugins import PluginError
 from simfoundry.spec.models.policy import PolicySpec
 from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.targets.find import find_target, target_names
 from simfoundry.targets.generated import support_page
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
+from tests.data.synthetic import build, description, episode
 from tests.foreign_package import documented_package, write_package
 
 SCENE = """\
@@ -166,3 +170,21 @@ def test_a_target_that_breaks_takes_no_other_along(tmp_path: Path, monkeypatch: 
     assert done.code == 1 and (tmp_path / "out/mjcf/scene.xml").is_file()
     (line,) = [line for line in done.err.splitlines() if "bad" in line]
     assert "the `bad` backend from the package gone 0.1 cannot be loaded: ZeroDivisionError" in line
+
+
+@pytest.mark.usefixtures("site")
+def test_datasets_are_written_in_the_format_of_the_package(tmp_path: Path) -> None:
+    """And read again; and an exception in it is an error that names the package and the line."""
+    stored = dataset_format("archives").read(build("archives", tmp_path / "built"))
+    for k in range(len(stored)):
+        found, wanted = stored.episode(k), episode(k)
+        assert found.header == wanted.header
+        assert all((found.arrays[name] == values).all() for name, values in wanted.arrays.items())
+        for one, other in zip(found.frames(), wanted.frames(), strict=True):
+            assert all((one[name] == image).all() for name, image in other.items())
+    broken = replace(description(), features=({},))  # type: ignore[arg-type]
+    with pytest.raises(PluginError, match=r"`archives` dataset format from the package my-package 0\.1 failed: .*"):
+        dataset_format("archives").write_episode(broken, episode(0), tmp_path)
+    (tmp_path / "built/out/000001.npz").write_bytes(b"nothing")
+    with pytest.raises(PluginError, match=r"my_package/archives\.py:\d+"):
+        dataset_format("archives").read(tmp_path / "built/out")

@@ -48,6 +48,8 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
     Extra("pybullet", "PyBullet worlds (not required for compiling to PyBullet)", {"pybullet": "pybullet"}),
     Extra("policies", "policies served over a network (`eval -p policy.yaml`)",
           {"msgpack": "msgpack", "pyzmq": "zmq", "websockets": "websockets"}),
+    Extra("data", "datasets for training (`dataset build`)",
+          {"av": "av", "google-crc32c": "google_crc32c", "h5py": "h5py", "pyarrow": "pyarrow"}),
     Extra("gymnasium", "tasks as Gymnasium environments", {"gymnasium": "gymnasium"}),
     Extra("editor", "the language server (`lsp`)", {"pygls": "pygls", "lsprotocol": "lsprotocol"}),
     Extra("studio", "the editor in the browser (`studio`, `show --web`, `show --html`)", {"viser": "viser"}),

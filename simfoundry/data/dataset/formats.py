@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from simfoundry.data.dataset.episode import Episode, EpisodeHeader
 from simfoundry.data.dataset.features import DatasetInfo
+from simfoundry.data.dataset.plugin_formats import PluginFormat
 from simfoundry.data.dataset.statistics import FeatureStatistics
 from simfoundry.runtime.plugins import Registry
 
@@ -114,7 +115,16 @@ class DatasetFormat(Protocol):
 
 
 # Registry of formats by name; each format is imported when it is used.
-FORMATS: Registry[Any] = Registry("simfoundry.dataset_formats", {})
+FORMATS: Registry[DatasetFormat] = Registry(
+    "simfoundry.dataset_formats",
+    {
+        "lerobot-v2.1": "simfoundry.data.formats.lerobot.v21:FORMAT",
+        "lerobot-v3": "simfoundry.data.formats.lerobot.v3:FORMAT",
+        "robomimic": "simfoundry.data.formats.robomimic:FORMAT",
+        "rlds": "simfoundry.data.formats.rlds:FORMAT",
+    },
+    DatasetFormat,
+)
 
 
 def dataset_format(name: str) -> DatasetFormat:
@@ -125,6 +135,4 @@ def dataset_format(name: str) -> DatasetFormat:
         PluginError: If the format cannot be loaded.
     """
     found = FORMATS.load(name)
-    if not isinstance(found, DatasetFormat):
-        raise TypeError(f"{name} is a {type(found).__name__}, not a dataset format")
-    return found
+    return found if FORMATS.plugin(name) is None else PluginFormat(found, lambda: FORMATS.running(name))

@@ -1,0 +1,1 @@
+"""File formats of datasets: LeRobot, robomimic and RLDS, each of which writes and reads."""

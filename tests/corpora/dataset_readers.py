@@ -1,0 +1,224 @@
+"""Load datasets with their real readers: ``python -m tests.corpora.dataset_readers --environments DIR [--create]``.
+
+Demonstrations of a small task are recorded and built in every format. Each reader, in a virtual environment of its own,
+loads every frame and compares it with the values and images from which the dataset was built. LeRobot also writes
+datasets, which SimFoundry reads. DIR contains an environment for each reader; ``--create`` makes missing ones,
+which takes 12 GB. Prints a table of checks, each with its worst figure; exits with 1 if one fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import simfoundry as sf
+from simfoundry.data.dataset.build import build_dataset
+from simfoundry.data.dataset.episode import Episode
+from simfoundry.data.dataset.episodes import EpisodeBuilder
+from simfoundry.data.dataset.features import DatasetInfo
+from simfoundry.data.dataset.formats import dataset_format
+from simfoundry.data.dataset.plan import DatasetPlan, plan_dataset
+from simfoundry.data.dataset.statistics import FeatureStatistics
+from simfoundry.spec.models.dataset import DatasetSpec
+from tests.corpora.readers.comparison import Expected, Report, psnr
+from tests.corpora.readers.environments import ENVIRONMENTS, create, python_of
+from tests.corpora.record import SCENE, TASK
+
+CAMERAS = """\
+cameras:
+  front: {size: [640, 360], fx: 500, fy: 500, pose: {xyz: [1.3, 0.2, 0.7], look_at: [0.4, 0, 0]}}
+  wrist: {size: [640, 360], fx: 400, fy: 400, pose: {xyz: [0.05, 0, -0.05], look_at: [0, 0, 0.2]}, mount: arm.hand}
+"""
+
+# The dataset with every kind of feature, and those that profiles describe.
+EVERYTHING = {
+    "simfoundry": "dataset/1",
+    "name": "stack",
+    "formats": ["lerobot-v2.1", "lerobot-v3", "robomimic", "rlds"],
+    "sources": {"expert": {"demonstrations": "demos"}},
+    "cameras": {
+        "observation.images.front": {"camera": "front", "size": [320, 180]},
+        "observation.images.wrist": {"camera": "wrist", "size": [160, 120]},
+        "observation.depth.front": {"camera": "front", "size": [64, 36], "kind": "depth"},
+        "observation.images.front_mask": {"camera": "front", "size": [64, 36], "kind": "mask"},
+    },
+    "state": {"observation.state": ["joints", "gripper"], "observation.environment_state": ["objects"]},
+    "fps": 5,
+    "splits": {"train": {"until": 0.75}, "held_out": {"from": 0.75}},
+}
+PROFILES = {"openpi-droid": "lerobot-v2.1", "gr00t": "lerobot-v2.1", "lerobot": "lerobot-v3", "robomimic": "robomimic"}
+
+
+def main() -> int:
+    """Run the proof; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--environments", type=Path, required=True)
+    parser.add_argument("--create", action="store_true")
+    parser.add_argument("--count", type=int, default=4, help="number of demonstrations")
+    options = parser.parse_args()
+    if options.create:
+        for name, environment in ENVIRONMENTS.items():
+            create(options.environments / name, environment)
+    missing = [name for name in ENVIRONMENTS if not python_of(options.environments, name).exists()]
+    if missing:
+        print(f"{options.environments} lacks {', '.join(missing)}; make them with --create")
+        return 2
+    with tempfile.TemporaryDirectory(prefix="simfoundry-readers-") as temporary:
+        return run(Path(temporary), options.environments, options.count)
+
+
+def run(folder: Path, environments: Path, count: int) -> int:
+    """Record, build, and load with each reader; returns the exit code."""
+    (folder / "cell.scene.yaml").write_text(SCENE + CAMERAS, encoding="utf-8")
+    (folder / "stack.task.yaml").write_text(TASK, encoding="utf-8")
+    sf.record(folder / "stack.task.yaml", out=folder / "demos", count=count, policy="expert")
+    plan = plan_dataset(DatasetSpec.model_validate_json(json.dumps(EVERYTHING)), folder)
+    places = dict(zip(plan.formats, build_dataset(plan, folder / "everything"), strict=True))
+    expect(folder / "expected", plan)
+    failures = 0
+    for name, environment in ENVIRONMENTS.items():
+        arguments = [environment.script, places[environment.format], folder / "expected"]
+        failures += shown("everything", called(environments, name, arguments, folder))
+    for profile, form in PROFILES.items():
+        spec = {"simfoundry": "dataset/1", "name": profile, "profile": profile, "sources": EVERYTHING["sources"]}
+        plan = plan_dataset(DatasetSpec.model_validate_json(json.dumps(spec)), folder, [form])
+        (place,) = build_dataset(plan, folder / profile)
+        expect(folder / f"expected-{profile}", plan)
+        name = next(name for name, one in reversed(ENVIRONMENTS.items()) if one.format == form)
+        arguments = [ENVIRONMENTS[name].script, place, folder / f"expected-{profile}"]
+        failures += shown(f"profile {profile}", called(environments, name, arguments, folder))
+    for name in ("lerobot-0.3", "lerobot-0.6"):
+        written = folder / f"written-{name}"
+        outcome = called(environments, name, ["lerobot_writer", folder / "expected", written], folder)
+        if "checks" in outcome and written.is_dir():
+            outcome["checks"] = read_back(ENVIRONMENTS[name].format, written, Expected(folder / "expected")).checks
+        failures += shown("written by it, read by SimFoundry", outcome)
+    print("every reader returns what was written" if not failures else f"{failures} checks failed")
+    return int(failures > 0)
+
+
+def called(environments: Path, name: str, arguments: list[Any], folder: Path) -> dict[str, Any]:
+    """Run a script in an environment, and return what it printed last. Nothing is looked up on the network."""
+    script, *rest = arguments
+    variables = {
+        **os.environ,
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+        "HF_HUB_OFFLINE": "1",
+        "HF_HOME": str(folder / f"cache-{name}"),
+    }
+    command = [str(python_of(environments, name)), "-m", f"tests.corpora.readers.{script}", *map(str, rest)]
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+    lines = done.stdout.strip().splitlines()
+    if done.returncode or not lines:
+        return {"reader": name, "error": done.stderr[-3000:]}
+    return dict(json.loads(lines[-1]))
+
+
+def shown(dataset: str, outcome: dict[str, Any]) -> int:
+    """Print the outcome of a reader, and return the number of failed checks."""
+    if "error" in outcome:
+        print(f"FAIL {outcome['reader']}, {dataset}:\n{outcome['error']}", flush=True)
+        return 1
+    checks = outcome["checks"]
+    failed = {name: one for name, one in checks.items() if not one["ok"]}
+    comparisons = sum(one["count"] for one in checks.values())
+    print(f"{'FAIL' if failed or not checks else 'ok  '} {outcome['reader']}, {dataset}:", end=" ")
+    print(f"{len(checks)} checks with {comparisons} comparisons", end="")
+    for name, one in checks.items():
+        if one["measure"] == "min":
+            print(f"; {name} ≥ {one['figure']:.1f}", end="")
+    worst = max((one["figure"] for one in checks.values() if one["measure"] == "max error"), default=0.0)
+    print(f"; largest other difference {worst:.1g}", flush=True)
+    for name, one in failed.items():
+        print(f"     {name}: {one['measure']} {one['figure']}", flush=True)
+    return len(failed) or int(not checks)
+
+
+def expect(folder: Path, plan: DatasetPlan) -> None:
+    """Write what the readers are to return: arrays in NumPy's own format, and JSON. The formats have no part in it."""
+    folder.mkdir(parents=True)
+    builder, headers = EpisodeBuilder.of(plan), []
+    rows: dict[str, list[Any]] = {feature.name: [] for feature in plan.info.features}
+    try:
+        for planned in plan.episodes:
+            episode = builder.build(planned)
+            values = episode_values(plan.info, episode)
+            for name, listed in rows.items():
+                listed.append(values[name])
+            np.savez(folder / f"{episode.header.index:06d}.npz", **values)
+            one = episode.header
+            headers.append({"length": one.length, "instruction": one.instruction, "split": one.split})
+    finally:
+        builder.close()
+    about = {
+        "fps": plan.info.fps,
+        "features": dict(described(plan.info)),
+        "splits": {name: list(ends) for name, ends in plan.info.splits.items()},
+        "episodes": headers,
+        "statistics": {f.name: statistics(np.concatenate(rows[f.name]), f.is_image) for f in plan.info.features},
+    }
+    (folder / "expected.json").write_text(json.dumps(about), encoding="utf-8")
+
+
+def episode_values(info: DatasetInfo, episode: Episode) -> dict[str, Any]:
+    """Return the values of an episode by name."""
+    values: dict[str, Any] = {"rewards": episode.rewards, "dones": episode.dones, "states": episode.states}
+    values |= dict(episode.arrays) | {f"final/{name}": one for name, one in episode.final.items()}
+    frames = list(episode.frames(final=True))
+    for feature in info.images:
+        images = np.stack([frame[feature.name] for frame in frames])
+        values |= {feature.name: images[:-1], f"final/{feature.name}": images[-1]}
+    if episode.generation is not None:
+        parts = {"eef": "eef_pose", "target": "target_pose", "object": "object_poses", "signal": "subtask_term_signals"}
+        for kind, part in parts.items():
+            named = getattr(episode.generation, part)
+            values |= {f"generation/{kind}/{name}": one for name, one in named.items()}
+    return values
+
+
+def described(info: DatasetInfo) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield what the readers need to know of each feature."""
+    for f in info.features:
+        kind = f.kind.value if f.image is None or f.image.value == "image" else f.image.value
+        parts = [[part.name, part.start, part.stop] for part in f.parts]
+        yield f.name, {"kind": kind, "role": f.role.value, "shape": f.shape, "parts": parts}
+
+
+def statistics(values: Any, is_image: bool) -> dict[str, Any]:
+    """Return statistics by NumPy. All episodes are so short that the images of all frames are counted."""
+    rows = values.reshape(-1, values.shape[-1]) if is_image else values
+    one = FeatureStatistics.of(rows)
+    numbers = {key: getattr(one, key).tolist() for key in ("min", "max", "mean", "std")}
+    return numbers | {"count": [len(values)], **{key: value.tolist() for key, value in one.quantiles.items()}}
+
+
+def read_back(form: str, folder: Path, expected: Expected) -> Report:
+    """Read a dataset that LeRobot wrote, and compare it with what LeRobot was given."""
+    report, stored = Report(), dataset_format(form).read(folder)
+    report.equal("episodes", len(stored), len(expected.episodes))
+    for k, about in enumerate(expected.episodes):
+        episode, values = stored.episode(k), expected.values(k)
+        report.equal("task", episode.header.instruction, about["instruction"])
+        for name in expected.names("array"):
+            report.equal(name, episode.arrays[name], values[name])
+        for t, images in enumerate(episode.frames()):
+            for name in expected.names("image"):
+                report.equal(name, images[name], values[name][t])
+            for name in expected.names("video"):
+                report.at_least(f"{name} [dB]", psnr(images[name], values[name][t]), 26.0)
+    for name in expected.names("array"):
+        report.close("statistics: mean", stored.statistics[name].mean, expected.statistics[name]["mean"], 1e-5)
+    return report
+
+
+if __name__ == "__main__":
+    sys.exit(main())
