@@ -199,6 +199,7 @@ def test_one_comment_says_what_the_request_changes_and_is_updated(request_: Pull
     assert len(request_.bodies) == 1 and "**No document differs.**" in request_.bodies[0]
 
 
+@pytest.mark.slow  # 3 s: each runs the steps of the action on a clone
 def test_a_token_that_may_not_write_leaves_the_summary(request_: PullRequest) -> None:
     """As for pull requests from forks."""
     request_.push(table=EDITED)
@@ -211,6 +212,7 @@ def test_a_token_that_may_not_write_leaves_the_summary(request_: PullRequest) ->
         assert request_.bodies == [] and "`cup` moved 3.0 cm" in request_.summary
 
 
+@pytest.mark.slow  # 3 s: each runs the steps of the action on a clone
 def test_only_a_comment_of_our_own_is_updated(request_: PullRequest) -> None:
     request_.push(table=EDITED)
     request_.describe()
@@ -234,6 +236,7 @@ def test_no_comment_begins_where_nothing_changes(request_: PullRequest) -> None:
     assert "**No document differs.**" in request_.summary and "pictures=true" not in request_.outputs
 
 
+@pytest.mark.slow  # 3 s: each runs the steps of the action on a clone
 def test_the_head_of_the_request_may_be_checked_out_instead(request_: PullRequest) -> None:
     request_.push(table=EDITED)
     head = request_.repository.git("rev-parse", "feature").strip()
@@ -243,6 +246,7 @@ def test_the_head_of_the_request_may_be_checked_out_instead(request_: PullReques
     assert "`cup` moved 3.0 cm" in body and "old.scene.yaml" not in body
 
 
+@pytest.mark.slow  # 3 s: each runs the steps of the action on a clone
 def test_paths_and_documents_that_are_broken(request_: PullRequest) -> None:
     request_.push(table="objects: [\n", new=BASE)
     assert request_.run(paths="table.scene.yaml\n") == ""

@@ -62,6 +62,7 @@ def test_capture_works_without_pybullet(folder: Path, first: Done) -> None:
     assert (folder / "out" / "compare.png").is_file() and (folder / "out" / "report.json").is_file()
 
 
+@pytest.mark.slow  # 6 s: another capture
 @pytest.mark.usefixtures("first")
 def test_a_killed_run_leaves_the_earlier_output_whole(folder: Path) -> None:
     """Killed at several moments, the last of them when its own output is being written."""
@@ -87,6 +88,7 @@ def _killed(folder: Path, delay: float | None) -> None:
     assert process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.slow  # 6 s: another capture
 @pytest.mark.usefixtures("first")
 def test_running_again_replaces_what_a_run_wrote_by_the_same_bytes(folder: Path) -> None:
     """In a process with another hash seed and an empty cache."""

@@ -187,7 +187,10 @@ def hang_on_a(job: CompileJob) -> CompileOutcome:
 
 @pytest.mark.parametrize(
     ("function", "seconds", "why"),
-    [("crash_on_a", 600.0, "crashed (SIGSEGV)"), ("hang_on_a", 12.0, "did not respond for 12 s")],
+    [
+        ("crash_on_a", 600.0, "crashed (SIGSEGV)"),
+        pytest.param("hang_on_a", 12.0, "did not respond for 12 s", marks=pytest.mark.slow),  # it waits for 12 s
+    ],
 )
 @pytest.mark.usefixtures("project")
 def test_a_crash_or_a_hang_fails_one_scene(function: str, seconds: float, why: str) -> None:

@@ -187,6 +187,7 @@ def test_what_a_kill_left_half_written_is_cleared(tmp_path: Path) -> None:
     assert made(plan(tmp_path / "a")) == {**expected, ".gitignore": b"mine"}
 
 
+@pytest.mark.slow  # 4 s: it starts several runs
 def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
