@@ -7,7 +7,7 @@ import pytest
 from tests.corpora.mutations import BAR, Tally, corrupt
 from tests.corpora.reuse_errors import corrupt_reuse
 
-counts = pytest.mark.parametrize("count", [60, pytest.param(300, marks=pytest.mark.slow)])
+counts = pytest.mark.parametrize("count", [120, pytest.param(300, marks=pytest.mark.slow)])
 
 
 @counts
