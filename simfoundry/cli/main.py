@@ -21,6 +21,7 @@ COMMANDS = {
     "capture": ("capture", "Turn a capture folder into a scene."),
     "check": ("documents", "Check documents and show every finding with its location."),
     "compile": ("compile", "Compile a scene for simulators."),
+    "configure": ("train", "Write a training configuration for LeRobot, openpi or GR00T."),
     "cousins": ("cousins", "Make variants of a scene or task that preserve its affordances."),
     "correlate": ("evaluate", "Compare simulated success rates with real ones."),
     "demo": ("capture", "Reconstruct, compile and run a scene from an included image or your own."),

@@ -109,3 +109,45 @@ def _print_trained(trained: Trained, require: float | None, as_json: bool) -> in
             click.echo(f"{label}: {rate.share:.0%} is below {require:.0%}", err=True)
         click.echo(f"{trained.folder / PAGE}")
     return output.FINDINGS if evaluation.missing or low else output.DONE
+
+
+@output.subcommand("configure", force=True)
+@click.argument("dataset", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--for", "trainer", required=True, type=click.Choice(["lerobot", "openpi", "gr00t"]),
+              help="Trainer to write the configuration for.")  # fmt: skip
+@click.option("-o", "--out", type=NEW_FOLDER, help="Output folder. Default: build/training/NAME.")
+@click.option("--name", help="Name of the training. Default: the name of the dataset.")
+@click.option("--model", default="",
+              help="Model to train: act, diffusion, vqbet, smolvla, pi0 or pi05 (LeRobot); pi05 or pi0 (openpi); n1.6 "
+                   "or n1.7 (GR00T). Default: the first of them.")  # fmt: skip
+@option("--steps", type=click.IntRange(1, 100_000_000), default=20_000, help="Number of optimization steps.")
+@option("--batch", type=click.IntRange(1, 100_000), default=32, help="Number of examples in a step.")
+@option("--seed", type=click.IntRange(*RANGES["seed"]), default=0, help="Seed of the training.")
+def configure_command(
+    dataset: Path, trainer: str, out: Path | None, name: str | None, model: str, steps: int, batch: int, seed: int,
+    force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Write a training configuration for LeRobot, openpi or GR00T.
+
+    DATASET is a folder that `simfoundry dataset build` wrote: with the profile lerobot for LeRobot, openpi-droid for
+    openpi, and gr00t for GR00T. OUT contains the configuration, and the command prints how to start the training in the
+    trainer's own environment.
+    """
+    from simfoundry.train.trainers.configuration import TrainerOptions, configure, read_built, training_name
+
+    built = read_built(dataset)
+    options = TrainerOptions(training_name(name or built.info.name), model, steps, batch, seed)
+    folder = out or Path("build/training") / f"{options.name}_{trainer}"
+    found = configure(built, trainer, options, folder)
+    for file, text in found.files.items():
+        output.protect_output(folder / file, [], force, text)
+        output.write_text(folder / file, text)
+    if as_json:
+        commands = [list(command) for command in found.commands]
+        facts = {"files": [str(folder / file) for file in found.files], "environment": dict(found.environment)}
+        output.print_json({**facts, "commands": commands, "notes": list(found.notes)})
+        return
+    for note in found.notes:
+        click.echo(note, err=True)
+    for line in found.shell_lines():
+        click.echo(line)
