@@ -94,7 +94,8 @@ def run(folder: Path, environments: Path, count: int) -> int:
         (place,) = build_dataset(plan, folder / profile)
         expect(folder / f"expected-{profile}", plan)
         name = next(name for name, one in reversed(ENVIRONMENTS.items()) if one.format == form)
-        arguments = [ENVIRONMENTS[name].script, place, folder / f"expected-{profile}"]
+        script = "gr00t_reader" if profile == "gr00t" else ENVIRONMENTS[name].script
+        arguments = [script, place, folder / f"expected-{profile}"]
         failures += shown(f"profile {profile}", called(environments, name, arguments, folder))
     for name in ("lerobot-0.3", "lerobot-0.6"):
         written = folder / f"written-{name}"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -240,3 +242,25 @@ def test_losses_are_whole_sentences() -> None:
     assert any("H.264" in text for text in dataset_format("lerobot-v3").losses(description()))
     plain = description(tuple(f for f in FEATURES if not f.is_image))
     assert not any("H.264" in text for text in dataset_format("lerobot-v3").losses(plain))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_full_disk_is_an_error_that_names_the_file(name: str, tmp_path: Path) -> None:
+    """At any point. HDF5 would print a traceback for each object and then crash, so this needs a stream of our own."""
+    for limit in (1, 600, 3000):
+        place = tmp_path / str(limit)
+        place.mkdir()
+        with largest_file(limit), pytest.raises(OSError, match="File too large") as caught:
+            dataset_format(name).write_episode(description(), episode(2), place)
+        assert str(place) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """Let no file of this process become larger than ``size`` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -36,6 +36,18 @@ class _Stream(io.FileIO):
             self.error = error
         return length
 
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length of the file, unless a previous write failed."""
+        try:
+            if self.error is None:
+                return super().truncate(size)
+        except OSError as error:
+            self.error = error
+        return size or 0
+
+    def flush(self) -> None:
+        """Do nothing, because nothing is buffered."""
+
 
 @contextmanager
 def new_hdf5_file(path: Path) -> Iterator[h5py.File]:
@@ -50,7 +62,7 @@ def new_hdf5_file(path: Path) -> Iterator[h5py.File]:
         try:
             with h5py.File(stream, "w", libver=_VERSIONS, track_order=False) as file:
                 yield file
-        except (OSError, RuntimeError):
+        except (OSError, RuntimeError, ValueError):
             with suppress(OSError):
                 stream.close()
             if stream.error is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+import io
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +20,30 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return bytes(data)
 
 
-def decode_image(data: bytes) -> NDArray[Any]:
-    """Return the pixels of a PNG or JPEG image, uint8 of shape (height, width, 3).
+def decode_image(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return the pixels of a PNG or JPEG image.
+
+    Args:
+        data: The image.
+        shape: The expected shape (height, width, 3). The size is compared before the image is decompressed.
 
     Raises:
-        ValueError: If the data are not an image.
+        ValueError: If the data are not an image of this shape.
     """
     import cv2
+    from PIL import Image, UnidentifiedImageError
 
     try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as opened:
+            size = (opened.height, opened.width, 3)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError):
+        raise ValueError("it contains an image that is neither PNG nor JPEG") from None
+    if size != shape:
+        raise ValueError(f"it contains an image of the shape {size}, not {shape}")
+    try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:  # an empty buffer, or a size beyond OpenCV's limit
+    except cv2.error:
         image = None
-    if image is None:
-        raise ValueError("it contains an image that is neither PNG nor JPEG")
-    return np.ascontiguousarray(image[..., ::-1])
+    if image is None or image.shape != shape:
+        raise ValueError("it contains an incomplete image")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)

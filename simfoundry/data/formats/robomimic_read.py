@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 # The name of the file in a dataset that SimFoundry writes. A folder with one other HDF5 file is read as well.
 DATASET = "dataset.hdf5"
+
+# Largest array of an episode to read [bytes]; the images of an episode are read one by one.
+MAX_BYTES = 2**30
+
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 # The number of frames per second of datasets that do not state it: the rate of robosuite, for which robomimic was made.
@@ -62,7 +66,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except FileNotFoundError:
         raise OutputError(f"{path} is missing") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError) as error:
         raise OutputError(f"{path} is not a valid robomimic dataset: {str(error).strip(chr(34))}") from None
 
 
@@ -93,7 +97,7 @@ class RobomimicDataset:
         found: dict[str, str] = {}
         masks = file.get("mask", {})
         for name in masks:
-            for demo in masks[name][:]:
+            for demo in _load(masks[name]):
                 found.setdefault(demo.decode(), name)
         return found
 
@@ -150,22 +154,22 @@ class RobomimicDataset:
         header, name = self.header(k), self._demos[k]
         with _opened(self._path) as file:
             group, arrays, final, column = file["data"][name], {}, {}, 0
-            actions = group["actions"][:]
+            actions = _load(group["actions"])
             for feature in self.info.arrays:
                 if feature.role is FeatureRole.ACTION:
                     size = int(np.prod(feature.shape))
                     arrays[feature.name] = actions[:, column : column + size].reshape(-1, *feature.shape)
                     column += size
                 else:
-                    arrays[feature.name] = group["obs"][feature.name][:]
+                    arrays[feature.name] = _load(group["obs"][feature.name])
                     if "next_obs" in group:
                         final[feature.name] = group["next_obs"][feature.name][-1]
                 if arrays[feature.name].shape != (header.length, *feature.shape):
                     raise ValueError(f"`{feature.name}` of {name} has the shape {arrays[feature.name].shape}")
             ones = np.arange(header.length) == header.length - 1
-            rewards = group["rewards"][:] if "rewards" in group else ones
-            dones = group["dones"][:] if "dones" in group else ones
-            states = group["states"][:] if "states" in group else np.zeros((header.length, 0))
+            rewards = _load(group["rewards"]) if "rewards" in group else ones
+            dones = _load(group["dones"]) if "dones" in group else ones
+            states = _load(group["states"]) if "states" in group else np.zeros((header.length, 0))
             generation = _generation(group["datagen_info"], self.info) if "datagen_info" in group else None
         images = _StoredImages(self._path, name, header.length, self.info.images)
         return Episode(
@@ -184,6 +188,13 @@ def _feature(name: str, role: FeatureRole, values: h5py.Dataset) -> DatasetFeatu
     return DatasetFeature(name, role, FeatureKind.ARRAY, dtype, shape, names)
 
 
+def _load(values: h5py.Dataset) -> Any:
+    """Read an array. Its size is compared first, because a small file can contain a huge one."""
+    if values.nbytes > MAX_BYTES:
+        raise ValueError(f"{values.name} is larger than {MAX_BYTES // 2**20} MiB")
+    return values[:]
+
+
 def _generation(group: h5py.Group, info: DatasetInfo) -> GenerationData:
     robots = list(info.environment.get("robots", {})) or ["robot"]
 
@@ -191,11 +202,11 @@ def _generation(group: h5py.Group, info: DatasetInfo) -> GenerationData:
         import h5py
 
         if isinstance(group[name], h5py.Dataset):
-            return {robots[0]: group[name][:]}
-        return {robot: group[name][robot][:] for robot in group[name]}
+            return {robots[0]: _load(group[name])}
+        return {robot: _load(group[name][robot]) for robot in group[name]}
 
     def named(name: str) -> dict[str, Any]:
-        return {key: group[name][key][:] for key in group[name]} if name in group else {}
+        return {key: _load(group[name][key]) for key in group[name]} if name in group else {}
 
     signals = {key: values.astype(np.int64) for key, values in named("subtask_term_signals").items()}
     return GenerationData(

@@ -123,28 +123,36 @@ def join_videos(parts: Sequence[Path], target: Path) -> None:
                 offset += frames
 
 
-def decode_video(path: Path, start: int = 0, count: int | None = None) -> Iterator[NDArray[np.uint8]]:
-    """Yield ``count`` images of a video from the one with index ``start``, uint8 of shape (height, width, 3)."""
+def decode_video(
+    path: Path, start: int = 0, count: int | None = None, size: tuple[int, int] | None = None
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield images of a video, uint8 of shape (height, width, 3).
+
+    Args:
+        path: The video.
+        start: The index of the first image.
+        count: The maximum number of images, or None for all.
+        size: The expected height and width.
+
+    Raises:
+        ValueError: If the video has another size, or no exact rate.
+    """
     import av
 
     with av.open(str(path)) as container:
+        if not container.streams.video:
+            raise ValueError("it contains no video")
         stream = container.streams.video[0]
         rate, base = stream.average_rate, stream.time_base
-        assert rate is not None and base is not None
+        if size is not None and (stream.height, stream.width) != size:
+            raise ValueError(f"its size is {stream.width} x {stream.height}, not {size[1]} x {size[0]}")
+        if not rate or not base:
+            raise ValueError("its number of images per second is unknown")
         if start:
             container.seek(round(start / rate / base), stream=stream)
         for frame in container.decode(stream):
-            assert frame.pts is not None
-            index = round(frame.pts * base * rate)
+            index = round((frame.pts or 0) * base * rate)
             if count is not None and index >= start + count:
                 return
             if index >= start:
                 yield np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-
-
-def video_length(path: Path) -> int:
-    """Return the number of frames in a video."""
-    import av
-
-    with av.open(str(path)) as container:
-        return int(container.streams.video[0].frames)

@@ -47,6 +47,8 @@ def frames(dataset: Any, expected: Expected, report: Report) -> None:
         for t in range(about["length"]):
             item = dataset[index]
             report.equal("task", item["task"], about["instruction"])
+            if isinstance(dataset.meta.tasks, dict):  # openpi looks up the prompt itself (`PromptFromLeRobotTask`)
+                report.equal("openpi: prompt", dataset.meta.tasks[int(item["task_index"])], about["instruction"])
             found = [int(item[key]) for key in ("index", "episode_index", "frame_index")]
             report.equal("indices", found, [index, number, t])
             report.close("timestamp", item["timestamp"], t / expected.fps, 1e-6)

@@ -22,6 +22,9 @@ from simfoundry.spec.models.signals import ImageKind
 # Largest file with metadata to read [bytes]. The statistics of 10 000 episodes take 50 MB.
 MAX_BYTES = 2**28
 
+# Largest number of rows of a table to read; files of 100 MB have at most a million.
+MAX_ROWS = 10**7
+
 # Largest value of a color channel; LeRobot keeps the statistics of images in the range from 0 to 1.
 _WHITE = 255.0
 

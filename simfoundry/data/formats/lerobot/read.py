@@ -17,6 +17,7 @@ from simfoundry.data.dataset.statistics import FeatureStatistics
 from simfoundry.data.formats.checks import matching_manifest
 from simfoundry.data.formats.images import decode_image
 from simfoundry.data.formats.lerobot.metadata_read import (
+    MAX_ROWS,
     EpisodeFiles,
     read_episodes_v3,
     read_episodes_v21,
@@ -49,9 +50,24 @@ def _reading(path: Path) -> Iterator[None]:
     """Convert the errors of invalid files to one that names the file."""
     try:
         yield
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, NotImplementedError) as error:
+    except (
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        NotImplementedError,
+        RecursionError,
+    ) as error:
         cause = f"the key {error} is missing" if isinstance(error, KeyError) else error
         raise OutputError(f"{path} is not a valid part of a LeRobot dataset: {cause}") from None
+
+
+def _rate(value: Any) -> float:
+    rate = float(value)
+    if not 0 < rate < np.inf:
+        raise ValueError(f"its number of frames per second is {value}")
+    return rate
 
 
 class LeRobotDataset:
@@ -85,7 +101,7 @@ class LeRobotDataset:
         splits = {str(name): tuple(map(int, str(ends).split(":"))) for name, ends in about["splits"].items()}
         return DatasetInfo(
             name=self._folder.name,
-            fps=float(about["fps"]),
+            fps=_rate(about["fps"]),
             robot_type=str(about.get("robot_type") or ""),
             features=features,
             action_space="",
@@ -140,11 +156,19 @@ class LeRobotDataset:
         names = [f.name for f in self.info.features if not is_video(f)]
         try:
             present = pq.read_schema(path).names
+            if pq.read_metadata(path).num_rows > MAX_ROWS:
+                raise ValueError(f"it has more than {MAX_ROWS} rows")
             missing = [name for name in names if name not in present]
             if missing:
                 raise ValueError(f"the column `{missing[0]}` is missing")
             names += [name for name in ("next.reward", "frame_index") if name in present and name not in names]
-            table = pq.read_table(path, columns=names, filters=[("episode_index", "=", one.index)], partitioning=None)
+            table = pq.read_table(
+                path,
+                columns=names,
+                filters=[("episode_index", "=", one.index)],
+                partitioning=None,
+                page_checksum_verification=True,
+            )
         except FileNotFoundError:
             raise OutputError(f"{path} is missing") from None
         except OSError as error:
@@ -184,7 +208,7 @@ class _StoredImages:
                 yield from column_values(self._table[feature.name], column_shape(feature)).reshape(-1, *feature.shape)
                 return
             for one in self._table[feature.name]:
-                yield _checked(decode_image(one["bytes"].as_py() or b""), feature)
+                yield decode_image(one["bytes"].as_py() or b"", feature.shape)
 
     def _video(self, feature: DatasetFeature) -> Iterator[NDArray[Any]]:
         from av.error import FFmpegError
@@ -192,17 +216,11 @@ class _StoredImages:
         place, start = self._files.videos[feature.name]
         path, count = self._folder / place, 0
         try:
-            for image in decode_video(path, start, self._files.length):
-                with _reading(path):
-                    yield _checked(image, feature)
-                count += 1
+            with _reading(path):
+                for image in decode_video(path, start, self._files.length, (feature.shape[0], feature.shape[1])):
+                    yield image
+                    count += 1
         except FFmpegError as error:
             raise OutputError(f"{path} cannot be decoded: {error.strerror}") from None
         if count != self._files.length:
             raise OutputError(f"{path} has {count} frames for episode {self._files.index}, not {self._files.length}")
-
-
-def _checked(image: NDArray[Any], feature: DatasetFeature) -> NDArray[Any]:
-    if image.shape != feature.shape:
-        raise ValueError(f"an image of `{feature.name}` has the shape {image.shape}, not {feature.shape}")
-    return image

@@ -93,7 +93,9 @@ def write_table(tables: Iterable[pa.Table], path: Path) -> None:
         writer = None
         for table in tables:
             if writer is None:
-                writer = stack.enter_context(pq.ParquetWriter(path, table.schema, compression="zstd"))
+                writer = stack.enter_context(
+                    pq.ParquetWriter(path, table.schema, compression="zstd", write_page_checksum=True)
+                )
             writer.write_table(table, row_group_size=max(1, len(table)))
 
 
@@ -107,7 +109,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     import pyarrow.parquet as pq
 
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             missing = [name for name in columns or () if name not in file.schema_arrow.names]
             if missing:
                 raise OutputError(f"{path} lacks the column `{missing[0]}`")

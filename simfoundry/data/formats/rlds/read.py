@@ -55,7 +55,7 @@ def _reading(path: Path) -> Iterator[None]:
     """Convert the errors of invalid files to one that names the file."""
     try:
         yield
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, zlib.error) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, zlib.error) as error:
         cause = f"{error} is missing" if isinstance(error, KeyError) else error
         raise OutputError(f"{path} is not a valid part of an RLDS dataset: {cause}") from None
 
@@ -199,7 +199,10 @@ def _flatten(about: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Ma
 
 
 def _shape(about: Mapping[str, Any]) -> tuple[int, ...]:
-    return tuple(int(one) for one in about.get("shape", {}).get("dimensions", ()))
+    found = tuple(int(one) for one in about.get("shape", {}).get("dimensions", ()))
+    if any(size < 1 for size in found):
+        raise ValueError(f"it has values of the shape {found}, in which a size is unknown")
+    return found
 
 
 def _features(columns: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, DatasetFeature]]:
@@ -213,7 +216,7 @@ def _features(columns: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, D
         if "image" in about:
             shape, axes = _shape(about["image"]), ("height", "width", "channels")
             yield path, DatasetFeature(name, role, FeatureKind.IMAGE, "uint8", shape, axes, image=ImageKind.COLOR)
-        elif "tensor" in about and np.dtype(str(about["tensor"]["dtype"])).kind in "fiub":
+        elif "tensor" in about and re.fullmatch(r"(float|u?int)(8|16|32|64)|bool", str(about["tensor"]["dtype"])):
             shape = _shape(about["tensor"]) or (1,)
             names = tuple(f"{name}_{k}" for k in range(shape[0])) if len(shape) == 1 else ()
             yield path, DatasetFeature(name, role, FeatureKind.ARRAY, str(about["tensor"]["dtype"]), shape, names)
@@ -248,10 +251,6 @@ class _StoredImages:
 
 def _decoded(data: bytes, feature: DatasetFeature) -> NDArray[Any]:
     if feature.image is ImageKind.COLOR:
-        image = decode_image(data)
-    else:
-        image = np.frombuffer(_unzip(data, feature.shape, feature.dtype), feature.dtype)
-        image = image.reshape(feature.shape)
-    if image.shape != feature.shape:
-        raise ValueError(f"an image of `{feature.name}` has the shape {image.shape}, not {feature.shape}")
-    return image
+        return decode_image(data, feature.shape)
+    values = np.frombuffer(_unzip(data, feature.shape, feature.dtype), feature.dtype)
+    return values.reshape(feature.shape)
