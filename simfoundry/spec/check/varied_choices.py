@@ -22,6 +22,7 @@ from simfoundry.spec.files import (
     reachable,
 )
 from simfoundry.spec.models.base import HEX_COLOR
+from simfoundry.spec.models.robot_file import robot_names
 from simfoundry.spec.models.types import REFERENCES
 from simfoundry.spec.models.vary import MAX_CHOICES, AnyDistribution, ChoiceDistribution
 
@@ -73,35 +74,44 @@ def _chosen(value: Any, field: VariedField, finder: FieldFinder, recipe: Loaded)
     kind = field.kind
     if kind in (ValueKind.FILE, ValueKind.BACKGROUND):
         if not isinstance(value, str):
-            raise VaryPathError(f"`{field.name}` is a file, not {value}", "write a path, relative to this document")
+            raise VaryPathError(
+                f"`{field.name}` is a file, not `{_text(value)}`", "write a path, relative to this document"
+            )
         yield from ((reference, reference) for reference in _files(value, field, recipe))
     elif kind is ValueKind.COLOR:
         color = _color(value, finder)
         yield str(value) if isinstance(value, str) else _listed(value), color
     elif kind is ValueKind.WORD:
         if not isinstance(value, str):
-            raise VaryPathError(f"`{field.name}` is a text, not {value}", "write a text")
+            raise VaryPathError(f"`{field.name}` is a text, not `{_text(value)}`", "write a text")
         known = _known_names(field, finder)
         if known is not None and value not in known:
             raise VaryPathError(f"no such name is defined: `{value}`", nearest(value, known) or "none are defined")
         yield value, value
     elif kind is ValueKind.VECTOR:
         if not (isinstance(value, tuple) and len(value) == 3):
-            raise VaryPathError(f"`{field.name}` is a vector, not `{value}`", "write three numbers")
+            raise VaryPathError(f"`{field.name}` is a vector, not `{_text(value)}`", "write three numbers")
         yield _listed(value), value
     else:
         if isinstance(value, str | tuple):
-            raise VaryPathError(f"`{field.name}` is {kind}, not `{value}`", "write a number")
+            raise VaryPathError(f"`{field.name}` is {kind}, not `{_text(value)}`", "write a number")
         yield f"{value:g}", value
 
 
 def _known_names(field: VariedField, finder: FieldFinder) -> list[str] | None:
     """Return the names that a text may have if it refers to a member of the scene, or None for any other text."""
     place = field.places[0]
+    if place.path[0] == "robots" and place.path[-1] == "model":
+        return robot_names()
     sections = ("materials",) if place.path[-1] == "material" else REFERENCES.get(place.path[-1], ())
     if place.document != "scene" or not sections:
         return None
     return list(dict.fromkeys(name for section in sections for name in getattr(finder.spec, section, {})))
+
+
+def _text(value: Any) -> str:
+    """Return a value as it is written in a document."""
+    return _listed(value) if isinstance(value, tuple) else value if isinstance(value, str) else f"{value:g}"
 
 
 def _listed(value: tuple[float, ...]) -> str:

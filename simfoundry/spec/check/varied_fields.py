@@ -32,7 +32,7 @@ from simfoundry.spec.check.varied_values import NO_ENDS
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec
-from simfoundry.spec.models.base import BodySpec
+from simfoundry.spec.models.base import BodySpec, Estimate
 from simfoundry.spec.models.joint import JointSpec
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, position
@@ -170,7 +170,13 @@ class FieldFinder:
         kind = value_kind(type(owner), path[-1])
         if kind is None:
             message = "it is neither a number, a vector, a pose, a color, a file nor a text"
-            raise VaryPathError(f"`{path[-1]}` cannot vary, because {message}")
+            below = _default(type(owner), path[-1])
+            keys = list(type(below).model_fields) if below is not None else []
+            hint = f"append a key, such as `{_shown(document, path)}.{keys[0]}`" if keys else ""
+            raise VaryPathError(f"`{path[-1]}` cannot vary, because {message}", hint)
+        if isinstance(owner, Estimate):
+            whole = _shown(document, path[:-1])
+            raise VaryPathError(f"`{_shown(document, path)}` is a part of an estimate", f"write `{whole}`")
         place = place_of(document, path, owner)
         integer = kind is ValueKind.NUMBER and all(k is not float for _, k in flat(field_type(type(owner), path[-1])))
         shown = _shown(document, path)

@@ -44,8 +44,13 @@ FITTING: Mapping[ValueKind, tuple[type[Distribution], ...]] = {
     ValueKind.FILE: (ChoiceDistribution,),
     ValueKind.BACKGROUND: (ChoiceDistribution,),
     ValueKind.WORD: (ChoiceDistribution,),
-}  # Distributions around the twin's value.
+}
+# Distributions around the twin's value.
 _RELATIVE = (FactorDistribution, ShiftDistribution, NormalDistribution, NormalAngleDistribution, ConeDistribution)
+
+
+# Greatest shift of a pose [m]. Scenes are cells and rooms, so that a larger shift is in another unit.
+FARTHEST_SHIFT = 1000.0
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,10 @@ def _shift_misfit(entry: str, shift: ShiftDistribution, field: VariedField) -> V
         takes = "the greatest shift, or three for x, y and z" if spatial else "the greatest shift, or two: the range"
         message = f"`shift` of `{field.name}` has {len(shift.shift)} numbers, but it is {field.kind}"
         return VaryProblem("SF105", (entry, "shift"), message, f"write {takes}")
+    values = shift.shift if isinstance(shift.shift, tuple) else (shift.shift or 0.0,)
+    if field.kind in (ValueKind.POSE, ValueKind.HEIGHT) and max(map(abs, values)) > FARTHEST_SHIFT:
+        message = f"`shift` of `{field.name}` is {max(map(abs, values)):g} m, more than {FARTHEST_SHIFT:g} m"
+        return VaryProblem("SF104", (entry, "shift"), message, "lengths are in meters")
     movable = field.kind is ValueKind.HEIGHT or (field.kind is ValueKind.POSE and field.places[0].path[0] == "objects")
     if shift.with_contents and not movable:
         message = f"`with_contents` does not fit `{field.name}`, which is {field.kind}"
@@ -156,14 +165,7 @@ def _missing(entry: str, distribution: AnyDistribution, field: VariedField) -> V
             key = place.path[-1]
             hint = f"write `{key}: {{value: ..., range: [..., ...]}}` in the twin, or use `times`"
             return VaryProblem("SF201", (entry,), f"the twin states no range of an estimate for `{field.name}`", hint)
-        relative = (
-            FactorDistribution,
-            ShiftDistribution,
-            NormalDistribution,
-            NormalAngleDistribution,
-            ConeDistribution,
-        )
-        if isinstance(distribution, relative) and place.base is None:
+        if isinstance(distribution, _RELATIVE) and place.base is None:
             message = f"the twin states no value for `{field.name}`, to which `{_key(distribution)}` could apply"
             return VaryProblem("SF201", (entry,), message, "use `uniform`, or write the value in the twin")
         if isinstance(distribution, FactorDistribution) and place.base == 0:
