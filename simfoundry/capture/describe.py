@@ -114,12 +114,13 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
     )
 
 
-def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
+def object_spec(capture: str, name: str, shape: FittedShape, segment: int | None = None) -> ObjectSpec:
     """Return the spec of a fitted object, with an estimated mass and its origin.
 
-    The object is represented by a primitive if possible, and otherwise by a mesh.
+    The object is represented by a primitive if possible, and otherwise by a mesh. ``segment`` is its number in the
+    segmentation.
     """
-    primitive = _shape_spec(shape)
+    primitive = shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
     substance = TABLE[kind_of(shape)]
@@ -133,11 +134,13 @@ def object_spec(capture: str, name: str, shape: FittedShape) -> ObjectSpec:
         material=substance.name,
         mass=spec.Estimate(value=kilograms, range=(low, high), source="material_table"),
         pose=pose_spec(shape.X_WO),
-        origin=spec.Origin(capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2)),
+        origin=spec.Origin(
+            capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2), segment=segment
+        ),
     )
 
 
-def _shape_spec(shape: FittedShape) -> shapes.Shape | None:
+def shape_spec(shape: FittedShape) -> shapes.Shape | None:
     """Return a shape in the form used in specs, or None if only a mesh can represent the shape."""
     geometry = shape.geometry
     if shape.profile is not None:

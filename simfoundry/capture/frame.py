@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.spec.models.capture import Decomposition
 
 NEAREST, FARTHEST = 0.1, 5.0  # Measuring range of tabletop sensors [m]
 MIN_PIXELS = 200  # Minimum number of pixels with depth; a plane cannot be found with fewer
@@ -47,12 +49,14 @@ class Frame:
         K: Intrinsic matrix [px], shape (3, 3).
         instances: Number of the object at each pixel, shape (h, w), where 0 is the background. The value is None if the
             capture has no masks.
+        decomposition: Constraints on the division into objects, or None.
     """
 
     color: NDArray[np.uint8]
     depth: Array
     K: Array
     instances: NDArray[np.int32] | None = None
+    decomposition: Decomposition | None = None
 
     @property
     def points(self) -> Array:
@@ -115,10 +119,14 @@ class Segmentation:
 
     ``labels`` contains the number of the object at each pixel, from 1 to n, or 0 if there is none. Its shape is (h, w).
     ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
+    ``pieces`` contains the numbers of the objects that the capture names in its decomposition, by name. ``unmet`` lists
+    the constraints that could not be respected, as sentences.
     """
 
     labels: NDArray[np.int32]
     supports: dict[int, int]
+    pieces: Mapping[str, int] = field(default_factory=dict)
+    unmet: tuple[str, ...] = ()
 
 
 def depth_sigma(depth: Array) -> Array:

@@ -89,6 +89,8 @@ class _Reader:
             image = shot.masks.image if shot.masks is not None else ""
             message = f"{image} is {_size(masks)}, but {shot.color} is {_size(color)}"
             self.fail("SF501", ("masks", "image"), message, "masks must match the color image pixel by pixel")
+        if color is not None:
+            self.pixels(color.shape[1], color.shape[0])
         if self.findings or color is None or depth is None:
             raise SpecError(self.findings)
         if shot.depth.camera is not None and shot.depth.pose is not None:
@@ -100,7 +102,19 @@ class _Reader:
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
-        return Frame(color, depth, matrix(shot.camera), masks)
+        return Frame(color, depth, matrix(shot.camera), masks, shot.decomposition)
+
+    def pixels(self, width: int, height: int) -> None:
+        """Add a finding for each pixel of the decomposition that is not in the image."""
+        given = self.shot.decomposition
+        if given is None:
+            return
+        marked = [(("decomposition", "pieces", name), pixels) for name, pixels in given.pieces.items()]
+        for path, pixels in [*marked, (("decomposition", "ignore"), given.ignore)]:
+            for u, v in pixels:
+                if u >= width or v >= height:
+                    message = f"the pixel [{u}, {v}] is not in the image, which has {width} x {height} pixels"
+                    self.fail("SF104", path, message, "pixels are [column, row], counted from the top left")
 
     def color(self) -> NDArray[np.uint8]:
         """Return the color image as RGB.

@@ -11,9 +11,9 @@ import numpy as np
 from simfoundry.capture import describe
 from simfoundry.capture.describe import SUPPORT_NAME, kind_of, mesh_files
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
-from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
@@ -62,7 +62,8 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
     )
     if not shapes:
         raise CaptureError("SF504", "could not fit any object", "; ".join(skipped))
-    names = _names(frame, labels, shapes, given_names)
+    skipped = (*segmentation.unmet, *skipped)
+    names = _names(frame, segmentation, shapes, given_names)
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(support, outline=beneath(support.outline, grounded))
     measured = measured_thickness(frame, support)
@@ -71,7 +72,7 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
     for done, (k, shape) in enumerate(shapes.items()):
         progress(names[k], 0.7 + 0.3 * done / len(shapes))
         files |= mesh_files(names[k], textured_mesh(shape, frame, support, labels == k))
-        objects[names[k]] = describe.object_spec(name, names[k], shape)
+        objects[names[k]] = describe.object_spec(name, names[k], shape, k)
     priors = [describe.SUPPORT, *(describe.TABLE[kind_of(shape)] for shape in shapes.values())]
     key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     spec = SceneSpec(
@@ -131,17 +132,21 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
     return spec.model_copy(update={"relations": tuple(relations)})
 
 
-def _names(frame: Frame, labels: Labels, shapes: dict[int, FittedShape], given: Mapping[str, int]) -> dict[int, str]:
+def _names(
+    frame: Frame, segmentation: Segmentation, shapes: dict[int, FittedShape], given: Mapping[str, int]
+) -> dict[int, str]:
     """Name every object.
 
     An object is named after its name in the capture or, if there is none, after its color and shape.
     """
+    labels = segmentation.labels
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
             covered = labels[(frame.instances == number) & (labels > 0)]
             if len(covered):
                 wanted[int(np.bincount(covered).argmax())] = name
+    wanted |= {k: name for name, k in segmentation.pieces.items()}
     for k, shape in shapes.items():
         color = describe.color_word(dominant_color(frame, labels == k))
         wanted.setdefault(k, f"{color}_{kind_of(shape)}")
@@ -180,7 +185,8 @@ def fit_segments(
         carriers[k] = _carrier(frame, support, segmentation, shapes, k)
         base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
         try:
-            shape = fit_shape(frame, support, segmentation.labels == k, base_z, labels=segmentation.labels)
+            seen = without_occluders(frame, segmentation, k)
+            shape = fit_shape(seen, support, segmentation.labels == k, base_z, labels=segmentation.labels)
         except CaptureError as error:
             skipped.append(f"segment {k}: {error.message}")
             continue

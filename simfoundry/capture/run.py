@@ -13,6 +13,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
+from simfoundry.capture.overlay import SEGMENTS, segment_image
 from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import ensure_folder_replaceable, file_digests, staged, write_file
@@ -84,6 +85,7 @@ def run_capture(
             built, scene, settled = _settled(built, staging / scene_name, cache, progress)
             progress("pictures", 0.95)
             _pictures(built, frame, scene, settled, staging)
+            write_file(staging / SEGMENTS, segment_image(built.segmentation.labels))
             report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": file_digests(staging)}
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:

@@ -23,8 +23,8 @@ def capture_command(
 ) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
-    Writes NAME.scene.yaml, meshes/, report.json and compare.png. The table and the report list the objects that were
-    left out or did not settle well, with the reasons.
+    Writes NAME.scene.yaml, meshes/, report.json, compare.png and segments.png. The table and the report list the
+    objects that were left out or did not settle well, with the reasons.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture

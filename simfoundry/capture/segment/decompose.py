@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.segment import merge_by_color, merge_regions
+from simfoundry.capture.segment.constraints import constrained
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
 from simfoundry.capture.segment.merge_regions import TOUCHING, compact, renamed
 from simfoundry.capture.segment.regions import Crop, borders, cut, edges_of, flood, pixel_area, reach_of
@@ -34,7 +35,8 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
 
     If ``frame.instances`` is set, its masks are cleaned and used. Otherwise, the surface above the support is cut at
     depth steps and inward creases. Outward bends do not separate objects. Parts separated by an occluder are joined
-    again if they are coplanar, and unsupported parts are joined to the parts that they touch.
+    again if they are coplanar, and unsupported parts are joined to the parts that they touch. Finally, the constraints
+    in ``frame.decomposition`` are applied.
 
     Raises:
         CaptureError: The depth is unusable, or no object is found.
@@ -45,11 +47,12 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
         labels = _given(frame.instances, points_W, support)
     else:
         labels = _found(frame, points_W, support)
+    labels, pieces, unmet = constrained(labels, frame)
     if not labels.any():
         message = f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support"
         hint = "check that the objects are in view and have valid depth; glass and dark glossy surfaces often have none"
         raise CaptureError("SF504", message, hint)
-    return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))))
+    return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))), pieces, unmet)
 
 
 def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:

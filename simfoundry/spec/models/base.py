@@ -303,6 +303,9 @@ class Origin(Model):
         None, description="Median distance between the observed points and the fitted surface [m]."
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
+    segment: Annotated[int, Field(ge=1, le=65535)] | None = Field(
+        None, description="Number of the object's pixels in `segments.png`, beside the reconstructed scene."
+    )
     note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
     cousin: CousinOf | None = Field(None, description="Recipe, seed and index of a cousin.")
 

@@ -59,6 +59,42 @@ class Masks(Model):
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Pixel value of each object, by name.")
 
 
+# Column and row of a pixel [px], from the top left; images of more than 100,000 pixels a side are not read.
+Pixel = tuple[Annotated[int, Field(ge=0, lt=100_000)], Annotated[int, Field(ge=0, lt=100_000)]]
+
+
+class Decomposition(Model):
+    """What a person knows about the objects in a view, which their segmentation must respect.
+
+    Pixels mark objects, so that the constraints hold however the image is segmented.
+    """
+
+    pieces: dict[Name, Annotated[tuple[Pixel, ...], Field(min_length=1, max_length=100)]] = Field(
+        {},
+        max_length=200,
+        description="Objects by name, each as pixels (column, row) on it. What is found at the pixels of one object is "
+        "one piece; what is found at the pixels of several objects is divided among them.",
+    )
+    ignore: tuple[Pixel, ...] = Field(
+        (), max_length=1000, description="Pixels (column, row) on regions that are not objects."
+    )
+    occludes: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1, max_length=200)]] = Field(
+        {},
+        max_length=200,
+        description="Names from `pieces`, each with those that it occludes: its pixels are no evidence that they end "
+        "there.",
+    )
+
+    @consistent
+    def _known_names(self) -> None:
+        for name, hidden in self.occludes.items():
+            if name in hidden:
+                raise fault("sf107", f"`{name}` cannot occlude itself", "occludes")
+            for each in (name, *hidden):
+                if each not in self.pieces:
+                    raise fault("sf107", f"`occludes` names `{each}`, which `pieces` does not define", "occludes")
+
+
 class Shot(Model):
     """A view of the scene: color image, depth image, camera, and optional masks."""
 
@@ -66,6 +102,9 @@ class Shot(Model):
     depth: DepthImage
     camera: Intrinsics = Field(description="The color camera.")
     masks: Masks | None = Field(None, description="Instance masks.")
+    decomposition: Decomposition | None = Field(
+        None, description="Constraints on the division of the image into objects."
+    )
 
 
 class CaptureSpec(DocumentSpec):

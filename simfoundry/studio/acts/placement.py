@@ -97,16 +97,28 @@ def written_pose(
     frame = source.data.get("frame")
     X_FO = scene.frames.pose(frame, placed).inverse() @ X_WO
     X_FO_before = scene.frames.pose(frame, scene.objects).inverse() @ scene.objects[name].X_WO
-    data = {**source.data, "xyz": moved(source.data.get("xyz", (0.0, 0.0, 0.0)), X_FO.p)}
+    data = pose_data(source.data, X_FO, X_FO_before)
+    return source.edits(scene, name, "pose", data)
+
+
+def pose_data(written: Mapping[str, Any], X_FO: Pose, X_FO_before: Pose) -> dict[str, Any]:
+    """Return the plain data of a pose, with its keys and its unchanged coordinates as they were written.
+
+    Args:
+        written: The data of the pose before.
+        X_FO: The new pose in the frame that the data names.
+        X_FO_before: The pose before, which ``written`` states.
+    """
+    data = {**written, "xyz": moved(written.get("xyz", (0.0, 0.0, 0.0)), X_FO.p)}
     if X_FO.angle_to(X_FO_before) > STILL_RAD:
         data = {key: value for key, value in data.items() if key not in ("yaw_deg", "rpy_deg", "quat_wxyz")}
-        if "quat_wxyz" in source.data:
+        if "quat_wxyz" in written:
             data["quat_wxyz"] = tuple(round(float(v), 6) + 0.0 for v in X_FO.q)
         else:
             data |= {k: v for k, v in to_data(pose_spec(X_FO)).items() if k != "xyz"}
-    if not any(data["xyz"]) and "xyz" not in source.data:
+    if not any(data["xyz"]) and "xyz" not in written:
         del data["xyz"]
-    return source.edits(scene, name, "pose", data)
+    return data
 
 
 def moved(before: Any, after: Array) -> tuple[float, ...]:

@@ -1,0 +1,195 @@
+"""A capture beside the scene that was reconstructed from it: the cloud, the objects' pixels, and the fit of a pose."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.load import load_frame
+from simfoundry.capture.segment.masks import Labels
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh, gather
+from simfoundry.capture.shapes.fit import MIN_POINTS
+from simfoundry.capture.shapes.fit_primitives import search
+from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import tessellate
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.capture import Pixel
+
+# Image of the objects' numbers, which a capture writes beside its scene: 16 bits per pixel, 0 for the background.
+SEGMENTS = "segments.png"
+
+# Angle [rad] around a click within which points are meant: about 3 pixels of a browser's window 1000 pixels high.
+RAY_RAD = 0.004
+
+# Edges of the initial simplex of a registration [m, rad], and the number of evaluations, each of which casts all rays.
+STEPS, EVALUATIONS = (0.006, 0.006, 0.003, 0.08), 160
+
+# Starts of a registration: turns about the vertical axis [deg]. A search from one start ends in the nearest minimum.
+STARTS_DEG = (0.0, 12.0, -12.0)
+
+# Least decrease of the cost for which an object is moved. Below it, turns of round objects differ only by their facets.
+WORTH = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureOverlay:
+    """A frame of a capture in the world of the scene that was reconstructed from it.
+
+    Attributes:
+        frame: The image.
+        X_WC: Pose of its camera in the world of the scene.
+        labels: Number of the object at each pixel, shape (h, w).
+    """
+
+    frame: Frame
+    X_WC: Pose
+    labels: Labels
+
+    @cached_property
+    def points_W(self) -> Array:
+        """The points of all pixels in the world [m], shape (h, w, 3); NaN without a reading."""
+        return self.X_WC.apply(self.frame.points)
+
+    def cloud(self, share: float = 1.0) -> tuple[Array, NDArray[np.uint8], Labels]:
+        """Return the measured points.
+
+        Args:
+            share: Fraction of the points, spread evenly over the image.
+
+        Returns:
+            Points in the world [m], shape (n, 3), their colors, shape (n, 3), and their objects' numbers, shape (n,).
+        """
+        at = np.flatnonzero(np.isfinite(self.frame.depth))
+        at = at[:: max(1, round(1 / max(share, 1e-3)))]
+        return self.points_W.reshape(-1, 3)[at], self.frame.color.reshape(-1, 3)[at], self.labels.reshape(-1)[at]
+
+    def pixel_of(self, segment: int) -> Pixel | None:
+        """Return the pixel (column, row) farthest inside of an object, or None if the object has no pixels."""
+        from scipy import ndimage
+
+        mask = np.pad(self.labels == segment, 1)
+        if not mask.any():
+            return None
+        row, column = np.unravel_index(int(np.argmax(ndimage.distance_transform_edt(mask))), mask.shape)
+        return int(column) - 1, int(row) - 1
+
+    def pixel_on_ray(self, origin: Array, direction: Array) -> Pixel | None:
+        """Return the pixel (column, row) whose point is nearest along a ray in the world, or None if there is none.
+
+        Points count if they are within :data:`RAY_RAD` of the ray, as seen from its origin.
+        """
+        points = self.points_W.reshape(-1, 3) - origin
+        along = points @ (direction / np.linalg.norm(direction))
+        beside = np.sqrt(np.maximum((points**2).sum(axis=1) - along**2, 0.0))
+        near = np.flatnonzero((along > 0) & (beside < RAY_RAD * along))
+        if not len(near):
+            return None
+        row, column = divmod(int(near[np.argmin(along[near] + beside[near] / RAY_RAD * 0.01)]), self.labels.shape[1])
+        return column, row
+
+    def evidence(self, segment: int, base_z: float) -> Evidence | None:
+        """Return the evidence for an object that stands at the height ``base_z`` [m], or None for too few points."""
+        mask = self.labels == segment
+        if int((mask & np.isfinite(self.frame.depth)).sum()) < MIN_POINTS:
+            return None
+        empty = SupportSurface(self.X_WC, np.zeros((0, 2)), 0.0, np.zeros(mask.shape, dtype=bool))
+        found = gather(self.frame, empty, mask, base_z, self.labels)
+        return found if len(found.points) >= MIN_POINTS else None
+
+
+def load_overlay(loaded: Loaded, frame_name: str, X_WC: Pose, segments: Path) -> CaptureOverlay:
+    """Load a frame of a capture and the image of its objects' numbers.
+
+    Raises:
+        SpecError: The frame cannot be used. The error contains all findings.
+        SimfoundryError: The image of the objects' numbers does not exist or does not belong to the frame.
+    """
+    frame = load_frame(loaded, frame_name).cleaned()
+    return CaptureOverlay(frame, X_WC, read_segments(segments, frame.depth.shape))
+
+
+def read_segments(path: Path, shape: tuple[int, ...]) -> Labels:
+    """Read an image of objects' numbers.
+
+    Raises:
+        SimfoundryError: If it cannot be read, or does not have the shape (height, width) of the frame.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.size != (shape[1], shape[0]):
+                size, wanted = (f"{w} x {h} pixels" for w, h in (image.size, (shape[1], shape[0])))
+                message = f"{path} has {size}, but the image of the capture has {wanted}"
+                raise SimfoundryError(f"{message}; run `simfoundry capture` again")
+            return np.array(image).astype(np.int32).reshape(shape)
+    except FileNotFoundError:
+        message = f"{path} does not exist, which says where each object is in the picture"
+        raise SimfoundryError(f"{message}; run `simfoundry capture` again") from None
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise SimfoundryError(f"{path} is not an image of objects' numbers: {error}") from None
+
+
+def segment_image(labels: Labels) -> bytes:
+    """Return the numbers of the objects, shape (h, w), as a PNG image with 16 bits per pixel."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(labels.astype(np.uint16)).save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+Surface = tuple[Array, NDArray[np.int32]]
+
+
+def object_surface(item: SceneObject) -> Surface:
+    """Return the visible surface of an object in its own frame: vertices (n, 3) [m] and faces (k, 3)."""
+    X_OL, vertices, faces, count = link_poses(item), [], [], 0
+    for link in item.links:
+        for visual in link.visuals:
+            mesh = tessellate(visual.geometry)
+            vertices.append((X_OL[link.name] @ visual.X_LG).apply(mesh.vertices))
+            faces.append(mesh.faces + count)
+            count += len(mesh.vertices)
+    if not vertices:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+
+
+def pose_agreement(evidence: Evidence, surface: Surface, X_WO: Pose) -> RayAgreement:
+    """Compare a surface at a pose with the evidence, by the measure of the reconstruction."""
+    vertices, faces = surface
+    return agreement(evidence, cast_mesh(evidence.eye, evidence.rays, X_WO.apply(vertices), faces))
+
+
+def registered_pose(evidence: Evidence, surface: Surface, X_WO: Pose) -> Pose:
+    """Return the pose near ``X_WO`` at which a surface agrees best with the evidence.
+
+    The object is moved and turned about the vertical axis through its middle, so that it stays as upright as it is. The
+    cost is that of the reconstruction, and the result is never worse than ``X_WO``.
+    """
+    middle = X_WO.apply(surface[0].mean(axis=0))
+
+    def moved(x: Array) -> Pose:
+        turn = Pose.about(np.array([0.0, 0.0, 1.0]), float(x[3]))
+        return Pose.of(middle + x[:3]) @ turn @ Pose.of(-middle) @ X_WO
+
+    def cost(x: Array) -> float:
+        return pose_agreement(evidence, surface, moved(x)).cost
+
+    start = np.zeros(4)
+    best, least = start, cost(start)
+    for degrees in STARTS_DEG:
+        value, found = search(cost, start + np.array([0, 0, 0, np.radians(degrees)]), np.array(STEPS), EVALUATIONS)
+        if value < least - WORTH:
+            best, least = found, value
+    return moved(best)
