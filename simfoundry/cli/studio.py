@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import FILE, option
+from simfoundry.cli.options import ANY, FILE, option
 from simfoundry.errors import SimfoundryError
 
 
@@ -17,7 +17,8 @@ from simfoundry.errors import SimfoundryError
 @option("--host", default="localhost", help="Address to listen on; others than this machine's need a token.")
 @option("--port", type=click.IntRange(0, 65535), default=8080, help="Port; if it is taken, the next free one is used.")
 @click.option("--token", default="", help="Token that browsers must know. Default: random if it is required.")
-def studio_command(document: Path, host: str, port: int, token: str, as_json: bool) -> None:
+@option("--capture", type=ANY, help="The capture of the scene. Default: the one in the project that it names.")
+def studio_command(document: Path, host: str, port: int, token: str, capture: Path | None, as_json: bool) -> None:
     """Open a scene or task in the browser, and turn each act there into an edit of the text.
 
     Nothing is written before you save. The page follows changes of the file, and several windows show the same. No
@@ -25,18 +26,26 @@ def studio_command(document: Path, host: str, port: int, token: str, as_json: bo
     """
     if token and len(token) < MIN_TOKEN:
         raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
-    serve_studio(document, as_json, host, port, token)
+    serve_studio(document, as_json, host, port, token, capture=capture)
 
 
 def serve_studio(
-    document: Path, as_json: bool, host: str = "localhost", port: int = 8080, token: str = "", is_editable: bool = True
+    document: Path,
+    as_json: bool,
+    host: str = "localhost",
+    port: int = 8080,
+    token: str = "",
+    is_editable: bool = True,
+    capture: Path | None = None,
 ) -> None:
     """Serve a document until the user interrupts the program."""
     from simfoundry.runtime.extras import need_extra
     from simfoundry.studio.server import StudioServer
 
     need_extra("studio", "the studio")
-    with StudioServer(document, host, port, token, is_editable) as server:
+    if capture is not None and capture.is_dir():
+        capture = capture / "capture.yaml"
+    with StudioServer(document, host, port, token, is_editable, capture) as server:
         facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
         output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
         sys.stdout.flush()

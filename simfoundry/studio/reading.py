@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -174,6 +174,19 @@ def _surroundings(loaded: Loaded, draft: DraftScene, earlier: StudioScene | None
         scene.name, scene.gravity, (), lights=scene.lights, robots=scene.robots, background=scene.background,
         left_out=scene.left_out,
     )  # fmt: skip
+
+
+def changed_objects(before: StudioScene, after: StudioScene, names: Collection[str]) -> list[str]:
+    """Return those of the named objects of a scene that another one moves, changes or lacks, in alphabetical order."""
+
+    def is_same(name: str) -> bool:
+        if name not in after.objects or name not in after.spec.objects:
+            return False
+        X_WO, X_WO_after = before.objects[name].X_WO, after.objects[name].X_WO
+        is_still = X_WO.p.tolist() == X_WO_after.p.tolist() and X_WO.q.tolist() == X_WO_after.q.tolist()
+        return is_still and before.spec.objects[name] == after.spec.objects[name]
+
+    return sorted(name for name in names if name in before.objects and not is_same(name))
 
 
 def lint_findings(reading: Reading, checkpoint: Callable[[], None] = lambda: None) -> tuple[Diagnostic, ...]:

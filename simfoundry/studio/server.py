@@ -27,7 +27,13 @@ class StudioServer:
     """A running studio. It is a context manager, which stops the server at its end."""
 
     def __init__(
-        self, path: Path, host: str = "localhost", port: int = DEFAULT_PORT, token: str = "", is_editable: bool = True
+        self,
+        path: Path,
+        host: str = "localhost",
+        port: int = DEFAULT_PORT,
+        token: str = "",
+        is_editable: bool = True,
+        capture: Path | None = None,
     ) -> None:
         """Open a document and start the server.
 
@@ -37,6 +43,7 @@ class StudioServer:
             port: The port; if it is taken, the next free one. Zero stands for any free port.
             token: The token that browsers must know; if it is needed and empty, a random one is made.
             is_editable: Whether the document can be edited; otherwise, it is only shown.
+            capture: The capture document of the scene; by default, it is searched in the project.
 
         Raises:
             SimfoundryError: If the document cannot be opened.
@@ -50,7 +57,7 @@ class StudioServer:
         with guarded(ConnectionGuard(self.token)), redirect_stdout(io.StringIO()):  # viser prints a banner
             self.viser = viser.ViserServer(host="127.0.0.1" if host == "localhost" else host, port=port, verbose=False)
         self.port = self.viser.get_port()
-        self.window = StudioWindow(self.session, self.viser, is_editable)
+        self.window = StudioWindow(self.session, self.viser, is_editable, capture)
         self._ended = Event()
         self._watcher = Thread(target=self._watch, name="studio-watch", daemon=True)
         self._watcher.start()

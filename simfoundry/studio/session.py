@@ -23,7 +23,7 @@ from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
 from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, merged_with_disk
 from simfoundry.studio.history import EditHistory, EditStep
-from simfoundry.studio.reading import Reading, StudioScene, lint_findings, read_session
+from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
 
 # Called after each change of a session, with what happened.
 Listener = Callable[[str], None]
@@ -38,6 +38,7 @@ class StudioSession:
         path: The document that was opened, a scene or a task.
         root: The folder of its project. Nothing outside of it is read or written.
         version: A number that increases with each change of the texts or of the findings.
+        locked: Names of objects that no act may change.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,6 +50,7 @@ class StudioSession:
         self.path = resolved_path(path)
         self.root = resolved_path(project_root(self.path))
         self.version = 0
+        self.locked: frozenset[str] = frozenset()
         if not self.path.is_file() or not is_document(self.path):
             raise SimfoundryError(f"{path} is not a document; the studio opens `*.scene.yaml` and `*.task.yaml`")
         self._lock = RLock()
@@ -164,6 +166,9 @@ class StudioSession:
             if reading.errors or reading.scene is None:
                 self._show_texts(self._texts)
                 raise ActError(f"{act.label}: {_reason(reading)}")
+            if locked := changed_objects(self._scene, reading.scene, self.locked):
+                self._show_texts(self._texts)
+                raise ActError(f"{act.label}: `{locked[0]}` is locked; unlock it under Capture first")
             step = EditStep.between(act.label, self._texts, after, gesture)
             self._history.push(step, self._texts)
             self._set(after, reading)

@@ -87,10 +87,11 @@ def test_an_occluder_whose_depth_is_wrong_does_not_cut_what_is_behind_it() -> No
     frame, truth = photograph(CAN_BEHIND_GLASS)
     # One sees through the front to the table behind everything, so the can seems to end where the front begins.
     glass = replace(frame, depth=np.where(truth == 2, photograph(Setup(()))[0].depth, frame.depth))
-    pieces = {"can": (middle(truth == 1),), "glass": (middle(truth == 2),)}
+    pieces: dict[str, tuple[tuple[int, int], ...]] = {"can": (middle(truth == 1),), "glass": (middle(truth == 2),)}
+    hidden: dict[str, dict[str, tuple[str, ...]]] = {"unstated": {}, "stated": {"glass": ("can",)}}
     found = Segmentation(truth.astype(np.int32), {1: 0, 2: 0}, {"can": 1, "glass": 2})
     support, fitted = find_support(frame), {}
-    for name, occludes in {"unstated": {}, "stated": {"glass": ("can",)}}.items():
+    for name, occludes in hidden.items():
         seen = replace(glass, decomposition=Decomposition(pieces=pieces, occludes=occludes))
         assert bool(np.isnan(without_occluders(seen, found, 1).depth[truth == 2]).all()) == (name == "stated")
         assert without_occluders(seen, found, 2) is seen

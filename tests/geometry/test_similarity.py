@@ -80,7 +80,7 @@ def test_mirrored_points_are_never_explained_by_a_mirror() -> None:
         np.array([[0.0, 0, np.nan], [1, 0, 0], [0, 1, 0]]),
     ],
 )
-def test_points_that_determine_no_rotation_are_refused(points: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_points_that_determine_no_rotation_are_refused(points: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"point|pair"):
         fit_similarity(points, S_AB.apply(points))
     if len(points) == 3:

@@ -66,13 +66,8 @@ class MoveObject:
         """Return the edits of the object's place or pose, and of those of the objects that it carries."""
         require_object(scene, self.name)
         item = scene.objects[self.name]
-        X_WO = self.snap.snapped(self.X_WO)
         riders = carried_objects(scene, self.name) if self.carry else {}
-        rest = None
-        if self.drop and not item.fixed and self.name in scene.draft.shapes:
-            rest = rest_below(scene, hulls(item, X_WO=X_WO), {self.name, *riders})
-            if rest is not None:
-                X_WO = Pose.of(X_WO.p + np.array([0.0, 0.0, rest.lift]), X_WO.q)
+        X_WO, rest = self.landing(scene, riders)
         change = X_WO @ item.X_WO.inverse()
         placed: dict[str, SceneObject] = {**scene.objects, self.name: replace(item, X_WO=X_WO)}
         placed |= {n: replace(scene.objects[n], X_WO=change @ scene.objects[n].X_WO) for n in riders}
@@ -87,6 +82,16 @@ class MoveObject:
             for path, edits in found.values.items():
                 values.setdefault(path, {}).update(edits)
         return ActEdits(values)
+
+    def landing(self, scene: StudioScene, riders: Collection[str] = ()) -> tuple[Pose, DropResult | None]:
+        """Return the pose at which the object comes to rest, and on what, if it falls; ``riders`` move with it."""
+        item, rest = scene.objects[self.name], None
+        X_WO = self.snap.snapped(self.X_WO)
+        if self.drop and not item.fixed and self.name in scene.draft.shapes:
+            rest = rest_below(scene, hulls(item, X_WO=X_WO), {self.name, *riders})
+            if rest is not None:
+                X_WO = Pose.of(X_WO.p + np.array([0.0, 0.0, rest.lift]), X_WO.q)
+        return X_WO, rest
 
 
 def _is_moved(before: Pose, after: Pose) -> bool:

@@ -57,12 +57,13 @@ class RefinePose:
         require_object(scene, self.name)
         if not np.isfinite(self.X_WO.p).all():
             raise ActError(f"`{self.name}` cannot be moved there, because its position would not be finite")
-        found = MoveObject(self.name, self.X_WO, drop=self.drop, carry=False, snap=self.snap).edits(scene)
+        move = MoveObject(self.name, self.X_WO, drop=self.drop, carry=False, snap=self.snap)
+        found = move.edits(scene)
         origin = scene.spec.objects[self.name].origin
         if self.evidence is None or origin is None or origin.fit_error is None or not found.values:
             return found
         surface = object_surface(scene.objects[self.name])
-        fit = pose_agreement(self.evidence, surface, self.X_WO).fit
+        fit = pose_agreement(self.evidence, surface, move.landing(scene)[0]).fit
         values = {path: dict(edits) for path, edits in found.values.items()}
         values.setdefault(resolved_path(scene.loaded.path), {}).update(fit_edits(self.name, fit))
         return ActEdits(values, notes=found.notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +13,13 @@ from simfoundry.render.views import framing, overview
 from simfoundry.studio.view.nodes import (
     CAMERA_RGB,
     FRUSTUM_M,
+    CloudContent,
     FrameContent,
     FrustumContent,
     LabelContent,
     LinesContent,
+    NodeContent,
+    PictureContent,
     SplatContent,
     SurfaceContent,
     ViewNode,
@@ -59,6 +63,10 @@ class Canvas:
     def put(self, name: str, node: ViewNode) -> None:
         """Show one node, in place of the present one with this name."""
         old = self._nodes.get(name)
+        if old is not None and _is_resized(old.content, node.content):
+            self._handles[name].point_size = node.content.size  # type: ignore[union-attr]
+            self.sent += 1
+            self._nodes[name] = old = replace(old, content=node.content)
         if old is None or old.content != node.content or old.selects != node.selects:
             if old is not None:
                 below = {n: each for n, each in self._nodes.items() if n.startswith(f"{name}/")}
@@ -118,6 +126,11 @@ class Canvas:
                 )  # fmt: skip
             case LabelContent(text):
                 return scene.add_label(name, text, **place)
+            case CloudContent() as cloud:
+                colors: Any = cloud.rgb
+                return scene.add_point_cloud(name, cloud.points, colors, point_size=cloud.size, **place)
+            case PictureContent() as shown:
+                return scene.add_image(name, shown.picture, shown.width, shown.height, **place)
             case SplatContent(gaussians):
                 return scene.add_gaussian_splats(name, *_splat_arrays(gaussians), **place)
         if node.selects:
@@ -134,6 +147,12 @@ def prepare_view(server: ViserServer, scene: Scene | None) -> None:
         camera, (center, _) = overview([scene], 640, 480), framing([scene])
         server.initial_camera.position = tuple(camera.X_WC.p.tolist())
         server.initial_camera.look_at = tuple(center.tolist())
+
+
+def _is_resized(old: NodeContent, new: NodeContent) -> bool:
+    """Return True if only the size of points differs, which is sent alone."""
+    are_clouds = isinstance(old, CloudContent) and isinstance(new, CloudContent)
+    return are_clouds and old != new and old.key == new.key  # type: ignore[union-attr]
 
 
 def _is_same(a: Pose, b: Pose) -> bool:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.similarity import Similarity
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.studio.acts.act import Act
+from simfoundry.studio.acts.background import AlignBackground, background_similarity
 from simfoundry.studio.acts.cameras import MoveCamera
-from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.view.nodes import SELECTION_RGB, Nodes, ViewNode, box_lines
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ LEAST_M, SHARE = 0.08, 0.75
 
 # Length [m] of the arrows of a camera.
 CAMERA_M = 0.15
+
+# Length [m] of the arrows of the background, which is as large as a room, but is aligned at the objects.
+BACKGROUND_M = 0.4
 
 # Distance [m] of the lines around the selected object from it, so that they are not hidden by its surface.
 MARGIN_M = 0.002
@@ -94,13 +98,15 @@ class SelectionGizmo:
             low, high = world_bounds(scene.objects[name], X_WO)
             size = round(max(LEAST_M, SHARE * float(np.linalg.norm(high - low))), 2)
 
-            def move(X_WO: Pose) -> Act:
-                return MoveObject(name, X_WO, drop=window.drops, snap=window.snap)
-
-            return GizmoTarget(f"/objects/{name}", X_WO, size, move)
+            return GizmoTarget(f"/objects/{name}", X_WO, size, lambda X_WO: window.move_act(name, X_WO))
         if section == "cameras" and name in scene.draft.cameras:
             X_WC = scene.draft.cameras[name].X_WC
             return GizmoTarget(f"/cameras/{name}", X_WC, CAMERA_M, lambda X_WC: MoveCamera(name, X_WC))
+        if section == "background" and scene.spec.background is not None:
+            S_WF = background_similarity(scene)
+            return GizmoTarget(
+                "/background", S_WF.X_AB, BACKGROUND_M, lambda X_WB: AlignBackground(Similarity(X_WB, S_WF.scale))
+            )
         return None
 
     def _add(self, target: GizmoTarget) -> None:
@@ -123,6 +129,8 @@ class SelectionGizmo:
             return
         self.dragged_by = client_id
         self._window.canvas.move(target.node, X_WT)
+        for preview in self._window.previews:
+            preview(target.node, X_WT)
 
     def _remove(self) -> None:
         if self._handle is not None:

@@ -11,6 +11,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Geometry, Mesh
@@ -92,7 +93,55 @@ class SplatContent:
     gaussians: Any
 
 
-NodeContent = SurfaceContent | FrameContent | LinesContent | FrustumContent | LabelContent | SplatContent
+@dataclass(frozen=True, eq=False)
+class CloudContent:
+    """A cloud of points, compared by its key.
+
+    Attributes:
+        key: What identifies the points and their colors.
+        points: Points [m], shape (n, 3).
+        rgb: Colors (sRGB, 0 to 255), shape (n, 3).
+        size: Size of a point [m].
+    """
+
+    key: str
+    points: Array
+    rgb: NDArray[np.uint8]
+    size: float
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CloudContent) and (self.key, self.size) == (other.key, other.size)
+
+    def __hash__(self) -> int:
+        return hash((self.key, self.size))
+
+
+@dataclass(frozen=True, eq=False)
+class PictureContent:
+    """A picture (sRGB, shape (h, w, 3)) on a rectangle [m], compared by its key."""
+
+    key: str
+    picture: NDArray[np.uint8]
+    width: float
+    height: float
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PictureContent) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+NodeContent = (
+    SurfaceContent
+    | FrameContent
+    | LinesContent
+    | FrustumContent
+    | LabelContent
+    | SplatContent
+    | CloudContent
+    | PictureContent
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +184,18 @@ def scene_nodes(scene: Scene, options: DisplayOptions, state: SceneState | None 
         nodes |= object_nodes(item if state is None else object_at(item, state), options)
     if options.cameras:
         nodes |= dict(camera_nodes(scene, options.pictures))
+    return nodes | background_nodes(scene)
+
+
+def background_nodes(scene: Scene) -> Nodes:
+    """Return the node of a scene's background, if it has one."""
     background = scene.background
     if background is not None and background.visuals:
         pieces = tuple((v.geometry, v.X_LG, tuple(v.rgba.tolist())) for v in background.visuals)
-        nodes["/background"] = ViewNode(SurfaceContent(_digest(pieces), pieces), background.X_WB)
+        return {"/background": ViewNode(SurfaceContent(_digest(pieces), pieces), background.X_WB)}
     if background is not None and background.splat is not None:
-        nodes["/background"] = ViewNode(SplatContent(background.splat), background.X_WB)
-    return nodes
+        return {"/background": ViewNode(SplatContent(background.splat), background.X_WB)}
+    return {}
 
 
 def object_nodes(item: SceneObject, options: DisplayOptions, group: str = "objects") -> Nodes:

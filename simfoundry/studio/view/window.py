@@ -6,20 +6,25 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.studio.acts.act import Act
-from simfoundry.studio.acts.move import Snap
+from simfoundry.studio.acts.move import MoveObject, Snap
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas, prepare_view
+from simfoundry.studio.view.capture_link import CaptureLink
 from simfoundry.studio.view.gizmo import SelectionGizmo
 from simfoundry.studio.view.nodes import DisplayOptions, Nodes, object_nodes, scene_nodes
 from simfoundry.studio.view.panels.adding import AddPanel
+from simfoundry.studio.view.panels.background import BackgroundPanel
 from simfoundry.studio.view.panels.cameras import CameraPanel
+from simfoundry.studio.view.panels.capture import CapturePanel
 from simfoundry.studio.view.panels.conditions import ConditionsPanel, PredicatePanel
 from simfoundry.studio.view.panels.display import DisplayPanel
 from simfoundry.studio.view.panels.document import DocumentPanel
@@ -27,7 +32,10 @@ from simfoundry.studio.view.panels.findings import FindingsPanel
 from simfoundry.studio.view.panels.moving import JointPanel, MovingPanel
 from simfoundry.studio.view.panels.objects import ObjectPanel
 from simfoundry.studio.view.panels.panel import Panel
+from simfoundry.studio.view.panels.pieces import PiecesPanel
+from simfoundry.studio.view.panels.refine import RefinePanel
 from simfoundry.studio.view.panels.regions import RegionPanel
+from simfoundry.studio.view.panels.versions import VersionsPanel
 from simfoundry.studio.view.pictures import camera_pictures
 from simfoundry.studio.view.robots import ShownRobots
 
@@ -41,6 +49,7 @@ PANELS: dict[str, tuple[type[Panel], ...]] = {
     "Check": (FindingsPanel,),
     "Goal": (ConditionsPanel, PredicatePanel),
     "Show": (DisplayPanel, CameraPanel),
+    "Capture": (CapturePanel, RefinePanel, PiecesPanel, VersionsPanel, BackgroundPanel),
 }
 
 # Seconds that a message stays; long enough to read two sentences.
@@ -59,9 +68,15 @@ class StudioWindow:
         is_editable: Whether objects can be moved. It is False while physics runs.
         drops: Whether moved objects fall onto what is beneath.
         snap: What moved objects snap to.
+        hidden: Names of objects that are not shown.
+        move_act: Makes the act of an object that is dragged to a pose.
+        capture: The capture from which the scene was reconstructed.
+        previews: Called with the name of a node and its pose while it is dragged.
     """
 
-    def __init__(self, session: StudioSession, server: ViserServer, is_editable: bool = True) -> None:
+    def __init__(
+        self, session: StudioSession, server: ViserServer, is_editable: bool = True, capture: Path | None = None
+    ) -> None:
         self.session, self.server = session, server
         self.is_editable = is_editable
         self.selection = ""
@@ -69,6 +84,10 @@ class StudioWindow:
         self.state: SceneState | None = None
         self.drops = True
         self.snap = Snap()
+        self.hidden: frozenset[str] = frozenset()
+        self.move_act: Callable[[str, Pose], Act] = self._plain_move
+        self.previews: list[Callable[[str, Pose], None]] = []
+        self.capture = CaptureLink(self, capture)
         self.canvas = Canvas(server.scene, self.select)
         self.gizmo = SelectionGizmo(self)
         self._acts = ThreadPoolExecutor(1, "studio-acts")  # acts happen one after another
@@ -83,6 +102,7 @@ class StudioWindow:
         self.refresh()
         self._worker = Thread(target=self._work, name="studio-view", daemon=True)
         self._worker.start()
+        self.capture.start()
         self.request_refresh()
 
     @property
@@ -124,6 +144,9 @@ class StudioWindow:
         self._latest[gesture] = act
         if not is_waiting:
             self.run(lambda: self.session.apply(self._latest.pop(gesture), gesture))
+
+    def _plain_move(self, name: str, X_WO: Pose) -> Act:
+        return MoveObject(name, X_WO, drop=self.drops, snap=self.snap)
 
     def run(self, work: Callable[[], object]) -> None:
         """Run work that changes the session after that submitted before. Errors are shown as messages."""
@@ -180,6 +203,8 @@ class StudioWindow:
         for panel in self._panels:
             nodes |= panel.nodes()
         nodes |= self.gizmo.nodes()
+        for name in self.hidden & (scene.objects.keys() if scene is not None else set()):
+            nodes[f"/objects/{name}"] = replace(nodes[f"/objects/{name}"], is_visible=False)
         dragged = self.gizmo.dragged_node
         if dragged in nodes:
             nodes[dragged] = self.canvas.nodes.get(dragged, nodes[dragged])

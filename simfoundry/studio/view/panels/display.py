@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
-from simfoundry.studio.view.panels.panel import Panel, by_person
+from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 
 if TYPE_CHECKING:
     from simfoundry.studio.view.window import StudioWindow
@@ -30,9 +30,15 @@ class DisplayPanel(Panel):
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         with window.gui.add_folder("Show"):
-            for option, label in LABELS.items():
-                box = window.gui.add_checkbox(label, getattr(window.options, option))
-                box.on_update(by_person(partial(self._switch, option)))
+            boxes = {key: window.gui.add_checkbox(label, getattr(window.options, key)) for key, label in LABELS.items()}
+        for option, box in boxes.items():
+            box.on_update(by_person(partial(self._switch, option)))
+        self._boxes = boxes
+
+    def refresh(self) -> None:
+        """Show which parts are visible."""
+        for option, box in self._boxes.items():
+            set_value(box, getattr(self.window.options, option))
 
     def _switch(self, option: str, event: Any) -> None:
         self.window.options = replace(self.window.options, **cast(Any, {option: bool(event.target.value)}))

@@ -1,0 +1,121 @@
+"""The capture behind the scene: its cloud with size, density and colors, and its picture behind the objects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.overlay import CaptureOverlay
+from simfoundry.geometry.frames import Pose
+from simfoundry.render.montage import label_color
+from simfoundry.studio.view.nodes import CloudContent, FrameContent, Nodes, PictureContent, ViewNode
+from simfoundry.studio.view.panels.panel import Panel, set_value
+
+if TYPE_CHECKING:
+    from simfoundry.studio.view.window import StudioWindow
+
+# Colors of the cloud that can be chosen.
+PHOTO, OBJECTS, SELECTED = "photo", "objects", "selected object"
+
+# Colors (sRGB, 0 to 255) of the selected object's points, and of those that belong to no object or to another one.
+MARKED_RGB, OTHER_RGB = (255, 90, 0), (150, 150, 150)
+
+# Density [%] and size [mm] of the points at first: light enough for a browser on a laptop, and without gaps at 1 m.
+DENSITY, SIZE_MM = 50, 2.0
+
+# Fraction of the measured depths in front of the picture, and its distance from the farthest of them.
+FARTHEST_SHARE, BEHIND = 0.99, 1.05
+
+
+class CapturePanel(Panel):
+    """Switches for the cloud and the picture."""
+
+    edits = False
+
+    def __init__(self, window: StudioWindow) -> None:
+        super().__init__(window)
+        gui = window.gui
+        self._state = gui.add_markdown("")
+        self._folder = gui.add_folder("Cloud and picture", visible=False)
+        with self._folder:
+            self.cloud = gui.add_checkbox("Cloud", True)
+            self.size = gui.add_slider("Point size [mm]", min=0.5, max=10.0, step=0.5, initial_value=SIZE_MM)
+            self.density = gui.add_slider("Density [%]", min=1, max=100, step=1, initial_value=DENSITY)
+            self.colors = gui.add_dropdown("Colors", (PHOTO, OBJECTS, SELECTED), initial_value=PHOTO)
+            self.picture = gui.add_checkbox("Picture", False, hint="The picture, behind what it shows.")
+            self._look = gui.add_button("Look through the camera", icon="camera")
+        for handle in (self.cloud, self.size, self.density, self.colors, self.picture):
+            handle.on_update(lambda _: window.request_refresh())
+        self._look.on_click(self._look_through)
+
+    def refresh(self) -> None:
+        """Show which capture it is, or why there is none."""
+        link = self.window.capture
+        if link.source is not None:
+            shown = f"Capture **{self.session.shown_path(link.source.document)}**, frame `{link.source.frame}`."
+        elif link.problem:
+            shown = f"The capture cannot be shown: {link.problem}."
+        else:
+            shown = "Loading the capture …" if link.is_named else "The scene was not reconstructed from a capture."
+        set_value(self._state, shown)
+        visible = link.overlay is not None
+        if self._folder.visible != visible:
+            self._folder.visible = visible
+
+    def nodes(self) -> Nodes:
+        """Return the cloud and the picture."""
+        overlay = self.window.capture.overlay
+        if overlay is None:
+            return {}
+        nodes: Nodes = {}
+        if self.cloud.value:
+            segment = self.window.capture.segment(self.window.selected_object)
+            nodes["/capture/cloud"] = ViewNode(self._cloud(overlay, segment))
+        if self.picture.value:
+            nodes["/capture/picture"] = picture_node(overlay)
+        return {"/capture": ViewNode(FrameContent()), **nodes} if nodes else {}
+
+    def _cloud(self, overlay: CaptureOverlay, segment: int) -> CloudContent:
+        share, colors = float(self.density.value) / 100, str(self.colors.value)
+        key = f"{id(overlay)} {share} {colors} {segment if colors == SELECTED else 0}"
+        size = float(self.size.value) / 1000
+        shown = self.window.canvas.nodes.get("/capture/cloud")
+        if shown is not None and isinstance(shown.content, CloudContent) and shown.content.key == key:
+            return CloudContent(key, shown.content.points, shown.content.rgb, size)
+        points, photo, numbers = overlay.cloud(share)
+        return CloudContent(key, points.astype(np.float32), cloud_colors(colors, photo, numbers, segment), size)
+
+    def _look_through(self, event: Any) -> None:
+        overlay = self.window.capture.overlay
+        if event.client is not None and overlay is not None:
+            self.window.options = replace(self.window.options, cameras=False)  # the frustum would be in front of it
+            self.window.request_refresh()
+            camera, height = event.client.camera, overlay.frame.depth.shape[0]
+            camera.position, camera.wxyz = overlay.X_WC.p, overlay.X_WC.q
+            camera.fov = 2 * float(np.arctan2(height / 2, overlay.frame.K[1, 1]))
+
+
+def cloud_colors(colors: str, photo: NDArray[np.uint8], numbers: NDArray[np.int32], segment: int) -> NDArray[np.uint8]:
+    """Return the colors of points, shape (n, 3), from those in the photo and the numbers of their objects."""
+    if colors == PHOTO:
+        return photo
+    out = np.empty_like(photo)
+    out[:] = OTHER_RGB
+    for number in np.unique(numbers[numbers > 0]).tolist():
+        if colors == OBJECTS or number == segment:
+            out[numbers == number] = label_color(number) if colors == OBJECTS else MARKED_RGB
+    return out
+
+
+def picture_node(overlay: CaptureOverlay) -> ViewNode:
+    """Return the picture on a rectangle behind all that it shows, which covers its camera's view exactly."""
+    frame = overlay.frame
+    height, width = frame.depth.shape
+    distance = float(np.nanquantile(frame.depth, FARTHEST_SHARE)) * BEHIND
+    fx, fy, cx, cy = frame.K[0, 0], frame.K[1, 1], frame.K[0, 2], frame.K[1, 2]
+    middle = (((width - 1) / 2 - cx) / fx * distance, ((height - 1) / 2 - cy) / fy * distance, distance)
+    content = PictureContent(str(id(overlay)), frame.color, width / fx * distance, height / fy * distance)
+    return ViewNode(content, overlay.X_WC @ Pose.of(middle))

@@ -1,0 +1,163 @@
+"""The tools for captures in a real browser: each test acts as a person would, and asserts the texts."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.studio.captured import CAPTURE, write_project
+from tests.studio.conftest import SCENE, OpenStudio, StudioPage
+from tests.studio.test_background import BACKGROUND, ROOM
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene that was reconstructed from a capture."""
+    return write_project(tmp_path)[0]
+
+
+def opened(open_studio: OpenStudio, path: Path) -> StudioPage:
+    """The studio, with the tools for captures in front."""
+    studio = open_studio(path)
+    studio.until(lambda: "/capture/cloud" in studio.server.window.canvas.nodes, "the cloud")
+    studio.tab("Capture")
+    return studio
+
+
+def select(studio: StudioPage, name: str) -> None:
+    studio.server.window.select(f"objects.{name}")
+    studio.until(lambda: f"/objects/{name}/selection" in studio.server.window.canvas.nodes)
+
+
+def test_a_pose_is_refined_by_keys_with_its_fit_and_snapped(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    before = studio.text
+    select(studio, "carton")
+    fit = studio.page.get_by_text("fit error", exact=False).first
+    studio.until(lambda: "0.1" in fit.inner_text(), "the fit")
+    studio.page.locator("canvas").first.click(position={"x": 5, "y": 650})  # so that keys reach the view
+    select(studio, "carton")
+    for _ in range(5):
+        studio.page.keyboard.press("l")
+    studio.until(lambda: "xyz: [0.085, 0.02, 0.06], yaw_deg: 28.65" in studio.text, "the steps")
+    studio.page.keyboard.press("Shift+o")
+    studio.until(lambda: "xyz: [0.085, 0.02, 0.06], yaw_deg: 29.65" in studio.text, "the turn")
+    studio.until(lambda: "0.1" not in fit.inner_text(), "a worse fit")
+    studio.press("Snap to best fit")
+    studio.until(lambda: "xyz: [0.08, " in studio.text or "xyz: [0.0799, " in studio.text, "the registration")
+    studio.until(lambda: "0.1" in fit.inner_text(), "a better fit")
+    for _ in range(7):
+        studio.press("Undo")
+    studio.until(lambda: studio.text == before, "undoing all")
+    assert studio.problems == []
+
+
+def test_the_cloud_follows_its_switches(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    nodes = studio.server.window.canvas.nodes["/capture/cloud"]
+    studio.choose("Colors", "objects")
+    studio.until(lambda: studio.server.window.canvas.nodes["/capture/cloud"].content != nodes.content)
+    studio.control("Picture").check()
+    studio.until(lambda: "/capture/picture" in studio.server.window.canvas.nodes, "the picture")
+    studio.control("Cloud").uncheck()
+    studio.until(lambda: "/capture/cloud" not in studio.server.window.canvas.nodes, "no cloud")
+    overlay = studio.server.window.capture.overlay
+    assert overlay is not None
+    studio.press("Look through the camera")
+    client = next(iter(studio.server.viser.get_clients().values()))
+    studio.until(lambda: np.allclose(client.camera.position, overlay.X_WC.p, atol=1e-4), "the view of the camera")
+    assert studio.problems == []
+
+
+def test_objects_are_merged_locked_and_hidden(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    capture = scene.parents[2] / "captures" / "desk" / "capture.yaml"
+    select(studio, "carton")
+    studio.until(lambda: "tin" in studio.server.window.panel(_pieces()).other.options)
+    studio.choose("Other object", "tin")
+    studio.press("one piece")
+    studio.until(lambda: "pieces: {carton: [[" in studio.server.session.texts.get(capture, ""), "the constraint")
+    assert capture.read_text() == CAPTURE
+    studio.press("Save")
+    studio.until(lambda: "pieces: {carton: [[" in capture.read_text(), "saving")
+    studio.press("Undo")
+    studio.press("Save")
+    studio.until(lambda: capture.read_text() == CAPTURE, "undoing and saving")
+    before = studio.text
+    studio.control("Locked").check()
+    studio.until(lambda: studio.server.session.locked == {"carton"})
+    studio.press("+x")
+    studio.page.get_by_text("is locked", exact=False).first.wait_for()
+    assert studio.text == before
+    studio.control("Hidden").check()
+    studio.until(lambda: not studio.server.window.canvas.nodes["/objects/carton"].is_visible, "hiding")
+    studio.press("Show all")
+    studio.until(lambda: studio.server.window.canvas.nodes["/objects/carton"].is_visible, "showing")
+
+
+def _pieces() -> type:
+    from simfoundry.studio.view.panels.pieces import PiecesPanel
+
+    return PiecesPanel
+
+
+def test_a_version_is_saved_taken_and_exported(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    before = studio.text
+    studio.press("Save as a new version")
+    version = scene.with_name("desk.v1.scene.yaml")
+    studio.until(version.exists, "the version")
+    assert version.read_text() == before
+    select(studio, "tin")
+    studio.press("+y")
+    studio.until(lambda: "xyz: [-0.08, -0.059, 0.04]" in studio.text, "the step")
+    studio.server.window.request_refresh()
+    studio.until(lambda: version.name in studio.server.window.panel(_versions()).version.options)
+    studio.choose("Version", version.name)
+    studio.press("selected object")
+    studio.until(lambda: studio.text == before, "the version's object")
+    with studio.page.expect_download() as download:
+        studio.press("Export the versions")
+    assert download.value.suggested_filename == "desk_versions.zip"
+
+
+def _versions() -> type:
+    from simfoundry.studio.view.panels.versions import VersionsPanel
+
+    return VersionsPanel
+
+
+def test_the_background_is_dragged_and_aligned_by_pairs(desk: Path, open_studio: OpenStudio) -> None:
+    desk.with_name("room.obj").write_text(ROOM)
+    desk.write_text(SCENE + BACKGROUND)
+    studio = open_studio(desk)
+    studio.tab("Capture")
+    studio.until(lambda: "/background" in studio.server.window.canvas.nodes, "the background")
+    studio.control("Move the background").check()
+    studio.until(lambda: studio.server.window.selection == "background")
+    studio.press("+x")
+    studio.until(lambda: "xyz: [-0.999, -0.5, -0.8]" in studio.text, "the step")
+    studio.press("larger")
+    studio.until(lambda: "scale: 0.505  # a guess" in studio.text, "the scale")
+    panel = studio.server.window.panel(_background())
+    for here, there in (((0, 0, 0), (0, 0, 0.1)), ((1, 0, 0), (1, 0, 0.1)), ((0, 1, 0), (0, 1, 0.1))):
+        panel.here.value, panel.there.value = here, there
+        studio.server.window.run(partial(panel._add, here, there))
+    studio.until(lambda: len(panel.pairs) == 3)
+    studio.press("align")
+    studio.until(lambda: "xyz: [-0.999, -0.5, -0.7]" in studio.text, "the alignment")
+    for _ in range(3):
+        studio.press("Undo")
+    studio.until(lambda: studio.text == SCENE + BACKGROUND, "undoing")
+    assert studio.problems == []
+
+
+def _background() -> type:
+    from simfoundry.studio.view.panels.background import BackgroundPanel
+
+    return BackgroundPanel
