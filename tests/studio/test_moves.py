@@ -50,6 +50,11 @@ def test_without_a_drop_the_object_stays_in_the_air(desk: Path) -> None:
     assert line == "pose: {xyz: [0.3, 0.1, 0.5]}"
 
 
+def test_a_comment_beside_a_place_stays_beside_the_pose(desk: Path) -> None:
+    (line,) = move(desk, SCENE, MoveObject("tray", Pose.of((0.3, 0.1, 0.5)), drop=False))
+    assert line == "pose: {xyz: [0.3, 0.1, 0.5]}  # near the wall"
+
+
 def test_off_the_desk_there_is_nothing_to_fall_onto(desk: Path) -> None:
     (line,) = move(desk, SCENE, MoveObject("ball", Pose.of((2.0, 0.0, 0.5))))
     assert line == "pose: {xyz: [2, 0, 0.5]}"

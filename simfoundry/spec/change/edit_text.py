@@ -9,14 +9,14 @@ rewritten in canonical form, and its comments are kept.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, reduce
 from typing import Any
 
 from simfoundry.spec.change.diff.changes import Add, Path_, Remove, Rename, Reorder, Set, diff, members, same
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.types import KeyOrder, key_order
+from simfoundry.spec.models.types import RIVALS, KeyOrder, key_order
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.spans import TextSpan, locate_values
 from simfoundry.spec.yaml.spelling import call
@@ -104,11 +104,13 @@ class _Round:
                 removed.setdefault(change.path[:-1], []).append(change.path[-1])
             elif isinstance(change, Add):
                 added.setdefault(change.path[:-1], {})[change.path[-1]] = change.value
-        found: list[Splice | None]
+        found: Sequence[Splice | None]
         if renames:
             found = [self._key(rename) for rename in renames]
         elif values:
             found = [self._value(path) for path in values]
+        elif replaced := list(self._replaced_keys(removed, added)):
+            found = replaced
         elif removed:
             found = [splice for section, names in removed.items() for splice in self._removals(section, names)]
         elif added:
@@ -238,6 +240,26 @@ class _Round:
                 return span.key, self._line_end(span.end), self.newline.join(lines)[column:]
             path = path[:-1]
         return None
+
+    def _replaced_keys(
+        self, removed: Mapping[Path_, list[str]], added: Mapping[Path_, Mapping[str, Any]]
+    ) -> Iterator[Splice]:
+        """Yield the edits that write a key in place of one that it excludes, such as `pose` in place of `place`.
+
+        The comments of the old key stay, because they are about what both of them state.
+        """
+        for section, names in removed.items():
+            for name in names:
+                rivals = RIVALS.get(name, set()) & added.get(section, {}).keys()
+                steps = self._steps((*section, name))
+                if len(rivals) != 1 or len(steps) != len(section) + 2 or steps[-1].key < 0:
+                    continue
+                (rival,), span, parent = rivals, steps[-1], steps[-2]
+                new = inline_text(added[section][rival], (*section, rival), self.model, parent.flow)
+                start, end = self._line(span.key), self._line_end(span.end)
+                is_line = "\n" not in self.text[span.key : span.end]
+                if new is not None and is_line and end - start - (span.end - span.key) + len(rival + new) + 2 <= WIDTH:
+                    yield span.key, span.end, f"{rival}: {new}"
 
     def _removals(self, section: Path_, names: list[str]) -> list[Splice | None]:
         """Return the edits that remove members of a mapping or list."""
