@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format goldens schemas docs proofs lock hooks pictures vsix clean
+.PHONY: help demo test lint format goldens schemas docs proofs lock hooks pictures browser vsix clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
@@ -52,6 +52,13 @@ docs: $(READY) ## Build the documentation site into build/site; a warning is an 
 pictures: $(READY) ## Render the pictures of specs/README.md anew
 	$(BIN)/python specs/render_pictures.py
 
+# Chromium comes with the system's packages, because that of Playwright is for a few systems only.
+browser: $(READY) ## Install what drives the studio in a browser: Playwright, and Chromium where there is none
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || \
+	  $$(test "$$(id -u)" = 0 || echo sudo) sh -c \
+	  'apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium >/dev/null'
+
 # It needs node and npm; the packages that build it are installed beside its sources.
 vsix: $(READY) ## Build the extension for VS Code into build/
 	@$(BIN)/python -m editors.vscode.build
@@ -70,7 +77,8 @@ proofs: $(READY) ## Long runs that measure what is promised: minutes, and some n
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
 	@$(PYTHON) -m venv build/lock
 	@build/lock/bin/python -m pip install --quiet --disable-pip-version-check uv
-	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --extra docs --extra train --no-annotate \
+	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --no-annotate \
+	  --extra browser --extra dev --extra docs --extra train \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file constraints.txt pyproject.toml
 
 hooks: $(READY) ## Run the checks at each commit

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.studio.conftest import SCENE, OpenStudio, StudioPage
+from tests.studio.browser import StudioPage
+from tests.studio.conftest import SCENE, OpenStudio
 
 pytestmark = pytest.mark.slow
 

@@ -1,0 +1,139 @@
+"""A real browser that drives the studio, for tests and benchmarks."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simfoundry.studio.server import StudioServer
+
+# Chromium without a display and without a GPU.
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+# Seconds in which the browser shows what it was told; a software renderer on a busy machine takes a few.
+PATIENCE = 20.0
+
+# Size of the windows [px], and the number of drawn pixels for each: a software renderer takes as long as there are any.
+SIZE, PIXEL_RATIO = {"width": 1000, "height": 700}, 0.4
+
+
+# Number of characters of a document that a failure shows.
+MAX_TEXT = 3000
+
+
+class NoBrowserError(Exception):
+    """Raised if there is no browser on this machine. The message says what is missing."""
+
+
+@contextmanager
+def launched_browser() -> Iterator[Any]:
+    """Run a browser without a display.
+
+    Raises:
+        NoBrowserError: If Chromium or the package that drives it is not installed.
+    """
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise NoBrowserError("playwright is not installed; `make browser` installs it") from None
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if program is None:
+        raise NoBrowserError("Chromium is not installed; `make browser` installs it")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@dataclass
+class StudioPage:
+    """One window of the studio, driven as a person would, and the server behind it."""
+
+    page: Any
+    server: StudioServer
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def file_text(self) -> str:
+        """The text of the document on disk."""
+        return self.server.session.path.read_text()
+
+    @property
+    def text(self) -> str:
+        """The text of the document in the studio."""
+        return self.server.session.text
+
+    def until(self, condition: Callable[[], Any], what: str = "") -> Any:
+        """Wait until a condition holds, and return its value."""
+        end = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            assert time.monotonic() < end, f"{what or condition} did not happen:\n{self.text[:MAX_TEXT]}"
+            self.page.wait_for_timeout(30)  # which also handles the events of the page
+        return found
+
+    def tab(self, name: str) -> None:
+        """Open a tab of the panels."""
+        self.page.get_by_role("tab", name=name, exact=True).click()
+
+    def press(self, button: str) -> None:
+        """Press a button by its label."""
+        self.page.get_by_role("button", name=button, exact=True).first.click()
+
+    def control(self, label: str) -> Any:
+        """Return the control with a label. Those of text are not linked to their labels."""
+        row = f'//label[text()="{label}"]/ancestor::div[contains(@class, "mantine-Flex-root")][1]'
+        return self.page.locator(f"xpath={row}//*[self::input or self::textarea]").first
+
+    def enter(self, label: str, value: str) -> None:
+        """Write into the control with a label."""
+        self.control(label).fill(value)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of a dropdown."""
+        self.control(label).click()
+        self.page.get_by_role("option", name=option, exact=True).first.click()
+
+    def screen_point(self, point: tuple[float, float, float]) -> tuple[float, float]:
+        """Return where a point of the world [m] is on the screen [px]."""
+        import numpy as np
+        from viser import transforms
+
+        client = self.until(lambda: next(iter(self.server.viser.get_clients().values()), None))
+        size = self.page.viewport_size
+        R = transforms.SO3(client.camera.wxyz).as_matrix()
+        x, y, z = R.T @ (np.array(point) - client.camera.position)
+        scale = size["height"] / 2 / np.tan(client.camera.fov / 2)
+        return float(size["width"] / 2 + scale * x / z), float(size["height"] / 2 + scale * y / z)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 12, release: bool = True) -> None:
+        """Drag with the mouse from one point of the screen to another [px], as slowly as a person."""
+        mouse = self.page.mouse
+        mouse.move(*start)
+        self.page.wait_for_timeout(400)  # the gizmo must notice the mouse first
+        mouse.down()
+        for k in range(1, steps + 1):
+            mouse.move(*(a + (b - a) * k / steps for a, b in zip(start, end, strict=True)))
+            self.page.wait_for_timeout(30)
+        if release:
+            mouse.up()
+
+
+def opened_page(browser: Any, server: StudioServer) -> StudioPage:
+    """Open one more window of a studio."""
+    page = browser.new_page(viewport=SIZE, device_scale_factor=PIXEL_RATIO)
+    studio = StudioPage(page, server)
+    page.on("pageerror", lambda error: studio.problems.append(str(error)))
+    before = len(server.viser.get_clients())
+    page.goto(server.address)
+    page.get_by_text("SimFoundry Studio").wait_for()
+    # Messages must not catch clicks that are meant for what is below them.
+    page.add_style_tag(content=".mantine-Notifications-root { pointer-events: none; opacity: 0.3 }")
+    studio.until(lambda: len(server.viser.get_clients()) > before, "a connection")
+    return studio
