@@ -2,10 +2,11 @@
 
     python -m tests.benchmarks.studio [--edits 10]
 
-For scenes of 20 and 200 objects, the file is changed as an editor would, and the time is taken until the studio has sent
-the change, and until the browser has drawn two frames with it. Then an object is dragged by its gizmo, and the time is taken from the
-release of the mouse button until the text has changed. The bars are 0.5 s and 2 s from the file to the picture, and
-0.2 s from the gizmo to the text (medians). The exit status is 1 if one is missed. Needs Chromium; `make browser`.
+For scenes of 20 and 200 objects, the file is changed as an editor would, and the time is taken until the studio has
+sent the change, and until the browser has drawn two frames with it. Then an object is dragged by its gizmo, and the
+time is taken from the release of the mouse button until the text has changed. The bars are 0.5 s and 2 s from the file
+to the picture, and 0.2 s from the gizmo to the text (medians). The exit status is 1 if one is missed. Needs Chromium,
+which `make browser` installs; it draws in software here, which takes most of the time to the picture.
 """
 
 from __future__ import annotations

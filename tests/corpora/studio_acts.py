@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ class Actor:
     def _set(self, scene: StudioScene, name: str) -> Act:
         r = self.random
         materials = [*scene.spec.materials, None, "nothing"]
-        values = r.choice(
+        values: dict[str, Any] = r.choice(
             [
                 {"mass": round(r.uniform(-0.1, 2), 3)}, {"friction": round(r.uniform(0, 1), 2)}, {"mass": None},
                 {"material": r.choice(materials)}, {"category": r.choice(["cup", "box", None])},
@@ -130,7 +131,8 @@ class Actor:
         camera = self.random.choice([*scene.spec.cameras, "nothing"])
         p = [self.random.uniform(-1, 1) for _ in range(3)]
         add = AddCamera(f"view_{self.random.randrange(9)}", Pose.of(p), (0.0, 0.0, 3.0))
-        return self.random.choice([add, MoveCamera(camera, Pose.of(p)), RemoveCamera(camera)])
+        acts: list[Act] = [add, MoveCamera(camera, Pose.of(p)), RemoveCamera(camera)]
+        return self.random.choice(acts)
 
     def _joint(self, scene: StudioScene, name: str) -> Act:
         joints = [(n, j.name) for n in scene.objects for j in movable_joints(scene, n)]
