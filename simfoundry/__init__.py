@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from simfoundry.api.build import Build as Build
+    from simfoundry.api.datasets import build_dataset as build_dataset
+    from simfoundry.api.datasets import dataset as dataset
     from simfoundry.api.demonstrations import demonstrations as demonstrations
     from simfoundry.api.demonstrations import record as record
     from simfoundry.api.entries import UnknownNameError as UnknownNameError
@@ -36,6 +38,8 @@ _MODULES = {
     "TaskDocument": "api.tasks",
     "Trained": "api.training",
     "UnknownNameError": "api.entries",
+    "build_dataset": "api.datasets",
+    "dataset": "api.datasets",
     "demonstrations": "api.demonstrations",
     "evaluate": "api.evaluation",
     "load": "api.scenes",

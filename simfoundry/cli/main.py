@@ -24,6 +24,7 @@ COMMANDS = {
     "configure": ("train", "Write a training configuration for LeRobot, openpi or GR00T."),
     "cousins": ("cousins", "Make variants of a scene or task that preserve its affordances."),
     "correlate": ("evaluate", "Compare simulated success rates with real ones."),
+    "dataset": ("dataset", "Build, show and check datasets of demonstrations for training libraries."),
     "demo": ("capture", "Reconstruct, compile and run a scene from an included image or your own."),
     "diff": ("changes", "Show the changes between two documents or revisions."),
     "doctor": ("verify", "Show installed and missing components, and how to install them."),
