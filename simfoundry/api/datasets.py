@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.executors import JOBS, Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.data.dataset.formats import StoredDataset
     from simfoundry.data.dataset.plan import DatasetPlan
-
-# Maximum number of parallel processes, in Python and on the command line.
-MAX_JOBS = 256
 
 # Callback that receives a text with the current counts, and the fraction of the episodes that are complete.
 BuildProgress = Callable[[str, float], None]
@@ -25,7 +23,8 @@ def build_dataset(
     *,
     formats: Sequence[str] = (),
     profile: str | None = None,
-    jobs: int = 1,
+    jobs: int | None = None,
+    on: str = "local",
 ) -> list[StoredDataset]:
     """Build a dataset from a document, or directly from a folder of demonstrations.
 
@@ -38,7 +37,8 @@ def build_dataset(
         out: Output folder; by default, ``build/datasets/NAME``. With several formats, it has a folder for each of them.
         formats: File formats; by default, those of the document or its profile.
         profile: Name of the profile; by default, that of the document, or ``lerobot`` for a folder.
-        jobs: Number of parallel processes.
+        jobs: Number of parallel processes; by default, one on this machine, and one per CPU of a Ray cluster.
+        on: Where to run: ``local``, ``ray`` or ``ray:ADDRESS``.
 
     Returns:
         The datasets, one for each format.
@@ -47,13 +47,12 @@ def build_dataset(
         SpecError: If the document has errors.
         SimfoundryError: If a source, a format or an option cannot be used.
     """
-    from simfoundry.data.dataset.build import build_dataset as run
     from simfoundry.data.dataset.reading import open_dataset
 
-    if not 1 <= jobs <= MAX_JOBS:
-        raise SimfoundryError(f"`jobs` must be between 1 and {MAX_JOBS}, not {jobs}")
+    if jobs is not None and not JOBS[0] <= jobs <= JOBS[1]:
+        raise SimfoundryError(f"`jobs` must be between {JOBS[0]} and {JOBS[1]}, not {jobs}")
     plan = dataset_plan(Path(source), formats, profile)
-    folders = run(plan, default_folder(plan) if out is None else Path(out), workers=jobs)
+    folders = run_build(plan, default_folder(plan) if out is None else Path(out), jobs, Machines.parse(on))
     return [open_dataset(folder)[1] for folder in folders]
 
 
@@ -93,12 +92,19 @@ def default_folder(plan: DatasetPlan) -> Path:
     return Path("build") / "datasets" / plan.info.name
 
 
-def run_build(plan: DatasetPlan, out: Path, jobs: int, progress: BuildProgress) -> list[Path]:
+def run_build(
+    plan: DatasetPlan,
+    out: Path,
+    jobs: int | None,
+    machines: Machines,
+    progress: BuildProgress = lambda text, share: None,
+) -> list[Path]:
     """Execute a plan, and return the folders of the datasets."""
     from simfoundry.data.dataset.build import build_dataset as run
 
     count = plan.info.episodes
-    return run(plan, out, lambda done: progress(f"{done} of {count} episodes", done / max(1, count)), jobs)
+    workers = worker_count(machines, jobs)
+    return run(plan, out, lambda done: progress(f"{done} of {count} episodes", done / count), workers, machines)
 
 
 def dataset(folder: str | Path) -> StoredDataset:

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from simfoundry.api.datasets import MAX_JOBS
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, option, resumable
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, jobs_option, on_option, option, resumable
+from simfoundry.runtime.executors import Machines
 
 # Argument for the folder of a dataset.
 DATASET = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -28,17 +28,19 @@ def dataset_command() -> None:
 @click.option("-p", "--profile", metavar="PROFILE",
               help="Conventions of the training library, such as lerobot or gr00t. Default: as in SOURCE.")  # fmt: skip
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder. Default: build/datasets/NAME.")
-@option("-j", "--jobs", type=click.IntRange(1, MAX_JOBS), default=1, help="Number of parallel processes.")
+@jobs_option(1)
+@on_option
 @output.json_option
 @output.reporting
 def build_command(
-    source: Path, formats: tuple[str, ...], profile: str | None, out: Path | None, jobs: int, as_json: bool
-) -> int:
+    source: Path, formats: tuple[str, ...], profile: str | None, out: Path | None, jobs: int | None,
+    machines: Machines, as_json: bool,
+) -> int:  # fmt: skip
     """Build a dataset from a document, or from a folder of demonstrations.
 
     SOURCE is a .dataset.yaml document, or a folder that `simfoundry record` wrote. Images are rendered while the
     demonstrations are replayed. With several formats, OUT contains a folder for each of them. The dataset does not
-    depend on --jobs.
+    depend on --jobs and --on.
 
     Finished episodes are kept next to OUT, so you can repeat the command to resume an interrupted build. OUT appears
     when the dataset is complete.
@@ -48,7 +50,7 @@ def build_command(
     plan = dataset_plan(source, formats, profile)
     folder = default_folder(plan) if out is None else out
     with output.progress_bar(as_json) as progress, resumable(folder):
-        built = run_build(plan, folder, jobs, progress)
+        built = run_build(plan, folder, jobs, machines, progress)
     info, notes = plan.info, _notes(built)
     if as_json:
         counts = {"episodes": info.episodes, "frames": info.frames, "splits": dict(info.splits)}

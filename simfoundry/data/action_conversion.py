@@ -41,7 +41,7 @@ class ReplayError:
         hand_m: The largest distance between the hands at the same time [m].
         hand_rad: The largest angle between the hands at the same time [rad].
         success: True if the rollout reached the goal as well.
-        is_identical: True if the trajectories are the same to the last bit.
+        is_identical: True if the joints move in the same way to the last bit, as long as the demonstration lasts.
     """
 
     hand_m: float
@@ -90,8 +90,8 @@ class ActionConverter:
                 numbers = demonstration.states[f"{name}/hand"][k]
                 distance = max(distance, float(np.linalg.norm(reading.X_WH.p - numbers[:3])))
                 angle = max(angle, reading.X_WH.angle_to(Pose.of(numbers[:3], numbers[3:])))
-        states = [robots for _, robots in done.trace]
-        same = done.steps == demonstration.steps and all(
+        states = [robots for _, robots in done.trace[: demonstration.steps + 1]]
+        same = all(
             np.array_equal(demonstration.states[f"{name}/joints"], [robots[name].joints for robots in states])
             for name in task.robots
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -34,38 +33,6 @@ from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import write_bench
 
-POLICY = """\
-import numpy as np
-
-
-class Push:
-    \"\"\"Pushes the block out, too little from every `miss`-th start.\"\"\"
-
-    action_space = "joint_position"
-
-    def __init__(self, miss=0, hz=0, bad=""):
-        self.miss, self.bad = miss, bad
-        self.control_hz = hz or None
-
-    def reset(self, instruction, seed):
-        self.reach = 0.05 if self.miss and seed % self.miss == 0 else 0.205
-
-    def infer(self, observation):
-        now = float(observation.robots["arm"].joints[1])
-        x, y, _ = observation.state.poses["block"].p
-        hz = self.control_hz or 15.0
-        reach = np.minimum(now + 0.12 / hz * np.arange(1, 9), self.reach)
-        chunk = np.column_stack([np.full(8, np.arctan2(y, x)), reach, np.zeros(8)])
-        return chunk * np.nan if self.bad == "nan" else chunk
-"""
-
-
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("record")
-    (folder / "pushing.py").write_text(POLICY)
-    return write_bench(folder)
-
 
 @pytest.fixture
 def here(bench: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
@@ -80,21 +47,6 @@ def plan_of(folder: Path, count: int, query: str = "miss=3", **more: int) -> Rec
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-@pytest.fixture(scope="module")
-def demos(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four demonstrations of a policy that fails from every third start."""
-    out = tmp_path_factory.mktemp("demos") / "demos"
-    before = Path.cwd()
-    os.chdir(bench.parent)
-    try:
-        summary = record(plan_of(out, 4))
-    finally:
-        os.chdir(before)
-        attempts.close()
-    assert (summary.kept, set(summary.failures)) == (4, {"horizon"})
-    return out
 
 
 def test_what_is_recorded_can_be_read_and_replays(demos: Path) -> None:

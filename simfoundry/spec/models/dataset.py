@@ -166,7 +166,7 @@ class DatasetSpec(DocumentSpec):
     def _describes_actions(self) -> None:
         for key in ("frame", "rotation"):
             if getattr(self, key) is not None and not (self.action_space or "").startswith("hand"):
-                what = (self.action_space or "an omitted `action_space`").replace("_", " ")
+                what = f"{self.action_space.replace('_', ' ')}s" if self.action_space else "the default action space"
                 raise fault("sf107", f"`{key}` has no effect on {what}", key)
         if self.normalized and self.action_space is None:
             raise fault("sf107", "`normalized` requires `action_space`", "normalized")
