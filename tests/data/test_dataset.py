@@ -104,7 +104,7 @@ def test_a_dataset_contains_the_demonstrations(demos: Path, built: Path) -> None
         np.testing.assert_array_equal(episode.final["observation.state"], state[-1])
         np.testing.assert_array_equal(episode.arrays["action"], demo.actions.astype(np.float32))
         assert episode.rewards.tolist() == [0.0] * (demo.steps - 1) + [1.0] == episode.dones.astype(float).tolist()
-        assert header.subtasks["away"] == demo.subtasks["away"] - 1
+        assert header.subtasks["away"] == (demo.subtasks["away"] or 0) - 1
         first += demo.steps
 
 
@@ -436,25 +436,25 @@ def test_a_dataset_is_shown_in_text_and_on_a_page(built: Path, tmp_path: Path) -
         ),
         ("profile: lerobot", "frame: hand", "`frame` has no effect on the default action space"),
         (
-            "{demonstrations: demos}",
-            "{demonstrations: demos, share: 0.5}",
+            "{demonstrations: recorded}",
+            "{demonstrations: recorded, share: 0.5}",
             "the shares of the sources must add up to 1",
         ),
-        ("{demonstrations: demos}", "{}", "specify either `demonstrations` or `dataset`"),
-        ("{demonstrations: demos}", "{demonstrations: demos, keys: {a: b}}", "`keys` requires `dataset`"),
+        ("{demonstrations: recorded}", "{}", "specify either `demonstrations` or `dataset`"),
+        ("{demonstrations: recorded}", "{demonstrations: recorded, keys: {a: b}}", "`keys` requires `dataset`"),
     ],
 )
 def test_documents_are_checked(demos: Path, bench: Path, old: str, new: str, words: str) -> None:
     folder = bench.parent
     text = (
-        "simfoundry: dataset/1\nname: push\nprofile: lerobot\nsources: {a: {demonstrations: demos}}\n"
+        "simfoundry: dataset/1\nname: push\nprofile: lerobot\nsources: {a: {demonstrations: recorded}}\n"
         "cameras: {image: {camera: front, size: [32, 24]}}\nsplits: {train: {until: 0.9}, validation: {from: 0.9}}\n"
     )
-    if not (folder / "demos").exists():
-        shutil.copytree(demos, folder / "demos")
-        index = (folder / "demos" / "demonstrations.json").read_text()
+    if not (folder / "recorded").exists():
+        shutil.copytree(demos, folder / "recorded")
+        index = (folder / "recorded" / "demonstrations.json").read_text()
         named = json.loads(index)["document"]
-        (folder / "demos" / "demonstrations.json").write_text(index.replace(named, "../push.task.yaml"))
+        (folder / "recorded" / "demonstrations.json").write_text(index.replace(named, "../push.task.yaml"))
     path = folder / "checked.dataset.yaml"
     path.write_text(text)
     assert run("check", path).code == 0, run("check", path).err
