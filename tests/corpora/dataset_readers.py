@@ -27,7 +27,7 @@ from simfoundry.data.dataset.episodes import EpisodeBuilder
 from simfoundry.data.dataset.features import DatasetInfo
 from simfoundry.data.dataset.formats import dataset_format
 from simfoundry.data.dataset.plan import DatasetPlan, plan_dataset
-from simfoundry.data.dataset.statistics import FeatureStatistics
+from simfoundry.data.dataset.statistics import FeatureStatistics, sampled_frames
 from simfoundry.spec.models.dataset import DatasetSpec
 from tests.corpora.readers.comparison import Expected, Report, psnr
 from tests.corpora.readers.environments import ENVIRONMENTS, create, python_of
@@ -40,10 +40,9 @@ cameras:
 """
 
 # The dataset with every kind of feature, and those that profiles describe.
-EVERYTHING = {
+EVERYTHING: dict[str, Any] = {
     "simfoundry": "dataset/1",
     "name": "stack",
-    "formats": ["lerobot-v2.1", "lerobot-v3", "robomimic", "rlds"],
     "sources": {"expert": {"demonstrations": "demos"}},
     "cameras": {
         "observation.images.front": {"camera": "front", "size": [320, 180]},
@@ -55,7 +54,13 @@ EVERYTHING = {
     "fps": 5,
     "splits": {"train": {"until": 0.75}, "held_out": {"from": 0.75}},
 }
-PROFILES = {"openpi-droid": "lerobot-v2.1", "gr00t": "lerobot-v2.1", "lerobot": "lerobot-v3", "robomimic": "robomimic"}
+PROFILES = {
+    "openpi-droid": "lerobot-v2.1",
+    "gr00t": "lerobot-v2.1",
+    "lerobot": "lerobot-v3",
+    "robomimic": "robomimic",
+    "rlds-droid": "rlds",
+}
 
 
 def main() -> int:
@@ -63,48 +68,56 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--create", action="store_true")
+    parser.add_argument("--only", action="append", choices=ENVIRONMENTS, help="an environment to use; default: all")
     parser.add_argument("--count", type=int, default=4, help="number of demonstrations")
     options = parser.parse_args()
+    names = options.only or list(ENVIRONMENTS)
     if options.create:
-        for name, environment in ENVIRONMENTS.items():
-            create(options.environments / name, environment)
-    missing = [name for name in ENVIRONMENTS if not python_of(options.environments, name).exists()]
+        for name in names:
+            create(options.environments / name, ENVIRONMENTS[name])
+    missing = [name for name in names if not python_of(options.environments, name).exists()]
     if missing:
         print(f"{options.environments} lacks {', '.join(missing)}; make them with --create")
         return 2
     with tempfile.TemporaryDirectory(prefix="simfoundry-readers-") as temporary:
-        return run(Path(temporary), options.environments, options.count)
+        failures = run(Path(temporary), options.environments, names, options.count)
+    print("every reader returns what was written" if not failures else f"{failures} checks failed")
+    return int(failures > 0)
 
 
-def run(folder: Path, environments: Path, count: int) -> int:
-    """Record, build, and load with each reader; returns the exit code."""
+def run(folder: Path, environments: Path, names: list[str], count: int) -> int:
+    """Record, build, and load with each reader; returns the number of failed checks."""
     (folder / "cell.scene.yaml").write_text(SCENE + CAMERAS, encoding="utf-8")
     (folder / "stack.task.yaml").write_text(TASK, encoding="utf-8")
     sf.record(folder / "stack.task.yaml", out=folder / "demos", count=count, policy="expert")
-    plan = plan_dataset(DatasetSpec.model_validate_json(json.dumps(EVERYTHING)), folder)
-    places = dict(zip(plan.formats, build_dataset(plan, folder / "everything"), strict=True))
-    expect(folder / "expected", plan)
+    formats = list(dict.fromkeys(ENVIRONMENTS[name].format for name in names))
+    places, expected = build(folder, "everything", EVERYTHING, formats)
     failures = 0
-    for name, environment in ENVIRONMENTS.items():
-        arguments = [environment.script, places[environment.format], folder / "expected"]
+    for name in names:
+        arguments = [ENVIRONMENTS[name].script, places[ENVIRONMENTS[name].format], expected]
         failures += shown("everything", called(environments, name, arguments, folder))
     for profile, form in PROFILES.items():
-        spec = {"simfoundry": "dataset/1", "name": profile, "profile": profile, "sources": EVERYTHING["sources"]}
-        plan = plan_dataset(DatasetSpec.model_validate_json(json.dumps(spec)), folder, [form])
-        (place,) = build_dataset(plan, folder / profile)
-        expect(folder / f"expected-{profile}", plan)
-        name = next(name for name, one in reversed(ENVIRONMENTS.items()) if one.format == form)
-        script = "gr00t_reader" if profile == "gr00t" else ENVIRONMENTS[name].script
-        arguments = [script, place, folder / f"expected-{profile}"]
-        failures += shown(f"profile {profile}", called(environments, name, arguments, folder))
-    for name in ("lerobot-0.3", "lerobot-0.6"):
+        if form in formats:
+            spec = {"simfoundry": "dataset/1", "profile": profile, "sources": EVERYTHING["sources"]}
+            places, wanted = build(folder, profile, spec, [form])
+            name = [name for name in names if ENVIRONMENTS[name].format == form][-1]
+            script = "gr00t_reader" if profile == "gr00t" else ENVIRONMENTS[name].script
+            failures += shown(f"profile {profile}", called(environments, name, [script, places[form], wanted], folder))
+    for name in (name for name in names if ENVIRONMENTS[name].script == "lerobot_reader"):
         written = folder / f"written-{name}"
-        outcome = called(environments, name, ["lerobot_writer", folder / "expected", written], folder)
+        outcome = called(environments, name, ["lerobot_writer", expected, written], folder)
         if "checks" in outcome and written.is_dir():
-            outcome["checks"] = read_back(ENVIRONMENTS[name].format, written, Expected(folder / "expected")).checks
+            outcome["checks"] = read_back(ENVIRONMENTS[name].format, written, Expected(expected)).checks
         failures += shown("written by it, read by SimFoundry", outcome)
-    print("every reader returns what was written" if not failures else f"{failures} checks failed")
-    return int(failures > 0)
+    return failures
+
+
+def build(folder: Path, name: str, spec: dict[str, Any], formats: list[str]) -> tuple[dict[str, Path], Path]:
+    """Build a dataset; returns its folder for each format, and that of what the readers are to return."""
+    plan = plan_dataset(DatasetSpec.model_validate_json(json.dumps(spec)), folder, formats)
+    places = dict(zip(plan.formats, build_dataset(plan, folder / name), strict=True))
+    expect(folder / f"expected-{name}", plan)
+    return places, folder / f"expected-{name}"
 
 
 def called(environments: Path, name: str, arguments: list[Any], folder: Path) -> dict[str, Any]:
@@ -153,8 +166,9 @@ def expect(folder: Path, plan: DatasetPlan) -> None:
         for planned in plan.episodes:
             episode = builder.build(planned)
             values = episode_values(plan.info, episode)
-            for name, listed in rows.items():
-                listed.append(values[name])
+            chosen = sorted(sampled_frames(episode.header.length))
+            for feature in plan.info.features:
+                rows[feature.name].append(values[feature.name][chosen] if feature.is_image else values[feature.name])
             np.savez(folder / f"{episode.header.index:06d}.npz", **values)
             one = episode.header
             headers.append({"length": one.length, "instruction": one.instruction, "split": one.split})
@@ -195,7 +209,7 @@ def described(info: DatasetInfo) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def statistics(values: Any, is_image: bool) -> dict[str, Any]:
-    """Return statistics by NumPy. All episodes are so short that the images of all frames are counted."""
+    """Return statistics by NumPy, those of images over the frames that SimFoundry counts."""
     rows = values.reshape(-1, values.shape[-1]) if is_image else values
     one = FeatureStatistics.of(rows)
     numbers = {key: getattr(one, key).tolist() for key in ("min", "max", "mean", "std")}

@@ -51,14 +51,14 @@ class RobomimicFormat:
     def losses(self, info: DatasetInfo) -> Sequence[str]:
         """Return what robomimic does not store, or changes."""
         found = [
-            "Statistics are not stored, because robomimic computes them.",
-            "Instructions are stored as attributes, which robomimic ignores.",
+            "Robomimic does not store statistics, because it computes them.",
+            "Robomimic ignores instructions, which are stored as attributes.",
         ]
         if len(_actions(info)) > 1:
             names = ", ".join(f"`{feature.name}`" for feature in _actions(info))
-            found.append(f"The features {names} are joined as `actions` in this order.")
+            found.append(f"Robomimic has one array of actions, in which {names} are joined in this order.")
         if len(info.environment.get("robots", {})) > 1:
-            found.append("MimicGen reads one hand; the poses of several hands are groups with one array per robot.")
+            found.append("MimicGen reads one hand; the poses of several hands are in groups with one array per robot.")
         return found
 
     def write_episode(self, info: DatasetInfo, episode: Episode, folder: Path) -> None:

@@ -29,11 +29,11 @@ def check_features(info: DatasetInfo) -> None:
 
 def format_losses(info: DatasetInfo) -> Sequence[str]:
     """Return what LeRobot does not store, or changes, as whole sentences."""
-    found = ["The states of the simulation and MimicGen's data are not stored."]
+    found = ["LeRobot does not store the states of the simulation and MimicGen's data."]
     if any(is_video(feature) for feature in info.features):
-        found.append("Videos are H.264 in yuv420p, which is not lossless; image features are.")
+        found.append("LeRobot stores videos as H.264 in yuv420p, which is not lossless; single images are.")
     hidden = [f"`{f.name}`" for f in info.images if not is_color(f) and "image" in f.name]
     if hidden:
         verb = "has" if len(hidden) == 1 else "have"
-        found.append(f"{', '.join(hidden)} {verb} no statistics, because LeRobot allows only those of color images.")
+        found.append(f"{', '.join(hidden)} {verb} no statistics in LeRobot, which allows only those of color images.")
     return found

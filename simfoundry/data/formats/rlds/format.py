@@ -51,7 +51,7 @@ class RldsFormat:
 
     def losses(self, info: DatasetInfo) -> Sequence[str]:
         """Return what RLDS does not store, or changes."""
-        found = ["Statistics, the states of the simulation and MimicGen's data are not stored."]
+        found = ["RLDS does not store statistics, the states of the simulation and MimicGen's data."]
         columns = {path: column for path, column in step_columns(info).items() if column.is_whole}
         renamed = [
             f"`{', '.join(f.name for f in column.features)}` as `{path}`"
@@ -60,7 +60,7 @@ class RldsFormat:
         ]
         if renamed:
             found.append(f"Features have other names in RLDS: {', '.join(renamed)}.")
-        return [*found, "The frame rate is not stored, because RLDS has no key for it."]
+        return [*found, "RLDS does not store the frame rate, for which it has no key."]
 
     def write_episode(self, info: DatasetInfo, episode: Episode, folder: Path) -> None:
         """Stage an episode as a file with one record."""
