@@ -44,8 +44,10 @@ class Case:
 
 
 CASES = (
-    Case("record", ("record", "tasks", "-n", "16", "-o", "out"), "out/*/*.npz", 16),
-    Case("eval", ("eval", "tasks", "-p", "expert", "-n", "8", "--no-video", "-o", "out"), "out/rollouts/**/*.json", 16),
+    Case("record", ("record", "stacks", "-n", "16", "-o", "out"), "out/*/*.npz", 16),
+    Case(
+        "eval", ("eval", "stacks", "-p", "expert", "-n", "8", "--no-video", "-o", "out"), "out/rollouts/**/*.json", 16
+    ),
     Case(
         "cousins",
         ("cousins", "cousins/other_cups.cousins.yaml", "-n", "16", "--no-gallery", "-o", "out"),
@@ -57,8 +59,8 @@ CASES = (
 
 def project(root: Path) -> Path:
     """Two tasks for an arm that the package contains, and the shipped documents."""
-    shutil.copytree(REPOSITORY / "specs", root, ignore=shutil.ignore_patterns("*.py", "results", "tasks", "pictures"))
-    tasks = root / "tasks"
+    shutil.copytree(REPOSITORY / "specs", root, ignore=shutil.ignore_patterns("*.py", "results", "pictures"))
+    tasks = root / "stacks"
     for name, scene in (("a", SCENE), ("b", SCENE.replace("xy: [0.45, -0.2]", "xy: [0.4, -0.25]"))):
         (tasks / name).mkdir(parents=True)
         (tasks / name / "cell.scene.yaml").write_text(scene)

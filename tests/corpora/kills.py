@@ -3,8 +3,8 @@
 Each command that writes is ended by kill -9 at N moments (84 by default), half of them spread over the whole run, half
 from when it starts to write. After each kill no file may be torn or lost: every input is as it was, and every output is
 as it was before or as an undisturbed run leaves it; `compile` and `capture` replace their folder as a whole. Then the
-same command runs again and must leave exactly what an undisturbed run leaves, and `eval` and `cousins` must keep every
-rollout and cousin that they had finished.
+same command runs again and must leave exactly what an undisturbed run leaves, and `eval`, `cousins` and `record` must
+keep every rollout, cousin and attempt that they had finished.
 
 Prints a line for each command; exit code 1 if anything was torn or lost.
 """
@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -29,8 +30,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from simfoundry.data.shards import read_shard
 from tests.cli.command import MAIN
 from tests.conftest import REPOSITORY
+from tests.data.test_record import POLICY
+from tests.evaluate.benches import write_bench
 
 KILLS, SEED = 84, 2026
 
@@ -52,9 +56,10 @@ objects:
 class Case:
     """A command, the project that it runs in, and what it promises.
 
-    ``whole`` is the folder that is replaced as a whole, if any. ``growing`` names the files that grow during the run,
-    ``clocks`` matches the times on a clock, which no two runs share, and ``kept`` matches the files that the next run
-    must not write again.
+    ``whole`` is the folder that is replaced as a whole, if any. ``growing`` matches the files that grow during the run
+    or exist only then, ``clocks`` matches the times on a clock, which no two runs share, and ``kept`` matches the files
+    that the next run must not write again. ``done`` returns the numbers of the jobs that a killed run has finished, and
+    the next run must not add them to the log ``started``.
     """
 
     name: str
@@ -64,6 +69,8 @@ class Case:
     growing: tuple[str, ...] = ()
     clocks: str = ""
     kept: str = r"(?!)"
+    done: Callable[[Path], set[int]] = lambda root: set()
+    started: str = ""
 
 
 def scene(height: float = 0.1, y: float = 0.1, z: float = 0.05) -> str:
@@ -102,6 +109,28 @@ def versions(root: Path) -> None:
         (root / name).write_text(text)
 
 
+LOGGED = """
+    def reset(self, instruction, seed, push=Push.reset):
+        with open("started.log", "a") as log:
+            log.write(f"{seed}\\n")
+        push(self, instruction, seed)
+
+    Push.reset = reset
+"""
+
+
+def pushes(root: Path) -> None:
+    """A task for an arm, and a policy that fails from some initial states and notes where it starts."""
+    write_bench(root)
+    (root / "pushing.py").write_text(POLICY + textwrap.dedent(LOGGED))
+    (root / "started.log").write_text("")
+
+
+def attempts(root: Path) -> set[int]:
+    """The attempts that a recording has finished."""
+    return {attempt.index for path in root.glob("out/*/*.npz") for attempt in read_shard(path)}
+
+
 CASES = (
     Case("compile", ("compile", "a.scene.yaml"), built, whole="build"),
     Case("capture", ("capture", "captures/desk", "-o", "out"), specs, whole="out"),
@@ -121,6 +150,14 @@ CASES = (
         growing=("out/results.json", "out/report.html"),
         clocks=r'"(total|physics|render|policy|judge)": [0-9.]+',
         kept=r"out/rollouts/.*\.json",
+    ),
+    Case(
+        "record",
+        ("record", "push.task.yaml", "-p", "python:pushing.py:Push?miss=3", "-n", "4", "-j", "2", "-o", "out"),
+        pushes,
+        growing=(r"out/unfinished/\d+\.npz",),
+        done=attempts,
+        started="started.log",
     ),
 )
 
@@ -154,6 +191,7 @@ class Run:
         self.seconds, self.writing = time.perf_counter() - started, time.perf_counter() - writes
         self.after = self.tree(self.root)
         assert self.after != self.before
+        assert not self.case.started or (self.root / self.case.started).read_text()
 
     def reset(self) -> None:
         shutil.rmtree(self.root, ignore_errors=True)
@@ -180,7 +218,7 @@ class Run:
         for file in sorted(root.rglob("*")):
             name = file.relative_to(root).as_posix()
             hidden = any(part.startswith(".") for part in Path(name).parts)
-            if file.is_file() and (name in self.case.growing or not hidden):
+            if file.is_file() and name != self.case.started and (self._is_growing(name) or not hidden):
                 found[name] = (
                     re.sub(self.case.clocks.encode(), b"", file.read_bytes())
                     if self.case.clocks
@@ -214,9 +252,14 @@ class Run:
                 out.append(f"{whole} is neither the old nor the new one")
         return out
 
+    def _is_growing(self, name: str) -> bool:
+        return any(re.fullmatch(pattern, name) for pattern in self.case.growing)
+
     def _grows(self, name: str, content: bytes) -> bool:
-        if name not in self.case.growing:
+        if not self._is_growing(name):
             return False
+        if name.endswith(".npz"):
+            return bool(read_shard(self.root / name))  # raises if the file is torn
         try:
             *lines, last = content.decode().split("\n") if name.endswith(".jsonl") else (content.decode(), "")
             for line in lines:
@@ -230,10 +273,16 @@ class Run:
         """Run the command again; return what differs from an undisturbed run, and what was made twice."""
         names = [name for name in self.tree(self.root) if re.fullmatch(self.case.kept, name)]
         kept = {name: (self.root / name).stat().st_mtime_ns for name in names}
+        done = self.case.done(self.root)
+        if self.case.started:
+            (self.root / self.case.started).write_text("")
         self.start().wait()
         now = self.tree(self.root)
         out = [f"{n} differs after the next run" for n in {*now, *self.after} if now.get(n) != self.after.get(n)]
         out += [f"{name} was made again" for name, t in kept.items() if (self.root / name).stat().st_mtime_ns != t]
+        if self.case.started:
+            again = done & set(map(int, (self.root / self.case.started).read_text().split()))
+            out += [f"job {job} ran again" for job in sorted(again)]
         if self.case.whole:
             left = [p.name for p in (self.root / self.case.whole).iterdir() if p.name.startswith(".build.")]
             out += [f"{name} is left" for name in left]
