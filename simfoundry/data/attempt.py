@@ -18,10 +18,12 @@ from simfoundry.evaluate.policies.base import Policy, RobotReading
 from simfoundry.evaluate.policies.open_loop import ReplayPolicy
 from simfoundry.evaluate.resets.starts import RolloutStart, StartSearch, state_from_json, state_to_json
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, rollout
+from simfoundry.evaluate.run import SILENCE_S
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
-from simfoundry.runtime.workers import GRACE_S, Limits, Worker, WorkerError, at_worker_exit
+from simfoundry.runtime.executors import JobLimits
+from simfoundry.runtime.workers import GRACE_S, Worker, WorkerError, at_worker_exit
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.signals import ActionSpace
 from simfoundry.worlds import open_world
@@ -30,8 +32,8 @@ from simfoundry.worlds.base import World
 # The simulator in which demonstrations are recorded; replay is bit-identical only there.
 ENGINE = "mujoco"
 
-# Maximum duration of an attempt [s], as in an evaluation; and of its replay, which takes no longer than the rollout.
-SILENCE_S = 3600.0
+# Each worker has a second process that replays, and the two take turns.
+LIMITS = JobLimits(SILENCE_S, processes=2)
 
 NOT_REPRODUCED = "not reproduced"
 """The end of an attempt whose replay differed from the rollout."""
@@ -193,7 +195,7 @@ def _opened(document: Path) -> _Opened:
 def _verifier() -> Worker:
     """Return the process that replays what this process recorded."""
     if _Process.verifier is None:
-        _Process.verifier = Worker(Limits.shared(SILENCE_S, 1))
+        _Process.verifier = Worker(LIMITS.on_machine(1))
     return _Process.verifier
 
 

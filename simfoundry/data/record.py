@@ -13,23 +13,19 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-from simfoundry.data.attempt import SILENCE_S, AttemptJob, carry_out, is_answered
+from simfoundry.data.attempt import LIMITS, AttemptJob, carry_out, is_answered
 from simfoundry.data.plan import RecordPlan, RecordSummary
 from simfoundry.data.shards import Attempt
 from simfoundry.data.store import AttemptStore
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import ExpertChoice
-from simfoundry.runtime.executors import LOCAL, Executor, JobLimits, Machines, carry_out_jobs, open_executor
+from simfoundry.runtime.executors import LOCAL, Executor, Machines, carry_out_jobs, open_executor
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.files import locked_folder
 from simfoundry.runtime.workers import WorkerError
 
 # Number of consecutive attempts without a response after which recording stops, as in an evaluation.
 GIVE_UP = 3
-
-# Each worker has a second process that replays, and the two take turns. An attempt takes no longer than a rollout of an
-# evaluation and its replay.
-LIMITS = JobLimits(SILENCE_S, processes=2)
 
 # Callback that receives each finished attempt, the number of demonstrations so far, and the number of attempts so far.
 Seen = Callable[[Attempt, int, int], None]
@@ -51,7 +47,7 @@ def record(
     with _writing(plan.folder):
         store = AttemptStore(plan)
         if store.next(set()) is not None:
-            executor = open_executor(machines, workers, LIMITS)
+            executor = open_executor(machines, workers, LIMITS, plan.contender.is_foreign)
             try:
                 with closing(_attempts(store, executor)) as attempts:
                     _collect(store, attempts, seen)

@@ -31,6 +31,10 @@ UNKNOWN_REACH = 2.0
 # Length below which a quaternion or a row of a rotation matrix has no direction.
 NO_DIRECTION = 1e-6
 
+# Largest number in an action that is executed [m, rad, or one of these per second], as in a scene; larger ones are
+# clipped, because their squares overflow.
+FARTHEST_NUMBER = 1e6
+
 Robots = Mapping[str, "RobotReading | WorldRobot"]
 
 
@@ -68,6 +72,8 @@ def checked_actions(
     """
     size = action_size(robots, space)
     try:
+        if np.ma.is_masked(actions):
+            raise TypeError("some of its values are masked")
         array = np.asarray(actions)
         if array.dtype.kind not in "fiu":  # NumPy would convert booleans, complex numbers, objects and text
             raise TypeError(f"it is an array of `{array.dtype}`")
@@ -84,7 +90,8 @@ def checked_actions(
         raise InvalidAnswerError(f"{subject} must be finite; {where} is {array[*row, column]}")
     if space.of_hand:
         # Quaternions and rows of matrices are the same if they are normalized, apart from the clipping.
-        _check_rotations(np.clip(array, -1, 1) if space.normalized else array, robots, space, subject)
+        bound = 1.0 if space.normalized else FARTHEST_NUMBER
+        _check_rotations(np.clip(array, -bound, bound), robots, space, subject)
     return array
 
 

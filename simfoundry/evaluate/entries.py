@@ -219,6 +219,11 @@ class Contender:
         return parse_policy(self.text)
 
     @property
+    def is_foreign(self) -> bool:
+        """True if the policy runs code of others, which can crash or hang, in the process of the rollout."""
+        return isinstance(self.choice(), PythonClass)
+
+    @property
     def digest(self) -> str:
         """A digest of the selected policy.
 

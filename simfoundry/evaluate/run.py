@@ -36,8 +36,8 @@ from simfoundry.worlds.base import World
 # stopped server would delay each of them by its full `timeout`.
 GIVE_UP = 3
 
-# Maximum duration of one rollout [s]; with a slow policy server, simulating one minute takes about ten minutes.
-SILENCE_S = 3600.0
+# Maximum time without progress [s]; a policy may load a checkpoint and compile it before its first response.
+SILENCE_S = 900.0
 
 LIMITS = JobLimits(SILENCE_S)
 
@@ -156,7 +156,8 @@ def run(plan: EvaluationPlan, seen: Seen, workers: int | None = 1, machines: Mac
 
     if not waiting:
         return []
-    executor = open_executor(machines, 1 if len(waiting) == 1 and not machines.is_ray else workers, LIMITS)
+    count = 1 if len(waiting) == 1 and not machines.is_ray else workers
+    executor = open_executor(machines, count, LIMITS, any(contender.is_foreign for contender in plan.contenders))
     with closing(carry_out_jobs(executor, f"{__name__}:carry_out_in_worker", next_job, plan)) as finished:
         for job, outcome in finished:
             if isinstance(outcome, WorkerError):

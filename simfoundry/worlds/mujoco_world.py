@@ -332,11 +332,12 @@ class MujocoRobotHandle(WorldRobot):
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set the target positions of arm joints [rad or m].
+        """Set the target positions of arm joints [rad or m], clipped to their limits.
 
         Raises:
             KeyError: If a joint is unknown.
         """
+        limits = self.limits()
         for name, target in targets.items():
             if name not in self._servos:
                 raise unknown_joint(self._robot.name, name, self.joints)
@@ -345,7 +346,8 @@ class MujocoRobotHandle(WorldRobot):
                 raise KeyError(f"joint {name!r} of robot {self._robot.name!r} has no actuator")
             # A servo with gain k applies the force k * ctrl + bias[1] * position and rests where the two terms cancel.
             gain, spring = self._model.actuator_gainprm[servo][0], self._model.actuator_biasprm[servo][1]
-            self._command(servo, target * -spring / gain)
+            low, high = limits[name]
+            self._command(servo, min(max(target, low), high) * -spring / gain)
 
     def _command(self, servo: int, value: float) -> None:
         if self._model.actuator_ctrllimited[servo]:

@@ -53,7 +53,7 @@ def measure(name: str, tasks: Sequence[Path], out: Path, count: int) -> float:
     subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
     spent = processor_time() - before
     demos = sf.demonstrations(out)
-    simulated = sum(demo.steps / demo.about["control_hz"] for demo in demos)
+    simulated = float(sum(demo.steps / demo.about["control_hz"] for demo in demos))
     print(f"{name}: {len(demos)} demonstrations of {simulated:.0f} s in {spent:.1f} s of processor time, "
           f"{simulated / spent:.1f} simulated seconds per second", flush=True)  # fmt: skip
     return simulated / spent

@@ -33,7 +33,7 @@ import yaml
 from simfoundry.data.shards import read_shard
 from tests.cli.command import MAIN
 from tests.conftest import REPOSITORY
-from tests.data.test_record import POLICY
+from tests.data.conftest import POLICY
 from tests.evaluate.benches import write_bench
 
 KILLS, SEED = 84, 2026

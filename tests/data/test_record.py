@@ -27,6 +27,7 @@ from simfoundry.data.shards import Attempt, read_shard, write_shard
 from simfoundry.data.store import SHARDS, UNFINISHED
 from simfoundry.data.trajectory import TrajectorySampler
 from simfoundry.errors import OutputError, SimfoundryError
+from simfoundry.evaluate.entries import Contender
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd
 from simfoundry.render.gl import Engine, choose_engine
 from tests.cli.command import run
@@ -37,6 +38,7 @@ from tests.evaluate.benches import write_bench
 @pytest.fixture
 def here(bench: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(bench.parent)
+    monkeypatch.setattr(Contender, "is_foreign", False)  # starting a worker process for each recording takes long
     yield bench.parent
     attempts.close()
 
@@ -194,6 +196,15 @@ def test_a_policy_that_never_wins_comes_to_an_end(here: Path) -> None:
         sf.record("push.task.yaml", "random", out="never", count=1, max_attempts=1)
     with pytest.raises(SimfoundryError, match="`count` must be between 1"):
         sf.record("push.task.yaml", "random", out="never", count=0)
+
+
+def test_a_policy_that_ends_its_process_ends_the_recording_with_a_sentence(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(bench.parent)
+    with pytest.raises(SimfoundryError, match="the worker process for attempt 0 exited with code 7"):
+        record(plan_of(tmp_path / "exit", 1, "bad=exit"))
+    assert len(sf.demonstrations(tmp_path / "exit")) == 0
 
 
 def test_folders_of_others_are_refused(demos: Path, here: Path) -> None:

@@ -290,6 +290,30 @@ def test_what_is_no_action_is_said_by_name(
         checked_actions(action[1:], robots, parsed, single=True)
 
 
+@pytest.mark.parametrize("space", ["joint_position", "hand_pose:rot6d", "hand_delta:world:quat_wxyz"])
+def test_huge_numbers_are_clipped(world: MujocoWorld, space: str) -> None:
+    if space.startswith("hand"):
+        pytest.importorskip("mink", reason="the extra `expert` is not installed")
+    robots, parsed = {name: world.robot(name) for name in ("left", "right")}, ActionSpace.parse(space)
+    execution = Execution(world, ("left", "right"), parsed, 15.0)
+    signs = np.resize([1.0, -1.0, 1.0, 1.0, 1.0], action_size(robots, parsed))
+    with np.errstate(all="raise"):
+        for size in (1e8, 1e39, 1e308):
+            action = signs * size
+            if parsed.rotation is RotationForm.ROT6D:
+                with pytest.raises(InvalidAnswerError, match="rows of the rotation matrix are zero or parallel"):
+                    checked_actions(np.full_like(action, size), robots, parsed, single=True)
+            list(execution.act(checked_actions(action, robots, parsed, single=True)))
+    assert np.isfinite(world.data.qpos).all() and np.abs(world.data.ctrl).max() < 10
+
+
+def test_masked_values_are_no_actions(world: MujocoWorld) -> None:
+    robots, size = {"left": world.robot("left")}, 8
+    action = np.ma.masked_array(np.zeros(size), [False] * (size - 1) + [True])
+    with pytest.raises(InvalidAnswerError, match="got MaskedArray: some of its values are masked"):
+        checked_actions(action, robots, ActionSpace.parse("joint_position"), single=True)
+
+
 @pytest.mark.parametrize("kind", ActionKind)
 def test_a_replay_ends_without_motion(kind: ActionKind) -> None:
     space = ActionSpace.parse(kind)

@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.actions import action_limits, columns, denormalized, rotation_numbers, rotation_quat
+from simfoundry.evaluate.actions import (
+    FARTHEST_NUMBER,
+    action_limits,
+    columns,
+    denormalized,
+    rotation_numbers,
+    rotation_quat,
+)
 from simfoundry.evaluate.policies.base import Image, ImageSize, RobotReading
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.runtime.extras import need_extra
@@ -99,8 +106,6 @@ FARTHEST = MAX_JOINT_DELTA
 # largest steps, so that a moving hand is not slowed down.
 HAND_AHEAD, HAND_TURN = 2 * MAX_TRANSLATION, 2 * MAX_ROTATION
 
-# Largest number in a hand target [m or rad], as in a scene; squares of much larger ones overflow.
-FARTHEST_NUMBER = 1e6
 
 # Tolerances of inverse kinematics for hand targets [m, rad]; small compared with the smallest useful motion in a step.
 HAND_NEAR, HAND_TURNED = 1e-4, 1e-3
@@ -157,7 +162,8 @@ class Controller:
 
         Targets are set for its whole duration, except those of velocities, which :meth:`move` moves.
         """
-        self._action = denormalized(action, self._limits) if self._space.normalized else action
+        near = np.clip(action, -FARTHEST_NUMBER, FARTHEST_NUMBER)
+        self._action = denormalized(near, self._limits) if self._space.normalized else near
         if self._noise is not None:
             self._errors = self._noise.draw({name: len(robot.joints) for name, robot in self.robots.items()})
         for name, arm, gripper in columns(self.robots, self._space):
@@ -198,7 +204,6 @@ class Controller:
     def _reached(self, name: str, values: Array) -> dict[str, float]:
         """Return the joint targets [rad or m] for a hand pose or a change of it."""
         arm, robot, given = self._arms[name], self.robots[name], self._space.frame
-        values = np.clip(values, -FARTHEST_NUMBER, FARTHEST_NUMBER)
         X_WB, turn = arm.robot.X_WB, rotation_quat(values[3:], self._space.rotation)
         if self._space.kind is ActionKind.HAND_POSE:
             X_FT = Pose.of(values[:3], turn)

@@ -33,6 +33,7 @@ from simfoundry.evaluate.rollouts.sensors import Sensors
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
+from simfoundry.runtime.workers import report_progress
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import parse_call, texts
@@ -335,6 +336,7 @@ class _Run:
             true_robots=sensed.true_robots,
         )
         self.chunks += 1
+        report_progress(f"step {self.steps} of {self.task.horizon}")  # restarts the time limit of a worker process
         with self.clock("policy"):
             actions = checked_actions(self.policy.infer(observation), self.robots, self.policy.action_space)
         self.sensors.skip(len(actions))
