@@ -62,7 +62,8 @@ ROBOT and CAMERA stand for names in the scene. Images are present for the reques
 In a normalized environment, `ROBOT/joints`, `ROBOT/gripper` and `joints` are mapped from their limits to the range
 from -1 to 1. Poses do not change, because meters and quaternions on a table are already of this size. Policies
 receive the same quantities as an [Observation](../simfoundry/evaluate/policies/base.py), which also contains the
-poses of the hands in their base frames.
+poses of the hands in their base frames. If a task has [disturbances](rollouts.md#latency-and-noise), observations and
+actions are late and noisy.
 """
 
 
