@@ -55,14 +55,14 @@ def record(
         SpecError: If the task document has errors.
         SimfoundryError: If a policy or an option is invalid, or if there are too few successful attempts.
     """
+    from simfoundry.cousins.run.review import usable_tasks
     from simfoundry.data.record import record as run
-    from simfoundry.spec.files import files_below
 
     for (name, (low, high)), value in zip(RANGES.items(), (count, seed, 1 if jobs is None else jobs), strict=True):
         if not low <= value <= high:
             raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
     paths = [Path(one) for one in ([task] if isinstance(task, str | Path) else task)]
-    documents = list(files_below(paths, ".task.yaml", "tasks"))
+    documents, _ = usable_tasks(paths)
     plan = record_plan(documents, policy, Path(out), count, seed, max_attempts)
     machines = Machines.parse(on)
     summary = run(plan, workers=worker_count(machines, jobs), machines=machines)

@@ -220,9 +220,9 @@ def _material(run: TrainingRun, progress: Progress) -> _Material:
 
 
 def _task_files(paths: Sequence[Path]) -> tuple[Path, ...]:
-    from simfoundry.spec.files import files_below
+    from simfoundry.cousins.run.review import usable_tasks
 
-    return tuple(files_below(paths, ".task.yaml", "tasks")) if paths else ()
+    return tuple(usable_tasks(paths)[0])
 
 
 def _recorded_tasks(folders: Sequence[Path]) -> tuple[Path, ...]:

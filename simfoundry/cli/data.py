@@ -8,7 +8,7 @@ import click
 
 from simfoundry.api.demonstrations import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable
+from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable, task_documents
 from simfoundry.runtime.executors import Machines
 
 
@@ -42,9 +42,8 @@ def record_command(
     identical.
     """
     from simfoundry.api.demonstrations import record_plan, run_record, shortage
-    from simfoundry.spec.files import files_below
 
-    plan = record_plan(list(files_below(tasks, ".task.yaml", "tasks")), policy, out, count, seed, max_attempts)
+    plan = record_plan(task_documents(tasks), policy, out, count, seed, max_attempts)
     with output.progress_bar(as_json) as progress, resumable(out):
         summary = run_record(plan, jobs, machines, progress)
     is_short = summary.kept < count

@@ -10,11 +10,20 @@ import click
 
 from simfoundry.api.evaluation import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, jobs_option, on_option, option, resumable
+from simfoundry.cli.options import (
+    ANY,
+    NEW_FILE,
+    NEW_FOLDER,
+    WorldName,
+    jobs_option,
+    on_option,
+    option,
+    resumable,
+    task_documents,
+)
 from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.executors import Machines
-from simfoundry.spec.files import files_below
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -110,7 +119,7 @@ def can_film(worlds: Sequence[str]) -> bool:
 def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[TaskEntry]:
     from simfoundry.evaluate.entries import TaskEntry, TaskPart
 
-    for path in files_below(tasks, ".task.yaml", "tasks"):
+    for path in task_documents(tasks):
         if onward is not None or alone is not None:
             yield TaskEntry(path, TaskPart.ONWARD if onward is not None else TaskPart.ALONE, onward or alone or "")
             continue

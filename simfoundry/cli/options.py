@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -112,3 +112,19 @@ class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic only from
         except UnknownWorldError as error:
             self.fail(str(error), param, ctx)
         return value
+
+
+def task_documents(paths: Iterable[Path]) -> list[Path]:
+    """Return the task documents in some paths, and say how many were left out because a review rejected them.
+
+    Raises:
+        SimfoundryError: If there are none.
+    """
+    from simfoundry.cousins.run.review import usable_tasks
+
+    tasks, left_out = usable_tasks(paths)
+    if left_out:
+        folders = ", ".join(dict.fromkeys(str(path.parent) for path in left_out))
+        count = f"{len(left_out)} cousin{'s' * (len(left_out) != 1)}"
+        click.echo(f"{count} in {folders} left out, because a review rejected them", err=True)
+    return tasks

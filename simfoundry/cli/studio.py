@@ -18,7 +18,11 @@ from simfoundry.errors import SimfoundryError
 @option("--port", type=click.IntRange(0, 65535), default=8080, help="Port; if it is taken, the next free one is used.")
 @click.option("--token", default="", help="Token that browsers must know. Default: random if it is required.")
 @option("--capture", type=ANY, help="The capture of the scene. Default: the one in the project that it names.")
-def studio_command(document: Path, host: str, port: int, token: str, capture: Path | None, as_json: bool) -> None:
+@click.option("-p", "--policy", "policies", multiple=True, metavar="POLICY",
+              help="Policy that can be tried, as in `simfoundry eval`; may be repeated.")  # fmt: skip
+def studio_command(
+    document: Path, host: str, port: int, token: str, capture: Path | None, policies: tuple[str, ...], as_json: bool
+) -> None:
     """Open a scene or task in the browser, and turn each act there into an edit of the text.
 
     Nothing is written before you save. The page follows changes of the file, and several windows show the same. No
@@ -26,7 +30,11 @@ def studio_command(document: Path, host: str, port: int, token: str, capture: Pa
     """
     if token and len(token) < MIN_TOKEN:
         raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
-    serve_studio(document, as_json, host, port, token, capture=capture)
+    if policies:
+        from simfoundry.evaluate.entries import contenders
+
+        contenders(policies)  # so that a wrong one is reported at once
+    serve_studio(document, as_json, host, port, token, capture=capture, policies=policies)
 
 
 def serve_studio(
@@ -37,6 +45,7 @@ def serve_studio(
     token: str = "",
     is_editable: bool = True,
     capture: Path | None = None,
+    policies: tuple[str, ...] = (),
 ) -> None:
     """Serve a document until the user interrupts the program."""
     from simfoundry.runtime.extras import need_extra
@@ -45,7 +54,7 @@ def serve_studio(
     need_extra("studio", "the studio")
     if capture is not None and capture.is_dir():
         capture = capture / "capture.yaml"
-    with StudioServer(document, host, port, token, is_editable, capture) as server:
+    with StudioServer(document, host, port, token, is_editable, capture, policies) as server:
         facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
         output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
         sys.stdout.flush()
@@ -53,7 +62,9 @@ def serve_studio(
             server.wait()
         except KeyboardInterrupt:
             if server.session.is_modified:
-                click.echo("stopped; there were edits that have not been saved", err=True)
+                click.echo(
+                    "stopped; the next studio of this document offers the edits that have not been saved", err=True
+                )
 
 
 # Minimum length of a token [characters]: 16 random letters and digits cannot be found by trying.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,8 +116,34 @@ def merged_with_disk(path: Path, base: str, ours: str, theirs: str) -> tuple[str
         known = trees[1].data.get(CONFLICTS)
         data = {key: value for key, value in data.items() if key != CONFLICTS}
         data |= {} if known is None else {CONFLICTS: known}
-    text = edit_text(theirs, data, model_in(trees[1]))
+    text = _line_merge(base, ours, theirs)  # keeps comments at names that changed here
+    if merged.conflicts or text is None or not _says(text, data):
+        text = edit_text(theirs, data, model_in(trees[1]))
     return text, tuple(DiskQuestion(path, conflict) for conflict in merged.conflicts)
+
+
+def _line_merge(base: str, ours: str, theirs: str) -> str | None:
+    """Return a text with the changed lines of two texts, or None if changes of both touch each other."""
+    lines = base.splitlines(keepends=True)
+
+    def changes(text: str) -> list[tuple[int, int, list[str]]]:
+        new = text.splitlines(keepends=True)
+        found = difflib.SequenceMatcher(None, lines, new, autojunk=False).get_opcodes()
+        return [(i, j, new[k:m]) for kind, i, j, k, m in found if kind != "equal"]
+
+    mine, other = changes(ours), changes(theirs)
+    if any(i <= n and m <= j for i, j, _ in mine for m, n, _ in other):
+        return None
+    for i, j, new in sorted([*mine, *other], key=lambda change: change[:2], reverse=True):
+        lines[i:j] = new
+    return "".join(lines)
+
+
+def _says(text: str, data: Any) -> bool:
+    try:
+        return bool(_tree(text).data == data)
+    except UnmergeableError:
+        return False
 
 
 def answered(text: str, question: DiskQuestion) -> str:

@@ -89,6 +89,11 @@ class EditHistory:
     done: list[EditStep] = field(default_factory=list)
     undone: list[EditStep] = field(default_factory=list)
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of the steps that can be undone, oldest first."""
+        return tuple(step.label for step in self.done)
+
     def push(self, step: EditStep, before: Texts) -> None:
         """Add a step that has been taken, which replaces the latest step of the same gesture.
 
@@ -126,3 +131,18 @@ class EditHistory:
         after = step.forward(texts)
         self.done.append(self.undone.pop())
         return step, after
+
+
+@dataclass(frozen=True, eq=False)
+class UnsavedState:
+    """The state of a session with edits that are not saved, from which another session can continue.
+
+    Attributes:
+        texts: The texts by resolved path.
+        files: The texts of the files, as the session last saw them.
+        history: The steps that can be undone and redone.
+    """
+
+    texts: dict[Path, str]
+    files: dict[Path, str]
+    history: EditHistory

@@ -113,6 +113,17 @@ class Reading:
         """The findings that are errors."""
         return tuple(d for d in self.findings if d.severity is Severity.ERROR)
 
+    @property
+    def first_error(self) -> str:
+        """The first error as a sentence with its place."""
+        errors = self.errors
+        if not errors:
+            return "the document does not describe a scene"
+        first = errors[0]
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        hint = f"; {first.hint}" if first.hint else ""
+        return f"{Path(first.document).name}:{first.line}:{first.column}: {first.message}{hint}{more}"
+
 
 def read_session(
     path: Path, documents: OpenDocuments, texts: Mapping[Path, str], earlier: StudioScene | None = None

@@ -13,6 +13,7 @@ from typing import Self
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.studio.guard import LOCAL_HOSTS, ConnectionGuard, guarded
+from simfoundry.studio.journal import Journal
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.window import StudioWindow
 
@@ -34,6 +35,7 @@ class StudioServer:
         token: str = "",
         is_editable: bool = True,
         capture: Path | None = None,
+        policies: tuple[str, ...] = (),
     ) -> None:
         """Open a document and start the server.
 
@@ -44,6 +46,7 @@ class StudioServer:
             token: The token that browsers must know; if it is needed and empty, a random one is made.
             is_editable: Whether the document can be edited; otherwise, it is only shown.
             capture: The capture document of the scene; by default, it is searched in the project.
+            policies: The policies that can be tried, as in `simfoundry eval`, besides the built-in ones.
 
         Raises:
             SimfoundryError: If the document cannot be opened.
@@ -53,11 +56,12 @@ class StudioServer:
         is_local = host in LOCAL_HOSTS
         self.token = token or ("" if is_local else secrets.token_urlsafe(24))
         self.session = StudioSession(path)
+        self.journal = Journal(self.session) if is_editable else None
         self.host = host
         with guarded(ConnectionGuard(self.token)), redirect_stdout(io.StringIO()):  # viser prints a banner
             self.viser = viser.ViserServer(host="127.0.0.1" if host == "localhost" else host, port=port, verbose=False)
         self.port = self.viser.get_port()
-        self.window = StudioWindow(self.session, self.viser, is_editable, capture)
+        self.window = StudioWindow(self.session, self.viser, is_editable, capture, self.journal, policies)
         self._ended = Event()
         self._watcher = Thread(target=self._watch, name="studio-watch", daemon=True)
         self._watcher.start()
@@ -82,6 +86,8 @@ class StudioServer:
             self.window.close()
             with redirect_stdout(io.StringIO()):
                 self.viser.stop()
+            if self.journal is not None:
+                self.journal.close()
 
     def _watch(self) -> None:
         """Take in changes of files that have stayed as they are for a moment, so that none is read half written."""

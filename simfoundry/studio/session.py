@@ -22,7 +22,7 @@ from simfoundry.spec.open_documents import OpenDocuments, Stamp
 from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
 from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, merged_with_disk
-from simfoundry.studio.history import EditHistory, EditStep
+from simfoundry.studio.history import EditHistory, EditStep, UnsavedState
 from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
 
 # Called after each change of a session, with what happened.
@@ -126,9 +126,14 @@ class StudioSession:
         return self._history.undone[-1].label if self._history.undone else ""
 
     @property
-    def steps(self) -> tuple[str, ...]:
-        """The labels of the steps that can be undone, oldest first."""
-        return tuple(step.label for step in self._history.done)
+    def history(self) -> EditHistory:
+        """The steps that can be undone and redone, which only the session changes."""
+        return self._history
+
+    @property
+    def file_texts(self) -> Mapping[Path, str]:
+        """The texts of the files of the open documents, as they were last read or written here."""
+        return {path: file.text for path, file in self._files.items()}
 
     @property
     def is_modified(self) -> bool:
@@ -157,7 +162,7 @@ class StudioSession:
         """
         with self._lock:
             if self._scene is None or not self.is_current:
-                raise ActError(f"the text has an error, so it cannot be edited here: {self._first_error()}")
+                raise ActError(f"the text has an error, so it cannot be edited here: {self._reading.first_error}")
             edits = act.edits(self._scene)
             after = self._edited(edits)
             if after == self._texts:
@@ -165,7 +170,7 @@ class StudioSession:
             reading = self._read(after)
             if reading.errors or reading.scene is None:
                 self._show_texts(self._texts)
-                raise ActError(f"{act.label}: {_reason(reading)}")
+                raise ActError(f"{act.label}: {reading.first_error}")
             if locked := changed_objects(self._scene, reading.scene, self.locked):
                 self._show_texts(self._texts)
                 raise ActError(f"{act.label}: `{locked[0]}` is locked; unlock it under Capture first")
@@ -200,7 +205,9 @@ class StudioSession:
 
     def _edited(self, edits: ActEdits) -> dict[Path, str]:
         """Return the texts after edits."""
-        after = {**self._texts, **{path: self._inside(path, text) for path, text in edits.texts.items()}}
+        for path in edits.texts:
+            self._open(path)
+        after = {**self._texts, **edits.texts}
         for path, values in edits.values.items():
             loaded = self._loaded(path)
             if loaded is None or loaded.source is None:
@@ -216,10 +223,6 @@ class StudioSession:
                 return loaded
             todo += loaded.uses.values()
         return None
-
-    def _inside(self, path: Path, text: str) -> str:
-        self._open(path)
-        return text
 
     # -- files ------------------------------------------------------------------------------------------------------
 
@@ -316,6 +319,23 @@ class StudioSession:
             self._set(texts, self._read(texts))
         self._notify("answer")
 
+    def resume(self, earlier: UnsavedState) -> None:
+        """Continue from the state of an earlier session, and take in what has changed on disk since.
+
+        Raises:
+            SimfoundryError: If there are edits that are not saved, or if a document is outside of the project.
+        """
+        with self._lock:
+            if self.is_modified:
+                raise SimfoundryError("save or undo the edits made here before you restore those of an earlier session")
+            for path in (path for path in earlier.texts if path.exists()):
+                self._open(path)
+            self._files |= {path: DiskFile(path, encoded(text), (0,)) for path, text in earlier.files.items()}
+            self._history = earlier.history
+            self._set(earlier.texts, self._read(earlier.texts))
+            self.poll()
+        self._notify("restore")
+
     # -- reading ----------------------------------------------------------------------------------------------------
 
     def examine(self, checkpoint: Callable[[], None] = lambda: None) -> None:
@@ -375,20 +395,6 @@ class StudioSession:
         if scene is not None and resolved_path(scene.loaded.path).is_relative_to(self.root):
             self._open(scene.loaded.path)
 
-    def _first_error(self) -> str:
-        return _reason(self._reading)
-
     def _notify(self, what: str) -> None:
         for listener in tuple(self._listeners):
             listener(what)
-
-
-def _reason(reading: Reading) -> str:
-    """Return the first error of a reading as a sentence with its place."""
-    errors = reading.errors
-    if not errors:
-        return "the document does not describe a scene"
-    first = errors[0]
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    hint = f"; {first.hint}" if first.hint else ""
-    return f"{Path(first.document).name}:{first.line}:{first.column}: {first.message}{hint}{more}"

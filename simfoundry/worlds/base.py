@@ -117,6 +117,18 @@ class World(Protocol):
     def step(self, n: int = 1) -> None:
         """Advance the simulation by ``n`` time steps."""
 
+    def push(self, link: str, force: Array, point: Array) -> None:
+        """Apply a force during the next call of :meth:`step`. Several forces on one link add up.
+
+        Args:
+            link: A link of an object: ``cabinet.drawer``, or ``cabinet`` for its root.
+            force: The force in the world frame [N], shape (3,).
+            point: The point in the world frame on which it acts [m], shape (3,). It does not move with the link.
+
+        Raises:
+            KeyError: If there is no such link.
+        """
+
     def halt(self) -> None:
         """Set all velocities to zero without changing poses or positions."""
 

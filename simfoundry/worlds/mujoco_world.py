@@ -66,6 +66,7 @@ class MujocoWorld(World):
         self._free = {name: int(self.model.joint(joint).qposadr[0]) for name, joint in free.items()}
         self._renderers: dict[bool, MujocoRenderer] = {}
         self._moving = [_Moving(self.model, item) for item in scene.objects if item.joints or not item.fixed]
+        self._pushed = False
         self._arms = {robot.name: mjcf_rows(robot) for robot in scene.robots}
         self._arm_qpos = {
             name: [int(self.model.joint(f"{name}.{row.other}").qposadr[0]) for row in rows]
@@ -126,6 +127,18 @@ class MujocoWorld(World):
         """Advance the simulation by ``n`` time steps."""
         if n > 0:
             self._mujoco.mj_step(self.model, self.data, nstep=n)
+            if self._pushed:
+                self.data.xfrc_applied[:] = 0.0
+                self._pushed = False
+
+    def push(self, link: str, force: Array, point: Array) -> None:
+        """Apply a force during the next call of :meth:`step`."""
+        body = self.model.body(link).id
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_comPos(self.model, self.data)
+        self.data.xfrc_applied[body, :3] += force
+        self.data.xfrc_applied[body, 3:] += np.cross(point - self.data.xipos[body], force)
+        self._pushed = True
 
     def halt(self) -> None:
         """Set all velocities to zero without changing poses or positions."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.pybullet import FAR, NEAR, camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
-from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.geometry.frames import Array, Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.runtime.native_output import quiet_native_output
 from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.kinematics import free_motions, link_poses, trees
@@ -69,9 +69,12 @@ class PybulletWorld(World):
         self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
         self._objects |= {every[name]: name for name in facts}
         self._joints: dict[str, tuple[int, int]] = {}
+        self._links = {name: (body, BASE) for name, body in self.bodies.items()}
+        self._pushes: list[tuple[tuple[int, int], Array, Array]] = []
         for name, tree in self._trees.items():
             for index in range(self._call("getNumJoints", self.bodies[name])):
                 info = self._call("getJointInfo", self.bodies[name], index)
+                self._links[f"{tree.owner.name}.{info[12].decode()}"] = (self.bodies[name], index)
                 if info[2] != self._bullet.JOINT_FIXED:
                     self._joints[f"{tree.owner.name}.{info[1].decode()}"] = (self.bodies[name], index)
         self._arms = {name: urdf_rows(scene.robot(name), handle.moving) for name, handle in self._robots.items()}
@@ -108,6 +111,7 @@ class PybulletWorld(World):
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
         self._call("restoreState", self._fresh)
+        self._pushes.clear()
         for name, pose in full.poses.items():
             self._put(name, pose)
         for name, position in full.joints.items():
@@ -144,7 +148,15 @@ class PybulletWorld(World):
         for _ in range(n):
             for robot in self._robots.values():
                 robot.press()
+            for at, force, point in self._pushes:
+                self._call("applyExternalForce", *at, force.tolist(), point.tolist(), self._bullet.WORLD_FRAME)
             self._call("stepSimulation")
+        if n > 0:
+            self._pushes.clear()
+
+    def push(self, link: str, force: Array, point: Array) -> None:
+        """Apply a force during the next call of :meth:`step`."""
+        self._pushes.append((self._links[link], force, point))
 
     def halt(self) -> None:
         """Set all velocities to zero without changing poses or positions."""

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 # Chromium without a display and without a GPU.
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
-# Seconds in which the browser shows what it was told; a software renderer on a busy machine takes a few.
-PATIENCE = 20.0
+# Seconds in which the browser shows what it was told; a software renderer on a busy machine takes many.
+PATIENCE = 60.0
 
 # Size of the windows [px], and the number of drawn pixels for each: a software renderer takes as long as there are any.
 SIZE, PIXEL_RATIO = {"width": 1000, "height": 700}, 0.4
@@ -128,6 +128,7 @@ class StudioPage:
 def opened_page(browser: Any, server: StudioServer) -> StudioPage:
     """Open one more window of a studio."""
     page = browser.new_page(viewport=SIZE, device_scale_factor=PIXEL_RATIO)
+    page.set_default_timeout(PATIENCE * 1000)
     studio = StudioPage(page, server)
     page.on("pageerror", lambda error: studio.problems.append(str(error)))
     before = len(server.viser.get_clients())

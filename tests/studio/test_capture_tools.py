@@ -264,7 +264,7 @@ def test_constraints_that_are_not_possible_change_nothing(project: Project, tmp_
         outside.with_name(name).write_bytes(project.capture_file.with_name(name).read_bytes())
     with pytest.raises(SimfoundryError, match="outside of the project"):
         project.session.apply(MergePieces(CaptureFrame(outside, "view"), {"tin": (1, 1), "carton": (2, 2)}))
-    assert project.session.text == project.before and project.session.steps == ()
+    assert project.session.text == project.before and project.session.history.labels == ()
 
 
 # -- locks

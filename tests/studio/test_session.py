@@ -78,7 +78,7 @@ def test_acts_of_one_gesture_are_undone_together(desk: Path) -> None:
         session.apply(SetProperties("mug", {"mass": mass}), "mass")
     session.end_gesture()
     session.apply(SetProperties("mug", {"mass": 0.4}), "mass")
-    assert len(session.steps) == 2
+    assert len(session.history.labels) == 2
     session.undo()
     assert "mass: 0.33" in session.text
     session.undo()
@@ -126,6 +126,15 @@ def test_edits_here_and_on_disk_are_merged_in_the_layout_of_the_file(desk: Path)
     assert session.text == SCENE.replace("mass: 0.5", "mass:   0.6  # weighed").replace("mass: 0.3", "mass: 0.25")
     session.save()
     assert desk.read_text() == session.text
+
+
+def test_comments_at_renamed_objects_survive_a_merge(desk: Path) -> None:
+    session = StudioSession(desk)
+    session.apply(RenameSymbol("mug", "beaker"))
+    edited = session.text
+    desk.write_text(SCENE.replace("mass: 0.5", "mass: 0.55  # weighed"))
+    session.poll()
+    assert session.text == edited.replace("mass: 0.5", "mass: 0.55  # weighed") and "beaker:  # the red one" in edited
 
 
 @pytest.mark.parametrize(("take_disk", "mass"), [(False, "0.25"), (True, "0.4")])

@@ -6,9 +6,7 @@ A sub-task remains completed once its goal has held. The goal of the task must h
 from __future__ import annotations
 
 import hashlib
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
@@ -27,6 +25,7 @@ from simfoundry.evaluate.policies.base import (
 )
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.clearance import Clearances
+from simfoundry.evaluate.rollouts.clock import RolloutClock, Timings
 from simfoundry.evaluate.rollouts.control import check_cameras, pictures, readings
 from simfoundry.evaluate.rollouts.execution import Execution, check_rate
 from simfoundry.evaluate.rollouts.sensors import Sensors
@@ -120,17 +119,6 @@ class RolloutEnd(StrEnum):
 
 
 @dataclass(frozen=True)
-class Timings:
-    """The time spent on each part of a rollout [s]."""
-
-    total: float
-    physics: float
-    render: float
-    policy: float
-    judge: float
-
-
-@dataclass(frozen=True)
 class Video:
     """The images to record during a rollout.
 
@@ -194,6 +182,7 @@ def rollout(
     judge: Judge | None = None,
     video: Video | None = None,
     trace: bool = False,
+    watch: Callable[[SceneState], object] | None = None,
 ) -> Rollout:
     """Run a policy from an initial state in a world with the task's scene.
 
@@ -209,6 +198,7 @@ def rollout(
         judge: A judge to reuse across rollouts. By default, a new judge is created.
         video: The images to record.
         trace: Whether to record all states.
+        watch: Function that receives the state at the start and after each step, as soon as it is reached.
 
     Raises:
         SimfoundryError: If robots or cameras are missing.
@@ -218,37 +208,20 @@ def rollout(
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
     check_rate(policy.control_hz, f"policy `{policy.name}`")
     check_cameras(task.scene, video.cameras, "the video")
-    run = _Run(task, start, policy, world, judge or Judge(task.scene), video, trace)
+    run = _Run(task, start, policy, world, judge or Judge(task.scene), video, trace, watch)
     return run.result(*run.play())
-
-
-class _Clock:
-    """A timer that accumulates the time spent on each part of a rollout."""
-
-    def __init__(self) -> None:
-        self.spent = dict.fromkeys(("physics", "render", "policy", "judge"), 0.0)
-        self.begun = time.perf_counter()
-
-    @contextmanager
-    def __call__(self, part: str) -> Iterator[None]:
-        begun = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.spent[part] += time.perf_counter() - begun
-
-    def timings(self) -> Timings:
-        return Timings(total=time.perf_counter() - self.begun, **self.spent)
 
 
 class _Run:
     """A rollout in progress."""
 
     def __init__(
-        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video, trace: bool
-    ) -> None:
+        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video, trace: bool,
+        watch: Callable[[SceneState], object] | None,
+    ) -> None:  # fmt: skip
         self.task, self.start, self.policy, self.world, self.video = task, start, policy, world, video
-        self.clock = _Clock()
+        self.watch = watch
+        self.clock = RolloutClock()
         with self.clock("physics"):
             world.reset(start.state)
             self.state = world.state()
@@ -380,6 +353,8 @@ class _Run:
         self.hash.update(np.concatenate(parts).tobytes())
         if self.trace is not None:
             self.trace.append((state, readings(self.world, self.robots)))
+        if self.watch is not None:
+            self.watch(state)
 
     def _film(self) -> None:
         if (self.steps - 1) % self.video.every == 0:

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 # Called with what a click selects, such as ``objects.mug``.
 Select = Callable[[str], None]
 
+# Called with the node that was clicked on, and the origin [m] and the direction of the line of sight in the world.
+Poke = Callable[[str, tuple[float, ...], tuple[float, ...]], None]
+
 
 class Canvas:
     """The scene in the browser, which follows the nodes that it is given.
@@ -42,8 +45,10 @@ class Canvas:
         sent: The number of messages about nodes that were sent so far, for measurements and tests.
     """
 
-    def __init__(self, scene: SceneApi, select: Select = lambda name: None) -> None:
-        self._scene, self._select = scene, select
+    def __init__(
+        self, scene: SceneApi, select: Select = lambda name: None, poke: Poke = lambda node, origin, direction: None
+    ) -> None:
+        self._scene, self._select, self._poke = scene, select, poke
         self._nodes: dict[str, ViewNode] = {}
         self._handles: dict[str, Any] = {}
         self.sent = 0
@@ -135,8 +140,12 @@ class Canvas:
                 return scene.add_gaussian_splats(name, *_splat_arrays(gaussians), **place)
         if node.selects:
             selects = node.selects
-            handle.on_click(lambda _event: self._select(selects))
+            handle.on_click(lambda event: self._click(name, selects, event))
         return handle
+
+    def _click(self, node: str, selects: str, event: Any) -> None:
+        self._select(selects)
+        self._poke(node, event.ray_origin, event.ray_direction)
 
 
 def prepare_view(server: ViserServer, scene: Scene | None) -> None:

@@ -6,6 +6,7 @@ from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model
+from simfoundry.scene.state import SceneState, object_at
 
 
 class ShownRobots:
@@ -27,6 +28,14 @@ class ShownRobots:
         for robot in missing:
             self._items[id(robot)] = robot, _item(robot)
         return bool(missing)
+
+
+def robot_at(item: SceneObject, state: SceneState | None) -> SceneObject:
+    """Return a robot at its joint positions in a state, by default those in the document."""
+    if state is None or item.name not in state.robots:
+        return item
+    joints = {f"{item.name}.{joint}": position for joint, position in state.robots[item.name].items()}
+    return object_at(item, SceneState.of({item.name: item.X_WO}, joints))
 
 
 def _item(robot: Robot) -> SceneObject | None:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import Scene
+from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.studio.acts.act import Act
 from simfoundry.studio.acts.move import MoveObject, Snap
+from simfoundry.studio.journal import Journal
+from simfoundry.studio.reading import StudioScene
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas, prepare_view
 from simfoundry.studio.view.capture_link import CaptureLink
@@ -26,30 +28,38 @@ from simfoundry.studio.view.panels.background import BackgroundPanel
 from simfoundry.studio.view.panels.cameras import CameraPanel
 from simfoundry.studio.view.panels.capture import CapturePanel
 from simfoundry.studio.view.panels.conditions import ConditionsPanel, PredicatePanel
+from simfoundry.studio.view.panels.cousins import CousinsPanel
 from simfoundry.studio.view.panels.display import DisplayPanel
 from simfoundry.studio.view.panels.document import DocumentPanel
 from simfoundry.studio.view.panels.findings import FindingsPanel
 from simfoundry.studio.view.panels.moving import JointPanel, MovingPanel
 from simfoundry.studio.view.panels.objects import ObjectPanel
 from simfoundry.studio.view.panels.panel import Panel
+from simfoundry.studio.view.panels.physics import PhysicsPanel
 from simfoundry.studio.view.panels.pieces import PiecesPanel
+from simfoundry.studio.view.panels.recovery import RecoveryPanel
 from simfoundry.studio.view.panels.refine import RefinePanel
 from simfoundry.studio.view.panels.regions import RegionPanel
+from simfoundry.studio.view.panels.rollouts import PlayerPanel, RolloutPanel
+from simfoundry.studio.view.panels.trial import TrialPanel
 from simfoundry.studio.view.panels.versions import VersionsPanel
 from simfoundry.studio.view.pictures import camera_pictures
-from simfoundry.studio.view.robots import ShownRobots
+from simfoundry.studio.view.pull import PullHandle
+from simfoundry.studio.view.robots import ShownRobots, robot_at
+from simfoundry.studio.view.stage import TrialStage
 
 if TYPE_CHECKING:
     from viser import GuiApi, ViserServer
 
 # The panels of each tab. Those without a tab are above all tabs.
 PANELS: dict[str, tuple[type[Panel], ...]] = {
-    "": (DocumentPanel,),
+    "": (DocumentPanel, RecoveryPanel),
     "Edit": (ObjectPanel, JointPanel, RegionPanel, AddPanel, MovingPanel),
     "Check": (FindingsPanel,),
     "Goal": (ConditionsPanel, PredicatePanel),
     "Show": (DisplayPanel, CameraPanel),
     "Capture": (CapturePanel, RefinePanel, PiecesPanel, VersionsPanel, BackgroundPanel),
+    "Try": (TrialPanel, PhysicsPanel, RolloutPanel, PlayerPanel, CousinsPanel),
 }
 
 # Seconds that a message stays; long enough to read two sentences.
@@ -72,13 +82,22 @@ class StudioWindow:
         move_act: Makes the act of an object that is dragged to a pose.
         capture: The capture from which the scene was reconstructed.
         previews: Called with the name of a node and its pose while it is dragged.
+        journal: The journal of the session, or None if it has none.
+        policies: The policies that can be tried, as in `simfoundry eval`.
+        stage: What is tried, such as physics.
     """
 
     def __init__(
-        self, session: StudioSession, server: ViserServer, is_editable: bool = True, capture: Path | None = None
+        self,
+        session: StudioSession,
+        server: ViserServer,
+        is_editable: bool = True,
+        capture: Path | None = None,
+        journal: Journal | None = None,
+        policies: tuple[str, ...] = (),
     ) -> None:
-        self.session, self.server = session, server
-        self.is_editable = is_editable
+        self.session, self.server, self.journal = session, server, journal
+        self.is_editable, self.policies = is_editable, policies
         self.selection = ""
         self.options = DisplayOptions()
         self.state: SceneState | None = None
@@ -88,13 +107,16 @@ class StudioWindow:
         self.move_act: Callable[[str, Pose], Act] = self._plain_move
         self.previews: list[Callable[[str, Pose], None]] = []
         self.capture = CaptureLink(self, capture)
-        self.canvas = Canvas(server.scene, self.select)
+        self.canvas = Canvas(server.scene, self.select, self._poke)
         self.gizmo = SelectionGizmo(self)
+        self._dirty, self._is_moved_only, self._stopped = Event(), False, False
+        self.stage = TrialStage(self)
+        self.pull = PullHandle(self)
         self._acts = ThreadPoolExecutor(1, "studio-acts")  # acts happen one after another
         self._latest: dict[str, Act] = {}
         self._robots = ShownRobots()
         self._pictured: Scene | None = None
-        self._dirty, self._stopped = Event(), False
+        self._examined: object = None
         self._prepare_scene()
         self._panels = self._built_panels()
         self._unsubscribe = session.subscribe(lambda _what: self.request_refresh())
@@ -180,8 +202,31 @@ class StudioWindow:
 
     # -- what is shown ----------------------------------------------------------------------------------------------
 
+    @property
+    def shown_scene(self) -> StudioScene | None:
+        """The scene that is shown: a cousin, or the last good scene of the document."""
+        return self.stage.cousin or self.session.scene
+
+    @property
+    def shown_state(self) -> SceneState | None:
+        """The state that is shown, or None for the initial one, which is shown if a state is of another scene."""
+        scene, state = self.shown_scene, self.state
+        return state if scene is not None and state is not None and scene.objects.keys() <= state.poses.keys() else None
+
+    @property
+    def robot_items(self) -> list[SceneObject]:
+        """The robots that are shown, as objects."""
+        scene = self.shown_scene
+        return self._robots.known(scene.surroundings.robots) if scene is not None else []
+
+    def show_state(self, state: SceneState | None) -> None:
+        """Show a state soon. Panels follow at the next refresh, so that states can follow each other fast."""
+        self.state = state
+        self._dirty.set()
+
     def request_refresh(self) -> None:
         """Show the present state soon."""
+        self._is_moved_only = False
         self._dirty.set()
 
     def refresh(self) -> None:
@@ -190,16 +235,22 @@ class StudioWindow:
             for panel in self._panels:
                 panel.refresh()
             self.gizmo.refresh()
+        self._move()
+
+    def _move(self) -> None:
+        """Show the nodes in the present state."""
+        with self.session.lock, self.server.atomic():
             self.canvas.show(self._nodes())
+            self.pull.refresh()
         self.server.flush()
 
     def _nodes(self) -> Nodes:
-        scene = self.session.scene
+        scene, state = self.shown_scene, self.shown_state
         nodes: Nodes = {}
         if scene is not None:
-            nodes |= scene_nodes(scene.scene, self.options, self.state)
-            for robot in self._robots.known(scene.surroundings.robots):
-                nodes |= object_nodes(robot, self.options, "robots")
+            nodes |= scene_nodes(scene.scene, self.options, state)
+            for robot in self.robot_items:
+                nodes |= object_nodes(robot_at(robot, state), self.options, "robots")
         for panel in self._panels:
             nodes |= panel.nodes()
         nodes |= self.gizmo.nodes()
@@ -217,18 +268,29 @@ class StudioWindow:
             if self._stopped:
                 return
             self._dirty.clear()
+            is_moved_only, self._is_moved_only = self._is_moved_only, True
             try:
+                if is_moved_only:
+                    self._move()
+                    continue
                 self.refresh()
-                self.session.examine(self._pause)
+                self._examine()
                 self._complete()
             except _MoreUrgentError:
                 continue
             except Exception:
                 _log.exception("the view could not be updated")
 
+    def _examine(self) -> None:
+        """Add the findings of lints, once for each text."""
+        reading = self.session.reading
+        if reading is not self._examined:
+            self.session.examine(self._pause)
+            self._examined = reading
+
     def _complete(self) -> None:
         """Add what takes longer: robots, and the pictures of cameras."""
-        scene = self.session.scene
+        scene = self.shown_scene
         if scene is None:
             return
         if self._robots.read(scene.surroundings.robots):
@@ -239,12 +301,19 @@ class StudioWindow:
             self.options = replace(self.options, pictures=pictures)
             self.request_refresh()
 
+    def _poke(self, node: str, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
+        self.pull.poke(node, origin, direction)
+
     def _pause(self) -> None:
         if self._dirty.is_set():
-            raise _MoreUrgentError
+            if not self._is_moved_only:
+                raise _MoreUrgentError
+            self._dirty.clear()
+            self._move()
 
     def close(self) -> None:
         """End the view."""
+        self.stage.close()
         self._stopped = True
         self._dirty.set()
         self._unsubscribe()

@@ -32,7 +32,7 @@ class ConditionsPanel(Panel):
 
     def refresh(self) -> None:
         """Judge the predicates."""
-        scene, state = self.session.scene, self.window.state
+        scene, state = self.window.shown_scene, self.window.shown_state
         if scene is None or self._judged == (scene, state):
             return
         self._judged = (scene, state)
@@ -73,7 +73,7 @@ class PredicatePanel(Panel):
                 handle.options = options
             if handle.value not in options:
                 set_value(handle, options[0])
-        found = verdict(scene, self._text(), self.window.state)
+        found = verdict(scene, self._text(), self.window.shown_state)
         judged = f" is **{str(found.value).lower()}**: {found.why}" if found is not None else ""
         set_value(self._truth, f"{self._text()}{judged}")
         stated = tuple(f"{source}: {text}" for source, text in scene.conditions if source in ("relation", "goal"))

@@ -1,0 +1,4 @@
+"""What is tried in a scene without changing its text: physics, policies, and recordings.
+
+Physics and policies run in processes of their own, so that none of them can block or crash the studio.
+"""
