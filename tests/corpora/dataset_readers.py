@@ -40,10 +40,10 @@ cameras:
 """
 
 # The dataset with every kind of feature, and those that profiles describe.
+HEAD = {"simfoundry": "dataset/1", "sources": {"expert": {"demonstrations": "demos"}}}
 EVERYTHING: dict[str, Any] = {
-    "simfoundry": "dataset/1",
+    **HEAD,
     "name": "stack",
-    "sources": {"expert": {"demonstrations": "demos"}},
     "cameras": {
         "observation.images.front": {"camera": "front", "size": [320, 180]},
         "observation.images.wrist": {"camera": "wrist", "size": [160, 120]},
@@ -98,7 +98,7 @@ def run(folder: Path, environments: Path, names: list[str], count: int) -> int:
         failures += shown("everything", called(environments, name, arguments, folder))
     for profile, form in PROFILES.items():
         if form in formats:
-            spec = {"simfoundry": "dataset/1", "profile": profile, "sources": EVERYTHING["sources"]}
+            spec = {**HEAD, "name": profile.replace("-", "_"), "profile": profile}
             places, wanted = build(folder, profile, spec, [form])
             name = [name for name in names if ENVIRONMENTS[name].format == form][-1]
             script = "gr00t_reader" if profile == "gr00t" else ENVIRONMENTS[name].script

@@ -7,7 +7,8 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-# Rendered images shrink little beyond level 3 (of 9), which takes 2 ms for 320 x 180 pixels instead of 9 ms.
+# Compression from 0 to 9. Level 6 would save 15 % of images with fine texture, but take three times as long; it would
+# save a third of rendered images.
 _LEVEL = 3
 
 

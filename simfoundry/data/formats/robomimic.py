@@ -28,7 +28,8 @@ _EPISODE = "episode.hdf5"
 # Robomimic's number for Gymnasium environments (`EnvType.GYM_TYPE`), and the name under which ours is registered.
 _GYM_TYPE, _ENVIRONMENT = 2, "SimFoundry/Task-v0"
 
-# HDF5 compresses images at level 1 as small as PNG would, within 10 %, and three times as fast as at its default of 4.
+# Rendered images are as small at level 1 as in PNG (2 % of their pixels); HDF5's default of 4 takes twice as long and
+# saves another quarter. Images with fine texture are twice as large as in PNG.
 _GZIP = {"compression": "gzip", "compression_opts": 1, "shuffle": False}
 
 

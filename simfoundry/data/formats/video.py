@@ -19,7 +19,7 @@ from simfoundry.errors import OutputError, SimfoundryError
 # Quality 18 is the usual bound of visible loss in H.264; `veryfast` is within 0.1 dB of `medium` on our images.
 _ENCODER = {"crf": "18", "preset": "veryfast", "g": "2", "bf": "0"}
 
-# No version of the library and no date in the file; the index comes first, so that browsers play without seeking.
+# No date and no version of the muxer in the file; the index comes first, so that browsers play without seeking.
 _CONTAINER = {"fflags": "+bitexact", "movflags": "+faststart"}
 
 # BT.601 in limited range, which decoders assume for small videos. It is also written to the file, because some decoders
