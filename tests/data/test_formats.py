@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 import shutil
 from collections.abc import Callable, Iterator
@@ -264,3 +265,15 @@ def largest_file(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_splits_of_others_that_are_incomplete_are_one_split(tmp_path: Path) -> None:
+    """Some datasets keep the splits of an earlier state, or have none."""
+    folder = build("lerobot-v2.1", tmp_path, manifest=False)
+    info = folder / "meta/info.json"
+    text = info.read_text()
+    for wrong in ('{"train": "0:2"}', '{"train": "0:2", "held_out": "1:3"}', "{}", '{"train": "0:4"}'):
+        info.write_text(json.dumps({**json.loads(text), "splits": json.loads(wrong)}))
+        assert dict(dataset_format("lerobot-v2.1").read(folder).info.splits) == {"train": (0, 3)}
+    info.write_text(json.dumps({**json.loads(text), "splits": {"b": "1:3", "a": "0:1"}}))
+    assert dict(dataset_format("lerobot-v2.1").read(folder).info.splits) == {"a": (0, 1), "b": (1, 3)}

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # The name of the file in a dataset that SimFoundry writes. A folder with one other HDF5 file is read as well.
 DATASET = "dataset.hdf5"
 
+# The usual names of splits, among other filter keys such as `20_percent`.
+_SPLITS = ("train", "valid", "validation", "test", "held_out")
+
 # Largest array of an episode to read [bytes]; the images of an episode are read one by one.
 MAX_BYTES = 2**30
 
@@ -93,10 +96,10 @@ class RobomimicDataset:
         self.info = own if self._manifest is None else self._manifest.info
 
     def _splits(self, file: h5py.File) -> dict[str, str]:
-        """Return the split of each demonstration; the first one counts if there are several."""
+        """Return the split of each demonstration. If it has several filter keys, those with usual names come first."""
         found: dict[str, str] = {}
         masks = file.get("mask", {})
-        for name in masks:
+        for name in sorted(masks, key=lambda name: name not in _SPLITS):
             for demo in _load(masks[name]):
                 found.setdefault(demo.decode(), name)
         return found

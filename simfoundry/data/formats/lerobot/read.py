@@ -63,6 +63,19 @@ def _reading(path: Path) -> Iterator[None]:
         raise OutputError(f"{path} is not a valid part of a LeRobot dataset: {cause}") from None
 
 
+def _splits(about: Mapping[str, Any], count: int) -> dict[str, tuple[int, int]]:
+    """Return the splits in ``info.json``, or a single one if they do not contain each of ``count`` episodes once."""
+    found = []
+    for name, ends in about.items():
+        first, end = str(ends).split(":")
+        found.append((int(first), int(end), str(name)))
+    found.sort()
+    edges = [0, *(end for _, end, _ in found)]
+    if [first for first, _, _ in found] != edges[:-1] or edges[-1] != count:
+        return {"train": (0, count)}
+    return {name: (first, end) for first, end, name in found}
+
+
 def _rate(value: Any) -> float:
     rate = float(value)
     if not 0 < rate < np.inf:
@@ -98,7 +111,6 @@ class LeRobotDataset:
     def _describe(
         self, about: Mapping[str, Any], features: tuple[DatasetFeature, ...], tasks: tuple[str, ...]
     ) -> DatasetInfo:
-        splits = {str(name): tuple(map(int, str(ends).split(":"))) for name, ends in about["splits"].items()}
         return DatasetInfo(
             name=self._folder.name,
             fps=_rate(about["fps"]),
@@ -106,7 +118,7 @@ class LeRobotDataset:
             features=features,
             action_space="",
             instructions=tasks,
-            splits={name: (ends[0], ends[1]) for name, ends in splits.items()},
+            splits=_splits(about.get("splits", {}), len(self._episodes)),
             episodes=len(self._episodes),
             frames=sum(one.length for one in self._episodes),
         )

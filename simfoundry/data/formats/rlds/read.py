@@ -27,6 +27,7 @@ from simfoundry.data.formats.rlds.tfrecord import (
     example_features,
     find_records,
     read_record,
+    record_data,
 )
 from simfoundry.errors import OutputError
 from simfoundry.runtime.extras import need_extra
@@ -86,7 +87,7 @@ class RldsDataset:
         with _reading(found):
             self._lengths, self._texts = [], []
             for place in self._records:
-                values = example_features(read_record(place))
+                values = example_features(record_data(place))
                 self._lengths.append(count_values(values["steps/is_first"]))
                 texts = decode_values(values[_TEXT]) if _TEXT in values else []
                 self._texts.append(texts[0].decode() if isinstance(texts, list) and texts else "")

@@ -99,17 +99,22 @@ def find_records(path: Path) -> Iterator[RecordPlace]:
             start += length + 16
 
 
-def read_record(place: RecordPlace) -> memoryview:
-    """Read the data of a record.
-
-    Raises:
-        OutputError: If its checksum is wrong.
-    """
+def record_data(place: RecordPlace, count: int = 0) -> memoryview:
+    """Return the data of a record, with ``count`` bytes after them. The file is mapped: only what is used is read."""
     with place.path.open("rb") as stream:
         mapped = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
-    data = mapped[place.start : place.start + place.length]
-    (found,) = struct.unpack("<I", mapped[place.start + place.length : place.start + place.length + 4])
-    if found != _checksum(data):
+    return mapped[place.start : place.start + place.length + count]
+
+
+def read_record(place: RecordPlace) -> memoryview:
+    """Read the data of a record, and compare them with their checksum.
+
+    Raises:
+        OutputError: If the checksum is wrong.
+    """
+    found = record_data(place, 4)
+    data, checksum = found[:-4], found[-4:]
+    if struct.unpack("<I", checksum)[0] != _checksum(data):
         raise OutputError(f"{place.path} is damaged: the checksum of the record at byte {place.start} is wrong")
     return data
 
