@@ -15,7 +15,7 @@ from simfoundry.spec.models.kinds import KINDS
 
 # Next steps for a new document of each kind.
 NEXT = dict.fromkeys(("task", "asset", "cousins", "policy"), ("simfoundry check {path}",)) | {
-    "scene": ("simfoundry check {path}", "simfoundry show {path}"),
+    "scene": ("simfoundry check {path}", "simfoundry show {path}", "simfoundry studio {path}"),
     "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
     "dataset": ("simfoundry check {path}", "simfoundry dataset build {path}"),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from simfoundry.spec.change.edit_text import edit_text
 from simfoundry.spec.change.merge.conflict import CONFLICTS, MergeConflict, dotted, shown
 from simfoundry.spec.change.merge.texts import UnmergeableError, resolve
 from simfoundry.spec.change.merge.trees import merge_trees, model_in
-from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import MAX_BYTES, parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
@@ -87,6 +88,45 @@ class DiskQuestion:
     def __str__(self) -> str:
         here, there, was = map(shown, (self.conflict.ours, self.conflict.theirs, self.conflict.base))
         return f"{self.label}: here {here}, on disk {there}, before {was}"
+
+
+@dataclass(frozen=True)
+class DiskChanges:
+    """The state of a session after it has taken in the changes of its files.
+
+    Attributes:
+        files: What the files contain.
+        texts: The texts, merged with the changes.
+        held: Findings about files whose changes cannot be taken in.
+        questions: The conflicts that a person has to decide.
+    """
+
+    files: Mapping[Path, DiskFile]
+    texts: Mapping[Path, str]
+    held: Mapping[Path, Diagnostic]
+    questions: tuple[DiskQuestion, ...]
+
+
+def taken_in(
+    files: Mapping[Path, DiskFile],
+    texts: Mapping[Path, str],
+    held: Mapping[Path, Diagnostic],
+    questions: tuple[DiskQuestion, ...],
+) -> DiskChanges:
+    """Take in the changes of all files; the arguments are the present state, as in :class:`DiskChanges`."""
+    new_files, new_texts, new_held = dict(files), dict(texts), dict(held)
+    for path, before in files.items():
+        file = DiskFile.read(path) if before.has_changed() else before
+        if file.data != before.data:
+            try:
+                new_texts[path], asked = merged_with_disk(path, before.text, texts[path], file.text)
+            except UnmergeableError as error:
+                new_held[path] = Diagnostic("SF002", Severity.ERROR, f"the file on disk {error}", str(path))
+                continue
+            questions = (*(q for q in questions if q.path != path), *asked)
+        new_files[path] = file
+        new_held.pop(path, None)
+    return DiskChanges(new_files, new_texts, new_held, questions)
 
 
 def merged_with_disk(path: Path, base: str, ours: str, theirs: str) -> tuple[str, tuple[DiskQuestion, ...]]:

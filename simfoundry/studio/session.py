@@ -13,15 +13,14 @@ from types import MappingProxyType
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.edit_data import edited_text
-from simfoundry.spec.change.merge.texts import UnmergeableError
 from simfoundry.spec.change.text_diff import unified_diff
-from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.open_documents import OpenDocuments, Stamp
 from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
-from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, merged_with_disk
+from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, taken_in
 from simfoundry.studio.history import EditHistory, EditStep, UnsavedState
 from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
 
@@ -270,28 +269,15 @@ class StudioSession:
         cannot be merged, because it is not valid YAML, is reported as a finding until it changes again.
         """
         with self._lock:
-            texts, held, files, questions = dict(self._texts), dict(self._held), dict(self._files), self._questions
-            for path, before in self._files.items():
-                file = DiskFile.read(path) if before.has_changed() else before
-                if file.data == before.data:
-                    files[path] = file
-                    held.pop(path, None)
-                    continue
-                try:
-                    texts[path], asked = merged_with_disk(path, before.text, texts[path], file.text)
-                except UnmergeableError as error:
-                    held[path] = Diagnostic("SF002", Severity.ERROR, f"the file on disk {error}", str(path))
-                    continue
-                files[path] = file
-                held.pop(path, None)
-                questions = (*(q for q in questions if q.path != path), *asked)
+            found = taken_in(self._files, self._texts, self._held, self._questions)
             is_used_changed = self._has_other_change()
-            if texts == self._texts and held == self._held and questions == self._questions and not is_used_changed:
-                self._files = files
+            is_same = (found.texts, found.held, found.questions) == (self._texts, self._held, self._questions)
+            self._files = dict(found.files)
+            if is_same and not is_used_changed:
                 return False
-            self._history.push(EditStep.between(FROM_DISK, self._texts, texts), self._texts)
-            self._files, self._held, self._questions = files, held, questions
-            self._set(texts, self._read(texts))
+            self._history.push(EditStep.between(FROM_DISK, self._texts, found.texts), self._texts)
+            self._held, self._questions = dict(found.held), found.questions
+            self._set(found.texts, self._read(found.texts))
         self._notify(FROM_DISK)
         return True
 
@@ -335,6 +321,17 @@ class StudioSession:
             self._set(earlier.texts, self._read(earlier.texts))
             self.poll()
         self._notify("restore")
+
+    def go_to(self, path: Path) -> None:
+        """Go on with another document of the project, such as a task in the scene that is open.
+
+        Raises:
+            SimfoundryError: If the document cannot be read, or is outside of the project.
+        """
+        with self._lock:
+            self.path = self._open(path)
+            self._set(self._texts, self._read(self._texts))
+        self._notify(f"open {path.name}")
 
     # -- reading ----------------------------------------------------------------------------------------------------
 

@@ -155,10 +155,11 @@ def test_schemas_are_written_once_and_those_of_the_project_are_used(project: Pat
 
 
 def test_the_next_commands_are_said() -> None:
-    assert run("new", "a.scene.yaml").out.splitlines()[-3:] == [
+    assert run("new", "a.scene.yaml").out.splitlines()[-4:] == [
         "next:",
         "  simfoundry check a.scene.yaml",
         "  simfoundry show a.scene.yaml",
+        "  simfoundry studio a.scene.yaml",
     ]
     for step in ("check", "show"):
         assert run(step, "a.scene.yaml").code == 0

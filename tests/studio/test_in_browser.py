@@ -6,10 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.cli.main import app
 from tests.studio.browser import StudioPage
 from tests.studio.conftest import SCENE, OpenStudio
 
 pytestmark = pytest.mark.slow
+
+
+def main_of(*arguments: str) -> int:
+    """Run a command and return its exit code."""
+    return int(app(list(arguments), prog_name="simfoundry", standalone_mode=False) or 0)
 
 
 def _select(studio: StudioPage, name: str) -> None:
@@ -61,3 +67,33 @@ def test_a_change_on_disk_appears(desk: Path, open_studio: OpenStudio) -> None:
     assert studio.server.window.selected_object == "ball"
     mass = studio.control("Mass [kg]")
     assert mass.input_value() == "0.05"
+
+
+def test_a_newcomer_builds_a_scene_with_a_goal_and_types_nothing_but_names(
+    tmp_path: Path, open_studio: OpenStudio
+) -> None:
+    path = tmp_path / "kitchen.scene.yaml"
+    assert main_of("new", str(path)) == 0
+    studio = open_studio(path)
+    session = studio.server.session
+    for kind in ("box", "tray"):
+        studio.choose("What", kind)
+        studio.press("Add")
+        studio.until(lambda kind=kind: f"  {kind}:" in studio.text, f"adding a {kind}")
+    studio.press("Save")
+    studio.until(lambda: "  tray:" in studio.file_text, "saving")
+    studio.tab("Goal")
+    studio.enter("Task name", "tidy")
+    studio.press("New task")
+    studio.until(lambda: session.path.name == "tidy.task.yaml", "the task")
+    studio.choose("Predicate", "Inside")
+    studio.choose("First", "box")
+    studio.choose("Second", "tray")
+    studio.press("Add condition")
+    studio.until(lambda: "Inside(box, tray)" in studio.text, "the goal")
+    studio.press("Save")
+    task = tmp_path / "tidy.task.yaml"
+    studio.until(lambda: "Inside(box, tray)" in task.read_text(), "saving the task")
+    assert main_of("check", str(tmp_path)) == 0
+    scene = session.scene
+    assert scene is not None and len(scene.objects) == 5 and studio.problems == []

@@ -41,6 +41,7 @@ from simfoundry.studio.view.panels.recovery import RecoveryPanel
 from simfoundry.studio.view.panels.refine import RefinePanel
 from simfoundry.studio.view.panels.regions import RegionPanel
 from simfoundry.studio.view.panels.rollouts import PlayerPanel, RolloutPanel
+from simfoundry.studio.view.panels.task import TaskPanel
 from simfoundry.studio.view.panels.trial import TrialPanel
 from simfoundry.studio.view.panels.versions import VersionsPanel
 from simfoundry.studio.view.pictures import camera_pictures
@@ -56,7 +57,7 @@ PANELS: dict[str, tuple[type[Panel], ...]] = {
     "": (DocumentPanel, RecoveryPanel),
     "Edit": (ObjectPanel, JointPanel, RegionPanel, AddPanel, MovingPanel),
     "Check": (FindingsPanel,),
-    "Goal": (ConditionsPanel, PredicatePanel),
+    "Goal": (ConditionsPanel, PredicatePanel, TaskPanel),
     "Show": (DisplayPanel, CameraPanel),
     "Capture": (CapturePanel, RefinePanel, PiecesPanel, VersionsPanel, BackgroundPanel),
     "Try": (TrialPanel, PhysicsPanel, RolloutPanel, PlayerPanel, CousinsPanel),

@@ -44,7 +44,7 @@ class AddPanel(Panel):
         scene = self.session.scene
         folder = (scene.loaded.path if scene is not None else self.session.path).resolve().parent
         self._assets = project_assets(self.session.root, folder)
-        with gui.add_folder("Add", expand_by_default=False):
+        with gui.add_folder("Add"):
             self._kind = gui.add_dropdown("What", (*SHAPES, *self._assets), initial_value="box")
             self._name = gui.add_text("New name", "", hint="Default: what it is.")
             gui.add_button("Add").on_click(lambda _: self._add())

@@ -47,9 +47,8 @@ class PredicatePanel(Panel):
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         gui = window.gui
-        targets = (RELATION, GOAL) if self.session.reading.loaded.path.name.endswith(".task.yaml") else (RELATION,)
         with gui.add_folder("Add a condition"):
-            self._target = gui.add_dropdown("To", targets, initial_value=targets[-1])
+            self._target = gui.add_dropdown("To", (RELATION,), initial_value=RELATION)
             self._predicate = gui.add_dropdown("Predicate", tuple(PREDICATES.built_in), initial_value="OnTop")
             self._arguments = [gui.add_dropdown(label, (NONE,), initial_value=NONE) for label in ("First", "Second")]
             self._truth = gui.add_markdown("")
@@ -65,6 +64,10 @@ class PredicatePanel(Panel):
         scene = self.session.scene
         if scene is None:
             return
+        targets = (RELATION,) if scene.task is None else (GOAL, RELATION)
+        if self._target.options != targets:
+            self._target.options = targets
+            set_value(self._target, targets[0])
         kinds = PREDICATES.load(self._predicate.value).parameters
         for k, handle in enumerate(self._arguments):
             names = fitting_names(scene, kinds[k]) if k < len(kinds) else ()
