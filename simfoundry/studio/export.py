@@ -37,7 +37,7 @@ def scene_html(scene: Scene, options: DisplayOptions = PLAIN) -> str:
     with guarded(ConnectionGuard(secrets.token_urlsafe())), redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
-            prepare_view(server, scene)
+            prepare_view(server, scene, bool(scene.robots))
             Canvas(server.scene).show(nodes)
             page = server.scene.as_html()
         finally:

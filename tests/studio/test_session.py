@@ -14,6 +14,7 @@ from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.acts.names import RenameSymbol
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.session import FROM_DISK, StudioSession
+from tests.conftest import REPOSITORY
 from tests.studio.conftest import SCENE, TASK
 
 
@@ -234,8 +235,28 @@ def test_documents_outside_the_project_are_not_opened(desk: Path, tmp_path: Path
     (inner / "t.task.yaml").write_text(TASK.replace("desk.scene.yaml", "../desk.scene.yaml"))
     session = StudioSession(inner / "t.task.yaml")
     assert session.scene is None and session.findings[0].code == "SF204"
-    with pytest.raises(SimfoundryError, match="not a document"):
+
+
+def test_only_scenes_and_tasks_are_opened(desk: Path) -> None:
+    shutil.copy(REPOSITORY / "specs/assets/mug.asset.yaml", desk.parent)
+    with pytest.raises(SimfoundryError, match="is not a document; the studio opens scenes and tasks"):
         StudioSession(desk.parent / "simfoundry.yaml")
+    with pytest.raises(SimfoundryError, match="is of the kind `asset/1`"):
+        StudioSession(desk.parent / "mug.asset.yaml")
+    with pytest.raises(SimfoundryError, match="is not a file"):
+        StudioSession(desk.parent)
+
+
+@pytest.mark.parametrize("text", ["", "a: [", "simfoundry: scene/9\n", "- 1\n", SCENE.replace("0.3", "x"), "\x00"])
+def test_an_invalid_document_is_opened_with_its_findings_and_mended_on_disk(desk: Path, text: str) -> None:
+    desk.write_text(text)
+    session = StudioSession(desk)
+    assert session.scene is None and session.findings and not session.is_current
+    with pytest.raises(ActError, match="the text has an error"):
+        session.apply(SetProperties("mug", {"mass": 1.0}))
+    session.examine()
+    desk.write_text(SCENE)
+    assert session.poll() and session.is_current and session.findings == ()
 
 
 def test_listeners_hear_of_each_change(desk: Path) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.geometry.frames import Pose, rotations
-from simfoundry.render.views import framing, overview
+from simfoundry.render.views import default_orbit, framing
 from simfoundry.studio.view.nodes import (
     CAMERA_RGB,
     FRUSTUM_M,
@@ -148,13 +148,19 @@ class Canvas:
         self._poke(node, event.ray_origin, event.ray_direction)
 
 
-def prepare_view(server: ViserServer, scene: Scene | None) -> None:
-    """Let z point up, draw a grid of 10 cm on the ground, and start with a view of all movable objects of a scene."""
+def prepare_view(server: ViserServer, scene: Scene | None, has_robot: bool = False) -> None:
+    """Let z point up, draw a grid of 10 cm on the ground, and start with a view of all movable objects of a scene.
+
+    A robot is looked at from its front, because it would hide the objects from its back.
+    """
     server.scene.set_up_direction("+z")
     server.scene.add_grid("/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0)
     if scene is not None:
-        camera, (center, _) = overview([scene], 640, 480), framing([scene])
-        server.initial_camera.position = tuple(camera.X_WC.p.tolist())
+        center, radius = framing([scene])
+        orbit = default_orbit(radius)
+        if has_robot:
+            orbit = replace(orbit, azimuth_deg=180.0 - orbit.azimuth_deg)
+        server.initial_camera.position = tuple(orbit.eye(center).tolist())
         server.initial_camera.look_at = tuple(center.tolist())
 
 

@@ -326,7 +326,10 @@ class StudioWindow:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         server.gui.set_panel_label("SimFoundry Studio")
         scene = self.session.scene
-        prepare_view(server, scene.scene if scene is not None else None)
+        if scene is None:
+            prepare_view(server, None)
+        else:
+            prepare_view(server, scene.scene, bool(scene.surroundings.robots))
 
     def _built_panels(self) -> list[Panel]:
         gui = self.gui

@@ -75,7 +75,7 @@ class PredicatePanel(Panel):
             if handle.options != options:
                 handle.options = options
             if handle.value not in options:
-                set_value(handle, options[0])
+                set_value(handle, options[min(k, len(options) - 1)])  # two different names
         found = verdict(scene, self._text(), self.window.shown_state)
         judged = f" is **{str(found.value).lower()}**: {found.why}" if found is not None else ""
         set_value(self._truth, f"{self._text()}{judged}")
