@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.studio.browser import NoBrowserError, StudioPage, launched_browser, opened_page
+from tests.studio.browser import NoBrowserError, launched_browser, opened_page
+from tests.studio.browser import StudioPage as StudioPage
 
 if TYPE_CHECKING:
     from simfoundry.studio.server import StudioServer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,11 @@ pytestmark = pytest.mark.slow
 def main_of(*arguments: str) -> int:
     """Run a command and return its exit code."""
     return int(app(list(arguments), prog_name="simfoundry", standalone_mode=False) or 0)
+
+
+def has_entry(studio: StudioPage, name: str) -> bool:
+    """Return True if the text has an entry with a name."""
+    return f"  {name}:" in studio.text
 
 
 def _select(studio: StudioPage, name: str) -> None:
@@ -79,7 +85,7 @@ def test_a_newcomer_builds_a_scene_with_a_goal_and_types_nothing_but_names(
     for kind in ("box", "tray"):
         studio.choose("What", kind)
         studio.press("Add")
-        studio.until(lambda kind=kind: f"  {kind}:" in studio.text, f"adding a {kind}")
+        studio.until(partial(has_entry, studio, kind), f"adding a {kind}")
     studio.press("Save")
     studio.until(lambda: "  tray:" in studio.file_text, "saving")
     studio.tab("Goal")
