@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose
 from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.lints import Subject, lint, lint_subject, subject_of
@@ -18,6 +19,7 @@ from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.predicate import ExpressionError, texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
@@ -123,6 +125,20 @@ class Reading:
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
         hint = f"; {first.hint}" if first.hint else ""
         return f"{Path(first.document).name}:{first.line}:{first.column}: {first.message}{hint}{more}"
+
+
+def ensure_scene_or_task(loaded: Loaded) -> None:
+    """Ensure that a document is a scene or a task, or was one before it became invalid.
+
+    Raises:
+        SimfoundryError: If it is something else.
+    """
+    data = loaded.source.data if loaded.source is not None else None
+    kind = str(data.get("simfoundry", "")) if isinstance(data, dict) else ""
+    is_named = loaded.path.name.endswith((".scene.yaml", ".task.yaml"))
+    if kind not in ("scene/1", "task/1") and (kind in KINDS or not is_named):
+        what = f"of the kind `{kind}`" if kind in KINDS else "not a document"
+        raise SimfoundryError(f"{loaded.path} is {what}; the studio opens scenes and tasks")
 
 
 def read_session(

@@ -16,13 +16,19 @@ from simfoundry.spec.change.edit_data import edited_text
 from simfoundry.spec.change.text_diff import unified_diff
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.open_documents import OpenDocuments, Stamp
 from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
 from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, taken_in
 from simfoundry.studio.history import EditHistory, EditStep, UnsavedState
-from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
+from simfoundry.studio.reading import (
+    Reading,
+    StudioScene,
+    changed_objects,
+    ensure_scene_or_task,
+    lint_findings,
+    read_session,
+)
 
 # Called after each change of a session, with what happened.
 Listener = Callable[[str], None]
@@ -65,7 +71,7 @@ class StudioSession:
         self._reading = self._read(self._texts)
         self._scene = self._reading.scene
         self._findings = self._reading.findings
-        self._require_kind(path)
+        ensure_scene_or_task(self._reading.loaded)
         self._open_used()
 
     # -- state ------------------------------------------------------------------------------------------------------
@@ -386,16 +392,6 @@ class StudioSession:
             self._files[path] = file = DiskFile.read(path)
             self._texts[path] = file.text
         return path
-
-    def _require_kind(self, path: Path) -> None:
-        """Ensure that the document is a scene or a task, or was one before it became invalid."""
-        source = self._reading.loaded.source
-        data = source.data if source is not None else None
-        kind = str(data.get("simfoundry", "")) if isinstance(data, dict) else ""
-        is_named = path.name.endswith((".scene.yaml", ".task.yaml"))
-        if kind not in ("scene/1", "task/1") and (kind in KINDS or not is_named):
-            what = f"of the kind `{kind}`" if kind in KINDS else "not a document"
-            raise SimfoundryError(f"{path} is {what}; the studio opens scenes and tasks")
 
     def _open_used(self) -> None:
         """Open the scene of a task, so that changes of its file are noticed and merged."""
