@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
 
-from simfoundry.errors import OutputError
+from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.runtime.files import locked_folder
 from simfoundry.studio.history import EditHistory, EditStep, TextChange, UnsavedState
 from simfoundry.studio.session import StudioSession
@@ -100,8 +100,11 @@ class Journal:
         """Continue from what an earlier session left unsaved.
 
         Raises:
-            SimfoundryError: If there are edits that are not saved, or if a document no longer exists.
+            SimfoundryError: If there are edits that are not saved, or if a document is outside of the project.
         """
+        outside = [path for path in (*state.texts, *state.files) if not path.is_relative_to(self._session.root)]
+        if outside:
+            raise SimfoundryError(f"{outside[0]} is outside of the project {self._session.root}, so it is not restored")
         self._session.resume(state)
         self.discard(state)
 

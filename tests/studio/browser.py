@@ -18,6 +18,9 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 # Seconds in which the browser shows what it was told; a software renderer on a busy machine takes many.
 PATIENCE = 60.0
 
+# Milliseconds for the page itself, which a second window on a busy machine needs, because the first one keeps drawing.
+LOADING_MS = 240_000
+
 # Size of the windows [px], and the number of drawn pixels for each: a software renderer takes as long as there are any.
 SIZE, PIXEL_RATIO = {"width": 1000, "height": 700}, 0.4
 
@@ -133,7 +136,7 @@ def opened_page(browser: Any, server: StudioServer) -> StudioPage:
     page.on("pageerror", lambda error: studio.problems.append(str(error)))
     before = len(server.viser.get_clients())
     page.goto(server.address)
-    page.get_by_text("SimFoundry Studio").wait_for()
+    page.get_by_text("SimFoundry Studio").wait_for(timeout=LOADING_MS)
     # Messages must not catch clicks that are meant for what is below them.
     page.add_style_tag(content=".mantine-Notifications-root { pointer-events: none; opacity: 0.3 }")
     studio.until(lambda: len(server.viser.get_clients()) > before, "a connection")

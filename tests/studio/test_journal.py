@@ -125,6 +125,19 @@ def test_the_journal_of_a_running_studio_is_not_offered(desk: Path) -> None:
     assert sorted(len(state.texts) for state in opened(desk)[1].unsaved) == [1, 1]
 
 
+def test_documents_outside_of_the_project_are_not_restored(desk: Path, tmp_path: Path) -> None:
+    session, journal = opened(desk)
+    session.apply(SetProperties("mug", {"mass": 0.25}))
+    journal.close()
+    (path,) = files()
+    outside = str(tmp_path.parent / "outside.scene.yaml")
+    path.write_text(path.read_text().replace(str(desk.resolve()), outside))
+    again, kept = opened(desk)
+    with pytest.raises(SimfoundryError, match="outside of the project"):
+        kept.restore(kept.unsaved[0])
+    assert again.text == SCENE and not Path(outside).exists()
+
+
 def test_a_line_that_was_cut_off_ends_the_journal(desk: Path) -> None:
     session, journal = opened(desk)
     session.apply(SetProperties("mug", {"mass": 0.25}))

@@ -186,6 +186,15 @@ def test_a_demonstration_is_shown_without_simulating_it(arm_task: Path) -> None:
         demonstration_states(recording, renamed.scene, [])
 
 
+def test_what_libraries_report_meanwhile_is_told(desk: Path, trial: list[RolloutTrial]) -> None:
+    stage = Stage()
+    document = document_of(desk)
+    run = RolloutTrial(stage.states.append, stage.said.append, "run_policy", document, "random", 0, 0, "mujoco")
+    trial.append(run)
+    run._progress("convex parts of 3 of 5 meshes")
+    assert "convex parts of 3 of 5 meshes" in stage.said
+
+
 def test_folders_are_looked_for_in_the_project_only(desk: Path) -> None:
     inside = desk.parent / "inner"
     inside.mkdir()

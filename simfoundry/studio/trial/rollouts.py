@@ -80,6 +80,9 @@ class RolloutTrial:
             self._worker.close()
 
     def _progress(self, text: str) -> None:
+        if not text.startswith("{"):  # what the libraries below report, such as a decomposition of meshes
+            self._tell(text)
+            return
         for kind, content in json.loads(text).items():
             if kind == "state":
                 self.playback.add(state_of(content))
