@@ -151,8 +151,13 @@ def read_session(
         documents: The open documents, with the same texts.
         texts: The texts by resolved path.
         earlier: The scene of an earlier reading, whose unchanged parts are reused.
+
+    Raises:
+        SimfoundryError: If the document has never been a scene or a task.
     """
     loaded = documents.load(path)
+    if earlier is None:
+        ensure_scene_or_task(loaded)
     findings = tuple(loaded.all_findings())
     if loaded.errors or not isinstance(loaded.spec, SceneSpec | TaskSpec):
         return Reading(loaded, findings)

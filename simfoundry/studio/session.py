@@ -21,14 +21,7 @@ from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
 from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, taken_in
 from simfoundry.studio.history import EditHistory, EditStep, UnsavedState
-from simfoundry.studio.reading import (
-    Reading,
-    StudioScene,
-    changed_objects,
-    ensure_scene_or_task,
-    lint_findings,
-    read_session,
-)
+from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
 
 # Called after each change of a session, with what happened.
 Listener = Callable[[str], None]
@@ -71,7 +64,6 @@ class StudioSession:
         self._reading = self._read(self._texts)
         self._scene = self._reading.scene
         self._findings = self._reading.findings
-        ensure_scene_or_task(self._reading.loaded)
         self._open_used()
 
     # -- state ------------------------------------------------------------------------------------------------------
