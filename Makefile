@@ -49,8 +49,9 @@ docs: $(READY) ## Build the documentation site into build/site; a warning is an 
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-pictures: $(READY) ## Render the pictures of specs/README.md anew
+pictures: $(READY) ## Render the pictures of specs/README.md and docs/studio.md anew
 	$(BIN)/python specs/render_pictures.py
+	$(BIN)/python specs/render_studio.py
 
 # Chromium comes with the system's packages, because that of Playwright is for a few systems only.
 browser: $(READY) ## Install what drives the studio in a browser: Playwright, and Chromium where there is none

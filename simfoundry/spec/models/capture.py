@@ -72,11 +72,11 @@ class Decomposition(Model):
     pieces: dict[Name, Annotated[tuple[Pixel, ...], Field(min_length=1, max_length=100)]] = Field(
         {},
         max_length=200,
-        description="Objects by name, each as pixels (column, row) on it. What is found at the pixels of one object is "
-        "one piece; what is found at the pixels of several objects is divided among them.",
+        description="Objects by name, each as pixels on it (column, row) [px]. What is found at the pixels of one "
+        "object is one piece; what is found at the pixels of several objects is divided among them.",
     )
     ignore: tuple[Pixel, ...] = Field(
-        (), max_length=1000, description="Pixels (column, row) on regions that are not objects."
+        (), max_length=1000, description="Pixels (column, row) [px] on regions that are not objects."
     )
     occludes: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1, max_length=200)]] = Field(
         {},

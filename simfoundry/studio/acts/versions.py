@@ -66,8 +66,10 @@ class TakeObjects:
 
 
 def _relocated(entry: Mapping[str, Any], old: Path, new: Path) -> dict[str, Any]:
-    """Return the data of an object whose files are named relative to another folder."""
+    """Return the data of an object of another folder, with its files named from here and without its segment there."""
     out = dict(entry)
+    if old != new and isinstance(out.get("origin"), Mapping):
+        out["origin"] = {key: value for key, value in out["origin"].items() if key != "segment"}
     for key in _FILES:
         value = out.get(key)
         if isinstance(value, str) and ":" not in value and old != new:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
-from threading import Condition, Thread
+from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
 from simfoundry.capture.overlay import CaptureOverlay, object_surface, pose_agreement
@@ -17,6 +18,8 @@ from simfoundry.studio.captures import capture_names, find_capture, scene_overla
 
 if TYPE_CHECKING:
     from simfoundry.studio.view.window import StudioWindow
+
+_log = logging.getLogger(__name__)
 
 # Called with the name of an object and the agreement of its pose with the capture.
 Measured = Callable[[str, RayAgreement], None]
@@ -95,23 +98,33 @@ class FitMeter:
     def __init__(self, window: StudioWindow, link: CaptureLink, measured: Measured) -> None:
         self._window, self._link, self._measured = window, link, measured
         self._wanted: tuple[str, Pose] | None = None
-        self._changed = Condition()
-        Thread(target=self._work, name="studio-fit", daemon=True).start()
+        self._is_working = False
+        self._lock = Lock()
 
     def request(self, name: str, X_WO: Pose) -> None:
         """Measure the fit of an object at a pose soon."""
-        with self._changed:
+        with self._lock:
             self._wanted = name, X_WO
-            self._changed.notify()
+            if not self._is_working:
+                self._is_working = True
+                Thread(target=self._work, name="studio-fit", daemon=True).start()
 
     def _work(self) -> None:
+        """Measure what is wanted, until nothing is."""
         while True:
-            with self._changed:
-                while self._wanted is None:
-                    self._changed.wait()
+            with self._lock:
+                if self._wanted is None:
+                    self._is_working = False
+                    return
                 (name, X_WO), self._wanted = self._wanted, None
-            with self._window.session.lock:
-                scene, evidence = self._window.session.scene, self._link.evidence(name)
-                item = scene.objects.get(name) if scene is not None else None
-            if item is not None and evidence is not None:
-                self._measured(name, pose_agreement(evidence, object_surface(item), X_WO))
+            try:
+                self._measure(name, X_WO)
+            except Exception:
+                _log.exception("a fit could not be measured")
+
+    def _measure(self, name: str, X_WO: Pose) -> None:
+        with self._window.session.lock:
+            scene, evidence = self._window.session.scene, self._link.evidence(name)
+            item = scene.objects.get(name) if scene is not None else None
+        if item is not None and evidence is not None:
+            self._measured(name, pose_agreement(evidence, object_surface(item), X_WO))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.overlay import RAY_RAD, CaptureOverlay, object_surface
+from simfoundry.capture.overlay import RAY_RAD, CaptureOverlay, Surface, object_surface
 from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import tessellate
@@ -41,12 +41,12 @@ def scene_point(scene: Scene, overlay: CaptureOverlay | None, origin: Array, dir
     return found
 
 
-def _first(origin: Array, direction: Array, surfaces: list[tuple[Array, Array]]) -> Point | None:
+def _first(origin: Array, direction: Array, surfaces: list[Surface]) -> Point | None:
     """Return the first point of surfaces, each of vertices (n, 3) and faces (k, 3), on a ray."""
     nearest = np.inf
     for vertices, faces in surfaces:
         if len(faces):
-            hits = cast_mesh(origin, direction[None], vertices, np.asarray(faces, dtype=np.int32))
+            hits = cast_mesh(origin, direction[None], vertices, faces)
             nearest = min(nearest, float(hits.depth[0]))
     return _as_point(origin + nearest * direction) if np.isfinite(nearest) else None
 

@@ -226,7 +226,7 @@ PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
     *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
-    *("noise", "cutoff", "solver_iterations", "gravity_compensation", "weight", "share"),
+    *("segment", "noise", "cutoff", "solver_iterations", "gravity_compensation", "weight", "share"),
     *("uniform", "log_uniform", "times", "shift", "normal", "choose", "from", "until"),
     *("gripper_noise", "image_noise", "depth_dropout"),
 }

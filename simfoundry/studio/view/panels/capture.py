@@ -46,7 +46,7 @@ class CapturePanel(Panel):
             self.density = gui.add_slider("Density [%]", min=1, max=100, step=1, initial_value=DENSITY)
             self.colors = gui.add_dropdown("Colors", (PHOTO, OBJECTS, SELECTED), initial_value=PHOTO)
             self.picture = gui.add_checkbox("Picture", False, hint="The picture, behind what it shows.")
-            self._look = gui.add_button("Look through the camera", icon="camera")
+            self._look = gui.add_button("Look through the camera")
         for handle in (self.cloud, self.size, self.density, self.colors, self.picture):
             handle.on_update(lambda _: window.request_refresh())
         self._look.on_click(self._look_through)

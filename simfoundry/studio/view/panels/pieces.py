@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class PiecesPanel(Panel):
         visible = link.overlay is not None and scene is not None
         if self._folder.visible != visible:
             self._folder.visible = visible
-        if name != self._marked:
+        if name != self._marked and not self.marking.value:  # clicks on the cloud may select what is beside it
             self._marked, self._marks = name, {}
         if scene is None or link.source is None or not visible:
             return
@@ -143,10 +144,19 @@ class PiecesPanel(Panel):
 
     def _split(self) -> Any:
         name = self.window.selected_object
-        parts = {n: p for n, p in zip((name, f"{name}_2", f"{name}_3"), map(self._marks.get, PARTS), strict=True) if p}
+        parts = dict(
+            zip(self._part_names(name), (self._marks[part] for part in PARTS if part in self._marks), strict=False)
+        )
         act = SplitPiece(self._source(), name, {n: tuple(pixels) for n, pixels in parts.items()})
         self._marks = {}
         return act
+
+    def _part_names(self, name: str) -> list[str]:
+        """Return names for the parts of an object, which no other object has."""
+        scene = self.session.scene
+        taken = scene.objects.keys() if scene is not None else set()
+        free = (f"{name}_{k}" for k in count(2) if f"{name}_{k}" not in taken)
+        return [name, *islice(free, len(PARTS) - 1)]
 
     def _listen(self, on: bool) -> None:
         scene = self.window.server.scene

@@ -30,6 +30,9 @@ WORLD, CAMERA, OBJECT, VIEW = "world", "camera", "object", "this view"
 # Steps at first: the size of the errors that remain after a reconstruction.
 STEP_MM, TURN_DEG, SCALE_PERCENT = 1.0, 1.0, 1.0
 
+# Least and greatest step [mm or deg]: what is written to the text at least, and half a turn.
+MIN_STEP, MAX_STEP = 0.1, 180.0
+
 # Keys of each step, which are free in the browser's view: W, A, S, D, Q and E fly there. With Shift, they turn.
 KEYS = {"J": (0, -1), "L": (0, 1), "K": (1, -1), "I": (1, 1), "U": (2, -1), "O": (2, 1)}
 
@@ -45,8 +48,8 @@ class RefinePanel(Panel):
         with gui.add_folder("Refine"):
             self.fit = gui.add_markdown("")
             self.axes = gui.add_dropdown("Axes", (WORLD, CAMERA, OBJECT, VIEW), initial_value=WORLD)
-            self.step = gui.add_number("Step [mm]", STEP_MM, min=0.01, max=10_000.0, step=0.01)
-            self.turn = gui.add_number("Turn [°]", TURN_DEG, min=0.01, max=180.0, step=0.01)
+            self.step = gui.add_number("Step [mm]", STEP_MM, min=MIN_STEP, max=MAX_STEP, step=0.01)
+            self.turn = gui.add_number("Turn [°]", TURN_DEG, min=MIN_STEP, max=MAX_STEP, step=0.01)
             self.percent = gui.add_number("Scale step [%]", SCALE_PERCENT, min=0.01, max=50.0, step=0.01)
             steps = gui.add_button_group("Move", tuple(f"{sign}{axis}" for axis in AXES for sign in "−+"))
             turns = gui.add_button_group("Turn about", tuple(f"{sign}{axis}" for axis in AXES for sign in "−+"))
@@ -181,7 +184,7 @@ class RefinePanel(Panel):
 
     def _change_steps(self, factor: float) -> None:
         for handle in (self.step, self.turn):
-            handle.value = min(max(round(handle.value * factor, 4), handle.min or 0.0), handle.max or math.inf)
+            set_value(handle, min(max(round(handle.value * factor, 4), MIN_STEP), MAX_STEP))
 
 
 def fit_text(name: str, found: RayAgreement) -> str:

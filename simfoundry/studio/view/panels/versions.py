@@ -39,7 +39,7 @@ class VersionsPanel(Panel):
             self._differs = gui.add_markdown("")
             take = gui.add_button_group("Take", ("selected object", "everything"))
             save = gui.add_button("Save as a new version")
-            export = gui.add_button("Export the versions", icon="download")
+            export = gui.add_button("Export the versions")
             self._again = gui.add_button("Reconstruct again", visible=False)
         with gui.add_folder("Shapes of the selected object"):
             self.variant = gui.add_dropdown("Variant", (DEFAULT,), initial_value=DEFAULT, visible=False)
@@ -123,7 +123,8 @@ class VersionsPanel(Panel):
         scene = self.session.scene
         if scene is not None and client is not None:
             name = scene.loaded.path.name.partition(".")[0]
-            client.send_file_download(f"{name}_versions.zip", exported_versions(scene.loaded.path, self.session.root))
+            data = exported_versions(scene.loaded.path, self.session.root)
+            client.send_file_download(f"{name}_versions.zip", data, save_immediately=True)
 
     def _take(self, everything: bool) -> None:
         path, name = self._files.get(str(self.version.value)), self.window.selected_object
