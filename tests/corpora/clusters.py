@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,21 @@ CLOCKS = rb'"(total|physics|render|policy|judge)": [0-9.]+'
 
 @dataclass(frozen=True)
 class Case:
-    """A command with its arguments, the pattern of the files that it finishes one by one, and their final number."""
+    """A command.
+
+    Attributes:
+        name: Its name on the command line of this module.
+        arguments: Its arguments.
+        finished: The pattern of the files that it finishes one by one.
+        count: The final number of these files.
+        before: The arguments of a command that makes its inputs.
+    """
 
     name: str
     arguments: tuple[str, ...]
     finished: str
     count: int
+    before: tuple[str, ...] = ()
 
 
 CASES = (
@@ -54,7 +63,19 @@ CASES = (
         "out/[0-9]*.scene.yaml",
         16,
     ),
+    Case(
+        "dataset",
+        ("dataset", "build", "demos", "-f", "lerobot-v3", "-o", "out"),
+        ".out.building/episodes/[0-9]*",
+        16,
+        before=("record", "stacks", "-n", "16", "-j", "2", "-o", "demos"),
+    ),
 )
+
+CAMERA = """
+cameras:
+  front: {size: [160, 120], fx: 150, fy: 150, pose: {xyz: [1.3, 0, 0.7], look_at: [0.4, 0, 0]}}
+"""
 
 
 def project(root: Path) -> Path:
@@ -63,17 +84,17 @@ def project(root: Path) -> Path:
     tasks = root / "stacks"
     for name, scene in (("a", SCENE), ("b", SCENE.replace("xy: [0.45, -0.2]", "xy: [0.4, -0.25]"))):
         (tasks / name).mkdir(parents=True)
-        (tasks / name / "cell.scene.yaml").write_text(scene)
+        (tasks / name / "cell.scene.yaml").write_text(scene + CAMERA)
         (tasks / name / "stack.task.yaml").write_text(TASK.replace("name: stack", f"name: stack_{name}"))
     (root / "simfoundry.yaml").write_text("")
     return root
 
 
-def start(case: Case, root: Path, *more: str) -> subprocess.Popen[str]:
+def start(arguments: Sequence[str], root: Path) -> subprocess.Popen[str]:
     """Start a command in a project, with an empty cache of its own."""
     cache = root.with_name(f"{root.name} cache")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path)), "SIMFOUNDRY_CACHE": str(cache)}
-    command = [sys.executable, "-c", MAIN, *case.arguments, *more]
+    command = [sys.executable, "-c", MAIN, *arguments]
     return subprocess.Popen(
         command, cwd=root, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
@@ -96,7 +117,7 @@ def losing_nodes(case: Case, root: Path, cluster: Any, workers: list[Any]) -> tu
     Returns:
         The exit code, standard error, and the number of finished files when each node was removed.
     """
-    process = start(case, root, "--on", f"ray:{cluster.address}")
+    process = start([*case.arguments, "--on", f"ray:{cluster.address}"], root)
     removed: list[int] = []
     for share, node in zip((0.25, 0.5), workers, strict=True):
         while process.poll() is None and finished(case, root) < share * case.count:
@@ -111,12 +132,14 @@ def losing_nodes(case: Case, root: Path, cluster: Any, workers: list[Any]) -> tu
 def prove(case: Case, folder: Path, new_cluster: Callable[[], Any]) -> bool:
     """Run a command on this machine and on a cluster; True if the bytes are the same."""
     here, there = project(folder / case.name / "here"), project(folder / case.name / "there")
-    begun = time.perf_counter()
-    local = start(case, here, "-j", "2")
-    _, said = local.communicate(timeout=600)
-    if local.returncode:
-        print(f"{case.name}: exit code {local.returncode} on this machine: {said}")
-        return False
+    run_here = [*case.arguments, "-j", "2"]
+    for arguments, root in [(case.before, here), (case.before, there), (run_here, here)]:
+        begun = time.perf_counter()
+        process = start(arguments or ["--version"], root)
+        _, said = process.communicate(timeout=600)
+        if process.returncode:
+            print(f"{case.name}: exit code {process.returncode} on this machine: {said}")
+            return False
     seconds = time.perf_counter() - begun
     cluster = new_cluster()
     try:
