@@ -10,10 +10,10 @@ from typing import Any, overload
 from simfoundry.data.attempt import ENGINE
 from simfoundry.data.index import INDEX, TASKS, facts_of_tasks, read_index
 from simfoundry.data.shards import Attempt, read_shard
-from simfoundry.data.store import shard_files
+from simfoundry.data.store import read_shards
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.resets.starts import RolloutStart, key_of_starts, state_from_json
-from simfoundry.evaluate.rollouts.execution import Execution
+from simfoundry.evaluate.rollouts.execution import Execution, check_rate
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import SceneState
@@ -69,26 +69,25 @@ class Demonstration:
         said, arrays = attempt.about, dict(attempt.arrays)
         start, turn = divmod(attempt.index, len(tasks))
         about = tasks[turn]
-        if said.get("document", about["document"]) != about["document"]:
+        if len(tasks) > 1 and said["document"] != about["document"]:
             raise ValueError(f"attempt {attempt.index} belongs to {said['document']}, not to {about['document']}")
         cells = {name: (int(i), int(j)) for name, (i, j) in said["cells"].items()}
-        actions, steps = arrays.pop("actions"), int(said["steps"])
-        if actions.ndim != 2 or any(len(array) != steps + 1 for array in arrays.values()):
-            raise ValueError("the arrays have the wrong length")
-        return cls(
+        made = cls(
             index=attempt.index,
             document=(folder / str(about["document"])).resolve(),
             about=about,
             seed=int(said["seed"]),
             start=RolloutStart(start, int(said["seed"]), cells, state_from_json(said["initial"])),
-            actions=actions,
+            actions=arrays.pop("actions"),
             action_space=ActionSpace.parse(said["action_space"]),
             action_hz=float(said["action_hz"]),
             states=arrays,
-            steps=steps,
+            steps=int(said["steps"]),
             subtasks=dict(said["subtasks"]),
             trajectory=str(said["trajectory"]),
         )
+        _check(made)
+        return made
 
     def load_task(self) -> Task:
         """Load the task in which the demonstration was recorded.
@@ -106,6 +105,41 @@ class Demonstration:
                 f"{self.document} and its scene, or record again"
             )
         return task
+
+
+def _check(made: Demonstration) -> None:
+    """Check that a demonstration fits its task.
+
+    Raises:
+        ValueError: If its arrays or its initial state do not.
+        SimfoundryError: If its control frequency is not valid.
+    """
+    about, state, hz = made.about, made.start.state, made.action_hz
+    named = {"objects": state.poses, "joints": state.joints, "motions": state.motions}
+    if any(list(about[key]) != list(names) for key, names in named.items()):
+        raise ValueError("an initial state does not have the objects and joints of the task")
+    sizes = {robot: made.states[f"{robot}/joints"].shape[-1] for robot in about["robots"]}
+    shapes: dict[str, tuple[int, ...]] = {
+        "objects": (len(state.poses), 7),
+        "joints": (len(state.joints),),
+        "motions": (len(state.motions), 7) if state.motions else (0,),
+    }
+    for robot, joints in sizes.items():
+        model = made.states[f"{robot}/model"].shape[1:2]
+        shapes |= {f"{robot}/joints": (joints,), f"{robot}/gripper": (1,), f"{robot}/hand": (7,)}
+        shapes[f"{robot}/model"] = model or (0,)
+    if unknown := sorted(made.states.keys() - shapes.keys()):
+        raise ValueError(f"the array `{unknown[0]}` is unknown")
+    for name, shape in shapes.items():
+        if made.states[name].shape != (made.steps + 1, *shape):
+            raise ValueError(f"the shape of `{name}` is {made.states[name].shape}, not {(made.steps + 1, *shape)}")
+    width = sum(made.action_space.arm_size(joints) + 1 for joints in sizes.values())
+    if made.actions.ndim != 2 or made.actions.shape[1] != width:
+        raise ValueError(f"the shape of `actions` is {made.actions.shape}, not (actions, {width})")
+    check_rate(hz, "a demonstration")
+    step = 1 / float(about["control_hz"])  # [s]; actions start at the next physics step, so this is approximate
+    if not (len(made.actions) - 1) / hz - step <= made.steps * step <= len(made.actions) / hz + step:
+        raise ValueError("its actions do not last as long as its states")
 
 
 class DemonstrationSet(Sequence[Demonstration]):
@@ -126,10 +160,10 @@ class DemonstrationSet(Sequence[Demonstration]):
         index = read_index(folder / INDEX)
         self.tasks: tuple[Mapping[str, Any], ...] = tuple(facts_of_tasks(index))
         self.about: Mapping[str, Any] = {key: value for key, value in index.items() if key != TASKS}
-        shards = {path: read_shard(path, with_arrays=False) for path in shard_files(folder)}
-        kept = [(path, attempt) for path, attempts in shards.items() for attempt in attempts if attempt.is_kept]
-        self._places = [(path, attempt.index) for path, attempt in kept]
-        self.heads: tuple[Mapping[str, Any], ...] = tuple(attempt.about for _, attempt in kept)
+        shards = read_shards(folder, with_arrays=False)
+        kept = [(path, one.about) for path, attempts in shards for one in attempts if one.is_kept]
+        self._places = [(path, int(about["index"])) for path, about in kept]
+        self.heads: tuple[Mapping[str, Any], ...] = tuple(about for _, about in kept)
         self._last: tuple[Path, dict[int, Demonstration]] | None = None
         self._loaded: tuple[Path, Task] | None = None
 
@@ -155,10 +189,12 @@ class DemonstrationSet(Sequence[Demonstration]):
         return self.tasks[int(self.heads[k]["index"]) % len(self.tasks)]
 
     def _read(self, path: Path) -> dict[int, Demonstration]:
+        kept = [attempt for attempt in read_shard(path) if attempt.is_kept]
         try:
-            kept = [attempt for attempt in read_shard(path) if attempt.is_kept]
             return {attempt.index: Demonstration.of(attempt, self.folder, self.tasks) for attempt in kept}
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except KeyError as error:
+            raise OutputError(f"{path} does not contain valid demonstrations: `{error.args[0]}` is missing") from None
+        except (ValueError, TypeError, AttributeError, SimfoundryError) as error:
             raise OutputError(f"{path} does not contain valid demonstrations: {error}") from None
 
     def task_of(self, demonstration: Demonstration) -> Task:

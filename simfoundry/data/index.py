@@ -7,6 +7,7 @@ the facts of each task that differ between them.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib.metadata import version
@@ -125,13 +126,26 @@ def read_index(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
         if found["simfoundry"] != FORMAT:
             raise ValueError
-        for facts in facts_of_tasks(found):
-            str(facts["document"]), str(facts["starts"]), int(facts["seed"])
+        if not found.get(TASKS, [{}]) or not all(map(_is_complete, facts_of_tasks(found))):
+            raise ValueError
     except (FileNotFoundError, NotADirectoryError):
         raise OutputError(f"{path.parent} does not contain demonstrations: {path.name} is missing") from None
     except (ValueError, KeyError, TypeError, RecursionError):
         raise OutputError(f"{path} is not an index of demonstrations in the format {FORMAT}") from None
     return dict(found)
+
+
+def _is_complete(facts: Mapping[str, Any]) -> bool:
+    """Return True if the facts of a task contain everything that reading demonstrations requires."""
+    lists = [facts[key] for key in ("objects", "joints", "motions")]
+    return (
+        all(isinstance(facts[key], str) for key in ("task", "document", "starts", "instruction", "policy"))
+        and isinstance(facts["seed"], int)
+        and isinstance(facts["robots"], dict)
+        and isinstance(facts["control_hz"], int | float)
+        and 0 < facts["control_hz"] < math.inf
+        and all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists)
+    )
 
 
 def check_index(folder: Path, index: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:

@@ -80,7 +80,7 @@ def read_shard(path: Path, with_arrays: bool = True) -> list[Attempt]:
         with zipfile.ZipFile(path) as files:
             if sum(file.file_size for file in files.infolist()) > LARGEST:
                 raise ValueError(f"its content exceeds {LARGEST // 2**20} MiB")
-            head = json.loads(files.read(_HEAD))
+            head = json.loads(files.read(_HEAD), parse_constant=_refuse_constant)
             if head["simfoundry"] != FORMAT:
                 raise ValueError(f"its format is {str(head['simfoundry'])[:40]}, not {FORMAT}")
             if not with_arrays:
@@ -93,6 +93,10 @@ def read_shard(path: Path, with_arrays: bool = True) -> list[Attempt]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, zipfile.BadZipFile, EOFError) as error:
         raise OutputError(f"{path} is not a shard of demonstrations: {error}; move it, and record again") from None
     return attempts
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is not a finite number")
 
 
 def _arrays(files: zipfile.ZipFile, index: int) -> dict[str, Array]:

@@ -42,16 +42,11 @@ class AttemptStore:
         folder = self.plan.folder
         for place in (folder, folder / SHARDS, folder / UNFINISHED):
             clear_staged_files(place)
-        shards = shard_files(folder)
-        for number, path in enumerate(shards):
-            attempts = read_shard(path)
-            indices = [attempt.index for attempt in attempts]
-            first = len(self.done)
-            if path.name != _shard_name(number) or indices != list(range(first, first + len(indices))):
-                raise OutputError(f"{path} does not continue the shards before it; move {folder}, and record again")
+        count = len(shard_files(folder))
+        for number, (_, attempts) in enumerate(read_shards(folder)):
             self.done |= {attempt.index: _without_arrays(attempt) for attempt in attempts}
-            self._written[number] = tuple(indices)
-            if number < len(shards) - 1 or sum(attempt.is_kept for attempt in attempts) >= SHARD:
+            self._written[number] = tuple(attempt.index for attempt in attempts)
+            if number < count - 1 or sum(attempt.is_kept for attempt in attempts) >= SHARD:
                 self._flushed, self._shards = len(self.done), number + 1
             else:  # the last shard continues to grow
                 self.done |= {attempt.index: attempt for attempt in attempts}
@@ -134,6 +129,22 @@ def _shard_name(number: int) -> str:
 def shard_files(folder: Path) -> list[Path]:
     """Return the shards of a recording, in order."""
     return sorted(path for path in (folder / SHARDS).glob("*.npz") if re.fullmatch(r"\d{5}\.npz", path.name))
+
+
+def read_shards(folder: Path, with_arrays: bool = True) -> Iterator[tuple[Path, list[Attempt]]]:
+    """Yield the shards of a recording with their attempts, in order, optionally without the arrays.
+
+    Raises:
+        OutputError: If a file is not a shard, or if a shard is missing.
+    """
+    first = 0
+    for number, path in enumerate(shard_files(folder)):
+        attempts = read_shard(path, with_arrays)
+        indices = [attempt.index for attempt in attempts]
+        if path.name != _shard_name(number) or indices != list(range(first, first + len(indices))):
+            raise OutputError(f"{path} does not continue the shards before it; move {folder}, and record again")
+        first += len(indices)
+        yield path, attempts
 
 
 def _open_folder(plan: RecordPlan) -> None:

@@ -238,6 +238,45 @@ def test_damaged_shards_are_refused(demos: Path, tmp_path: Path, change: object,
         list(sf.demonstrations(copy))
 
 
+@pytest.mark.parametrize(
+    ("about", "arrays", "words"),
+    [
+        ({"steps": 3}, {}, r"the shape of `objects` is \(\d+, 4, 7\), not \(4, 4, 7\)"),
+        ({"action_hz": 1e-9}, {}, "its actions do not last as long as its states"),
+        ({"action_hz": -1.0}, {}, "it must be the number of actions per second"),
+        ({"action_space": "telepathy"}, {}, "unknown action space `telepathy`"),
+        ({"initial": {"poses": {}, "joints": {}, "motions": {}}}, {}, "does not have the objects and joints"),
+        ({"initial": None}, {}, "NoneType"),
+        ({}, {"actions": np.zeros((27, 1))}, r"the shape of `actions` is \(27, 1\), not \(actions, 3\)"),
+        ({}, {"arm/hand": np.zeros((2, 7))}, "the shape of `arm/hand`"),
+        ({}, {"more": np.zeros(3)}, "the array `more` is unknown"),
+    ],
+)
+def test_demonstrations_that_do_not_fit_their_task_are_refused(
+    demos: Path, tmp_path: Path, about: dict[str, Any], arrays: dict[str, np.ndarray], words: str
+) -> None:
+    shard = shutil.copytree(demos, tmp_path / "copy") / SHARDS / "00000.npz"
+    kept = [Attempt({**a.about, **about}, {**a.arrays, **arrays}) if a.is_kept else a for a in read_shard(shard)]
+    write_shard(shard, kept)
+    with pytest.raises(OutputError, match=f"00000.npz does not contain valid demonstrations: .*{words}"):
+        list(sf.demonstrations(tmp_path / "copy"))
+
+
+@pytest.mark.parametrize("change", [{"tasks": []}, {"tasks": 3}, {"objects": "abc"}, {"seed": "x"}, {"control_hz": 0}])
+def test_damaged_indexes_are_refused(demos: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+    path = shutil.copytree(demos, tmp_path / "copy") / "demonstrations.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(OutputError, match="is not an index of demonstrations"):
+        sf.demonstrations(tmp_path / "copy")
+
+
+def test_a_missing_shard_is_noticed(demos: Path, tmp_path: Path) -> None:
+    shard = shutil.copytree(demos, tmp_path / "copy") / SHARDS / "00000.npz"
+    shard.rename(shard.with_name("00001.npz"))
+    with pytest.raises(OutputError, match=r"00001\.npz does not continue the shards before it"):
+        sf.demonstrations(tmp_path / "copy")
+
+
 def test_shards_hold_numbers_only(tmp_path: Path) -> None:
     values: list[Any] = [np.full((2, 3), np.nan), np.zeros((2, 3), np.float32)]
     for value in values:
