@@ -97,7 +97,8 @@ def test_a_recording_plays_at_real_speed_and_is_scrubbed() -> None:
     playback = Playback(lambda state: shown.append(state.joints["time"]), hz=50.0)
     for k in range(51):
         playback.add(SceneState.of({}, {"time": k / 50}))
-    playback.complete()
+    playback.add(SceneState.of({}, {"time": 9.0}))
+    playback.complete(51)
     assert (playback.duration, shown) == (1.0, [0.0])
     playback.seek(0.5)
     assert shown[-1] == 0.5

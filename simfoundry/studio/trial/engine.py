@@ -21,7 +21,7 @@ from simfoundry.evaluate.entries import Contender, create_policy
 from simfoundry.evaluate.policies.base import Policy
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.rollout import rollout
-from simfoundry.evaluate.task import Task, task_of
+from simfoundry.evaluate.task import Task, need_robots, task_of
 from simfoundry.predicates import Judge
 from simfoundry.runtime.workers import at_worker_exit, report_progress
 from simfoundry.scene.lower import lower
@@ -191,7 +191,9 @@ def _task(document: TrialDocument) -> Task:
     loaded = document.load()
     if not isinstance(loaded.spec, TaskSpec):
         raise SimfoundryError("policies need a task; open the task document instead of its scene")
-    return task_of(loaded, Cache.default())
+    task = task_of(loaded, Cache.default())
+    need_robots(task)
+    return task
 
 
 def _rollout(task: Task, start: RolloutStart, policy: Policy, engine: str, judge: Judge) -> dict[str, Any]:

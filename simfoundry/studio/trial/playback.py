@@ -53,9 +53,11 @@ class Playback:
                 self._show(state)
             self._changed.notify()
 
-    def complete(self) -> None:
-        """State that no more states follow."""
+    def complete(self, count: int = MAX_FRAMES) -> None:
+        """State that no more states follow, and drop those after the first ``count``."""
         with self._changed:
+            del self._frames[count:]
+            self.position = min(self.position, self.duration)
             self.is_complete = True
             self._changed.notify()
 

@@ -71,6 +71,7 @@ class RolloutTrial:
             if isinstance(answer, SimfoundryError):
                 raise answer
             self.outcome = dict(answer)
+            self.playback.complete(self.outcome["steps"] + 1)  # a policy may have answered beyond the success
             self._tell(ending(self.outcome))
         except SimfoundryError as error:
             self._tell("Stopped." if self._stopped else f"The rollout ended with an error: {error}")
