@@ -168,3 +168,45 @@ def _background() -> type:
     from simfoundry.studio.view.panels.background import BackgroundPanel
 
     return BackgroundPanel
+
+
+def test_an_object_is_split_at_points_that_are_clicked(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    overlay = studio.server.window.capture.overlay
+    assert overlay is not None
+    capture = scene.parents[2] / "captures" / "desk" / "capture.yaml"
+    select(studio, "carton")
+    studio.press("Look through the camera")
+    client = next(iter(studio.server.viser.get_clients().values()))
+    studio.until(lambda: np.allclose(client.camera.position, overlay.X_WC.p, atol=1e-4), "the view of the camera")
+    studio.server.window.is_editable = False  # without the arrows, which would take the clicks
+    studio.server.window.request_refresh()
+    studio.until(lambda: studio.server.window.gizmo.size == 0.0, "no arrows")
+    studio.control("Mark by clicks").check()
+    panel = studio.server.window.panel(_pieces())
+    rows, columns = np.nonzero(overlay.labels == 1)
+    wanted = {}
+    for part, at in (
+        ("part 1", np.argsort(columns)[len(columns) // 6]),
+        ("part 2", np.argsort(columns)[len(columns) // 2]),
+    ):
+        studio.choose("Mark", part)
+        studio.until(lambda part=part: panel.part.value == part)
+        wanted[part] = (int(columns[at]), int(rows[at]))
+        point = overlay.points_W[rows[at], columns[at]]
+        studio.page.mouse.click(*studio.screen_point(tuple(point.tolist())))
+        studio.until(lambda part=part: len(panel._marks.get(part, ())) == 1, f"the mark on {part}")
+    studio.press("Split at the marks")
+    studio.until(lambda: "carton_2: [[" in studio.server.session.texts.get(capture, ""), "the constraint")
+    stated = load_capture_text(studio.server.session.texts[capture])
+    for name, part in (("carton", "part 1"), ("carton_2", "part 2")):
+        (pixel,) = stated[name]
+        assert max(abs(a - b) for a, b in zip(pixel, wanted[part], strict=True)) <= 4
+
+
+def load_capture_text(text: str) -> dict[str, list[tuple[int, int]]]:
+    """The pieces that the text of a capture states."""
+    from simfoundry.spec.yaml.text import parse
+
+    pieces: dict[str, list[tuple[int, int]]] = parse(text).data["frames"]["view"]["decomposition"]["pieces"]
+    return pieces
