@@ -440,6 +440,8 @@ def test_a_dataset_is_shown_in_text_and_on_a_page(built: Path, tmp_path: Path) -
             "{demonstrations: recorded, share: 0.5}",
             "the shares of the sources must add up to 1",
         ),
+        ("image: {camera", "action: {camera", "`action` is the key of the actions in profile `lerobot`"),
+        ("profile: lerobot", "state: {state: []}", "1"),
         ("{demonstrations: recorded}", "{}", "specify either `demonstrations` or `dataset`"),
         ("{demonstrations: recorded}", "{demonstrations: recorded, keys: {a: b}}", "`keys` requires `dataset`"),
     ],

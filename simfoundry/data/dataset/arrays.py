@@ -16,6 +16,7 @@ from simfoundry.data.dataset.episode import GenerationData
 from simfoundry.data.dataset.features import DatasetFeature, FeatureKind, FeaturePart, FeatureRole
 from simfoundry.data.state_entries import entry_values
 from simfoundry.data.trajectory import ROUNDING, Trajectory, TrajectorySampler
+from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.signals import ACTIONS, ActionSpace, ImageKind
@@ -95,6 +96,10 @@ def _state(
         parts.append(FeaturePart(contents.parts.get(entry, entry), start, stop, found.unit, entry))
         start = stop
     values = np.concatenate(rows, axis=1).astype(np.float32)
+    if not values.shape[1]:
+        raise SimfoundryError(
+            f"`{key}` would be empty, because scene `{scene.name}` has no {' and no '.join(entries)}; remove it"
+        )
     return values, _array(key, FeatureRole.OBSERVATION, values, names, parts)
 
 

@@ -78,12 +78,20 @@ def contents_of(
         key: ActionColumns(ActionSpace.parse(entry.space) if entry.space else space, entry.part)
         for key, entry in profile.actions.items()
     }
+    state = dict(profile.state if spec.state is None else spec.state)
+    views = _views(spec, profile, scene)
+    for key in actions:
+        if key in state or key in views:
+            raise SimfoundryError(
+                f"`{key}` is the key of the actions in profile `{spec.profile}`; choose another key for "
+                f"{'the state' if key in state else 'the camera'}"
+            )
     return DatasetContents(
         fps=float(spec.fps or profile.fps or recorded_hz),
         space=space,
         actions=actions,
-        state=dict(profile.state if spec.state is None else spec.state),
-        views=_views(spec, profile, scene),
+        state=state,
+        views=views,
         is_video=(spec.images or profile.images) == "video",
         gripper=spec.gripper or profile.gripper,
         parts=dict(profile.parts),

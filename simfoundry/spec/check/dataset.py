@@ -25,9 +25,15 @@ INDEX, MAX_BYTES = "demonstrations.json", 2**24
 def check_dataset(c: Checker, spec: DatasetSpec) -> None:
     """Check a dataset. Demonstrations that have not been recorded yet are not an error."""
     try:
-        find_profile(spec.profile, c.loaded.path.parent)
+        profile = find_profile(spec.profile, c.loaded.path.parent)
     except SimfoundryError as error:
         c.add("SF106", ("profile",), str(error))
+    else:
+        for section, keys in (("state", spec.state or {}), ("cameras", spec.cameras or {})):
+            for key in keys:
+                if key in profile.actions:
+                    message = f"`{key}` is the key of the actions in profile `{spec.profile}`"
+                    c.add("SF104", (section, key), message, "choose another key")
     _formats(c, spec)
     check_views(c, spec.cameras or {}, "the dataset")
     _cameras(c, spec)

@@ -44,6 +44,10 @@ StateEntry = Literal[
 ]
 
 
+# The entries of one observed array, in order.
+StateEntries = Annotated[tuple[StateEntry, ...], Field(min_length=1, max_length=32)]
+
+
 class DatasetSource(Model):
     """Demonstrations, or the episodes of an existing dataset."""
 
@@ -134,7 +138,7 @@ class DatasetSpec(DocumentSpec):
     images: Literal["video", "image"] | None = Field(
         None, description="How color images are stored if the format offers a choice."
     )
-    state: dict[WireKey, tuple[StateEntry, ...]] | None = Field(
+    state: dict[WireKey, StateEntries] | None = Field(
         None, max_length=64, description="Observed values, in order, by their keys in the dataset."
     )
     fps: Positive | None = Field(

@@ -14,7 +14,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import plugins
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model, Pixels, Positive
-from simfoundry.spec.models.dataset import FormatName, StateEntry
+from simfoundry.spec.models.dataset import FormatName, StateEntries
 from simfoundry.spec.models.policy import CameraView, GripperConvention, WireKey
 from simfoundry.spec.models.signals import ActionSpace
 
@@ -58,7 +58,7 @@ class ProfileSpec(Model):
     actions: dict[WireKey, ActionFeature] = Field(
         min_length=1, description="Actions by key; the first is that of policies."
     )
-    state: dict[WireKey, tuple[StateEntry, ...]] = Field(description="Observed values by key.")
+    state: dict[WireKey, StateEntries] = Field(description="Observed values by key.")
     cameras: dict[WireKey, CameraView] = Field(
         {},
         description="Camera views by key. Those whose camera a scene lacks are omitted.",
@@ -113,6 +113,7 @@ def _read_once(path: Path, changed: int) -> ProfileSpec:  # noqa: ARG001 - used 
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise SimfoundryError(f"{path} is not a valid dataset profile: {where}: {first['msg']}") from None
+        reason = first["msg"].removeprefix("Value error, ")
+        raise SimfoundryError(f"{path} is not a valid dataset profile: {where}: {reason}") from None
     except (yaml.YAMLError, TypeError, ValueError, RecursionError) as error:
         raise SimfoundryError(f"{path} is not a valid dataset profile: {str(error).splitlines()[0]}") from None
