@@ -67,12 +67,17 @@ def test_a_dragged_object_lands_on_the_desk(desk: Path, open_studio: OpenStudio)
 
 def test_a_change_on_disk_appears(desk: Path, open_studio: OpenStudio) -> None:
     studio = open_studio(desk)
+    studio.page.wait_for_timeout(1000)  # until the meshes can be hit
+    assert studio.server.session.scene is not None
+    mug = studio.server.session.scene.objects["mug"].X_WO.p
+    studio.page.mouse.click(*studio.screen_point(tuple(mug.tolist())))
+    studio.until(lambda: studio.server.window.selected_object == "mug", "selecting by a click")
     _select(studio, "ball")
     desk.write_text(SCENE.replace("sphere: 0.02", "sphere: 0.03").replace("0.0201", "0.0301"))
     studio.until(lambda: "sphere: 0.03" in studio.text, "the change")
     assert studio.server.window.selected_object == "ball"
     mass = studio.control("Mass [kg]")
-    assert mass.input_value() == "0.05"
+    studio.until(lambda: mass.input_value() == "0.05", "the mass of the ball")
 
 
 def test_a_newcomer_builds_a_scene_with_a_goal_and_types_nothing_but_names(
