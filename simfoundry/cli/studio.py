@@ -9,7 +9,6 @@ import click
 
 from simfoundry.cli import output
 from simfoundry.cli.options import ANY, FILE, option
-from simfoundry.errors import SimfoundryError
 
 
 @output.subcommand()
@@ -28,12 +27,6 @@ def studio_command(
     Nothing is written before you save. The page follows changes of the file, and several windows show the same. No
     display is needed on the machine that runs the command.
     """
-    if token and len(token) < MIN_TOKEN:
-        raise SimfoundryError(f"a token needs at least {MIN_TOKEN} characters, so that nobody can guess it")
-    if policies:
-        from simfoundry.evaluate.entries import contenders
-
-        contenders(policies)  # so that a wrong one is reported at once
     serve_studio(document, as_json, host, port, token, capture=capture, policies=policies)
 
 
@@ -65,7 +58,3 @@ def serve_studio(
                 click.echo(
                     "stopped; the next studio of this document offers the edits that have not been saved", err=True
                 )
-
-
-# Minimum length of a token [characters]: 16 random letters and digits cannot be found by trying.
-MIN_TOKEN = 16

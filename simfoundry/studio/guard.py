@@ -7,6 +7,7 @@ to the studio and edit files (cross-site WebSocket hijacking, DNS rebinding).
 from __future__ import annotations
 
 import hmac
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
 
 COOKIE = "simfoundry_studio"
+
+# Characters of a token, which need no escapes in an address or in a cookie, and the least number of them: 16 random
+# letters and digits cannot be found by trying.
+TOKEN = re.compile(r"[A-Za-z0-9_-]{16,256}\Z")
 
 # The patch below is of the whole process, so that only one server can start at a time.
 _starting = Lock()

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.studio.guard import LOCAL_HOSTS, ConnectionGuard, guarded
+from simfoundry.studio.guard import LOCAL_HOSTS, TOKEN, ConnectionGuard, guarded
 from simfoundry.studio.journal import Journal
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.window import StudioWindow
@@ -49,10 +49,12 @@ class StudioServer:
             policies: The policies that can be tried, as in `simfoundry eval`, besides the built-in ones.
 
         Raises:
-            SimfoundryError: If the document cannot be opened.
+            SimfoundryError: If the document cannot be opened, or if the token is not valid.
         """
         import viser
 
+        if token and not TOKEN.match(token):
+            raise SimfoundryError("a token consists of at least 16 letters, digits, `-` and `_`")
         is_local = host in LOCAL_HOSTS
         self.token = token or ("" if is_local else secrets.token_urlsafe(24))
         self.session = StudioSession(path)

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.studio.guard import ConnectionGuard
 from simfoundry.studio.server import StudioServer
+from simfoundry.studio.view.panels.document import diff_html
+from simfoundry.studio.view.panels.panel import set_value
 
 TOKEN = "0123456789abcdef"
 
@@ -61,6 +64,19 @@ UPGRADE = {
     "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": "viser-v1.1.1",
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("token", ["short", "0123456789abcde;", "0123456789abcde&x=1", "0123456789abcdef\n"])
+def test_a_token_that_could_be_guessed_or_misread_is_refused(token: str, tmp_path: Path) -> None:
+    with pytest.raises(SimfoundryError, match="at least 16 letters"):
+        StudioServer(tmp_path / "a.scene.yaml", port=0, token=token)
+
+
+def test_texts_of_documents_are_not_run_by_the_browser(server: StudioServer) -> None:
+    handle = server.viser.gui.add_markdown("")
+    set_value(handle, 'unknown key `<img src=x onerror="alert(1)">` ![](http://example.org/a.png)')
+    assert "<" not in handle.content and "![" not in handle.content
+    assert "&lt;script&gt;" in diff_html("+  # <script>alert(1)</script>\n")
 
 
 def test_pages_and_connections_need_the_token(server: StudioServer) -> None:

@@ -15,7 +15,7 @@ from simfoundry.scene.drop import TOUCHING, DropResult, drop_onto
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.change.edit_data import DataPath
-from simfoundry.studio.acts.act import ActEdits, require_object
+from simfoundry.studio.acts.act import ActEdits, ActError, require_object
 from simfoundry.studio.acts.placement import STILL_M, STILL_RAD, written_pose
 from simfoundry.studio.reading import StudioScene
 
@@ -65,6 +65,8 @@ class MoveObject:
     def edits(self, scene: StudioScene) -> ActEdits:
         """Return the edits of the object's place or pose, and of those of the objects that it carries."""
         require_object(scene, self.name)
+        if not np.isfinite(self.X_WO.p).all():
+            raise ActError(f"`{self.name}` cannot be moved to a position that is not finite")
         item = scene.objects[self.name]
         riders = carried_objects(scene, self.name) if self.carry else {}
         X_WO, rest = self.landing(scene, riders)

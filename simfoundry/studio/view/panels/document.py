@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.studio.disk import DiskQuestion
-from simfoundry.studio.view.panels.panel import Panel, set_value
+from simfoundry.studio.view.panels.panel import Panel, plain_markdown, set_value
 
 if TYPE_CHECKING:
     from simfoundry.studio.view.window import StudioWindow
@@ -71,7 +71,7 @@ class DocumentPanel(Panel):
         self._questions.visible = bool(questions)
         with self._questions:
             for question in questions:
-                self._controls.append(self.window.gui.add_markdown(str(question)))
+                self._controls.append(self.window.gui.add_markdown(plain_markdown(str(question))))
                 choice = self.window.gui.add_button_group("Keep", ("here", "on disk"))
                 choice.on_click(partial(self._answer, question))
                 self._controls.append(choice)

@@ -32,9 +32,19 @@ class Panel:
 
 def set_value(handle: Any, value: Any) -> None:
     """Set the value or content of a control if it differs, which spares a message."""
+    if type(handle).__name__ == "GuiMarkdownHandle":
+        value = plain_markdown(value)
     attribute = "value" if hasattr(handle, "value") else "content"
     if getattr(handle, attribute) != value:
         setattr(handle, attribute, value)
+
+
+def plain_markdown(text: str) -> str:
+    """Return Markdown without HTML and images, which browsers would run and fetch.
+
+    Texts of documents, which may come from others, are part of messages.
+    """
+    return text.replace("<", "‹").replace("![", "! [")
 
 
 def by_person(callback: Callable[[Any], object]) -> Callable[[Any], None]:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.studio.history import UnsavedState
-from simfoundry.studio.view.panels.panel import Panel, set_value
+from simfoundry.studio.view.panels.panel import Panel, plain_markdown, set_value
 
 if TYPE_CHECKING:
     from simfoundry.studio.view.window import StudioWindow
@@ -42,7 +42,7 @@ class RecoveryPanel(Panel):
         self._folder.visible = bool(self._shown)
         with self._folder:
             for state in self._shown:
-                self._controls.append(self.window.gui.add_markdown(description(state)))
+                self._controls.append(self.window.gui.add_markdown(plain_markdown(description(state))))
                 choice = self.window.gui.add_button_group("These edits", ("Restore", "Discard"))
                 choice.on_click(partial(self._answer, state))
                 self._controls.append(choice)
