@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,8 +47,7 @@ def test_a_pose_is_refined_by_keys_with_its_fit_and_snapped(scene: Path, open_st
     select(studio, "carton")
     fit = studio.page.get_by_text("fit error", exact=False).first
     studio.until(lambda: "0.1" in fit.inner_text(), "the fit")
-    studio.page.mouse.click(5, 650)  # beside everything, so that keys reach the view
-    select(studio, "carton")
+    studio.page.evaluate("document.activeElement.blur()")  # so that keys reach the view
     for _ in range(5):
         studio.page.keyboard.press("l")
     studio.until(lambda: "xyz: [0.085, 0.02, 0.06], yaw_deg: 28.65" in studio.text, "the steps")
@@ -191,17 +191,25 @@ def test_an_object_is_split_at_points_that_are_clicked(scene: Path, open_studio:
         ("part 2", np.argsort(columns)[len(columns) // 2]),
     ):
         studio.choose("Mark", part)
-        studio.until(lambda part=part: panel.part.value == part)
+        studio.until(partial(_is_chosen, panel, part))
         wanted[part] = (int(columns[at]), int(rows[at]))
         point = overlay.points_W[rows[at], columns[at]]
         studio.page.mouse.click(*studio.screen_point(tuple(point.tolist())))
-        studio.until(lambda part=part: len(panel._marks.get(part, ())) == 1, f"the mark on {part}")
+        studio.until(partial(_is_marked, panel, part), f"the mark on {part}")
     studio.press("Split at the marks")
     studio.until(lambda: "carton_2: [[" in studio.server.session.texts.get(capture, ""), "the constraint")
     stated = load_capture_text(studio.server.session.texts[capture])
     for name, part in (("carton", "part 1"), ("carton_2", "part 2")):
         (pixel,) = stated[name]
         assert max(abs(a - b) for a, b in zip(pixel, wanted[part], strict=True)) <= 4
+
+
+def _is_chosen(panel: Any, part: str) -> bool:
+    return bool(panel.part.value == part)
+
+
+def _is_marked(panel: Any, part: str) -> bool:
+    return len(panel._marks.get(part, ())) == 1
 
 
 def load_capture_text(text: str) -> dict[str, list[tuple[int, int]]]:
