@@ -6,9 +6,10 @@ policies. ``docs/signals.md`` lists them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import ItemsView, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,31 @@ from simfoundry.spec.models.disturbances import Disturbances
 from simfoundry.spec.models.signals import ActionSpace, ImageKind
 from simfoundry.worlds import find_world, open_world
 from simfoundry.worlds.base import Image
+
+
+def _integer(name: str, value: Any, low: int | None) -> int:
+    """Return an option that must be a whole number, of at least ``low`` if that is given."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or (low is not None and value < low):
+        bound = "" if low is None else f" of at least {low}"
+        raise SimfoundryError(f"{name} must be a whole number{bound}, not {value!r}")
+    return int(value)
+
+
+def _items(cameras: Any) -> ItemsView[str, Any]:
+    if not isinstance(cameras, Mapping):
+        example = "{'front': (320, 240)}"
+        raise SimfoundryError(f"`cameras` must map names of cameras to sizes, such as {example}, not {cameras!r}")
+    return cameras.items()
+
+
+def _image_size(name: str, size: Any) -> ImageSize:
+    """Return the size of an image [px]."""
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        message = f"the size of `{name}` must be (width, height), such as (320, 240), not {size!r}"
+        raise SimfoundryError(message) from None
+    return ImageSize(*(_integer(f"the size of `{name}`", number, None) for number in (width, height)))
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
@@ -111,12 +137,15 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._cache = Cache.default() if cache else None
         self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
         need_robots(self._whole)
-        self._engine, self._count, self._seed = engine, starts, seed
-        self._cameras = {name: ImageSize(*size) for name, size in (cameras or {}).items()}
+        self._engine = engine
+        self._count, self._seed = _integer("`starts`", starts, 1), _integer("`seed`", seed, 0)
+        self._cameras = {name: _image_size(name, size) for name, size in _items(cameras or {})}
         check_cameras(self._whole.scene, self._cameras, "the environment")
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_hz or self._whole.control_hz)}
-        self._picture = {} if render_mode is None else {self._watching(render_camera): ImageSize(*render_size)}
+        self._picture = (
+            {} if render_mode is None else {self._watching(render_camera): _image_size("render_size", render_size)}
+        )
         check_cameras(self._whole.scene, self._picture, "the environment")
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
@@ -137,7 +166,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             raise SimfoundryError(f"unknown reset option `{unknown[0]}`; available options: start, subtask")
         self._now = self._opened(str(options.get("subtask") or ""))
         k = options.get("start")
-        k = int(self.np_random.integers(self._count)) if k is None else int(k)
+        k = int(self.np_random.integers(self._count)) if k is None else _integer("`start`", k, None)
         if not 0 <= k < self._count:
             raise SimfoundryError(f"start {k} does not exist; `start` must be between 0 and {self._count - 1}")
         is_disturbed = self._whole.disturbances != Disturbances()

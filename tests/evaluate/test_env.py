@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import warnings
@@ -56,6 +57,26 @@ def test_gymnasium_finds_no_fault(push_file: Path) -> None:
     # Positions in the world have no bounds, and actions are in radians and meters, as the robots take them.
     usual = ("infinity", "symmetric and normalized")
     assert [str(w.message) for w in caught if not any(part in str(w.message) for part in usual)] == []
+    made.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"flat": True, "normalize": True, "reward": "dense"},
+        {"action_space": "joint_delta", "control_hz": 5.0},
+        {"action_space": "joint_velocity:normalized"},
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*(infinity|symmetric and normalized)")
+def test_gymnasium_finds_no_fault_in_variants(push: Task, options: dict[str, object]) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    made = TaskEnv(push, starts=1, cache=False, **options)  # type: ignore[arg-type]
+    check_env(made, skip_render_check=True)
+    observation, _ = made.reset(seed=1)
+    arrays = observation.values() if isinstance(observation, dict) else [observation]
+    assert {array.dtype for array in arrays} == {np.dtype(np.float32)} and made.action_space.dtype == np.float32
     made.close()
 
 
@@ -125,6 +146,8 @@ def test_a_step_can_be_done_alone(env: TaskEnv) -> None:
         ({"start": 3}, "start 3 does not exist; `start` must be between 0 and 2"),
         ({"subtask": "awy"}, "did you mean `away`"),
         ({"cell": 3}, "unknown reset option `cell`; available options: start, subtask"),
+        ({"start": "first"}, "`start` must be a whole number, not 'first'"),
+        ({"start": 1.5}, "`start` must be a whole number, not 1.5"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, object], message: str) -> None:
@@ -162,6 +185,15 @@ def test_slips_in_making_one_are_refused(push: Task) -> None:
         SimfoundryError, match=r"unknown action space `torque`; available: joint_position, joint_velocity"
     ):
         TaskEnv(push, action_space="torque")
+    for options, message in (
+        ({"cameras": "front"}, "`cameras` must map names of cameras to sizes, such as {'front': (320, 240)}"),
+        ({"cameras": {"front": 64}}, "the size of `front` must be (width, height), such as (320, 240), not 64"),
+        ({"cameras": {"front": (3.5, 3)}}, "the size of `front` must be a whole number, not 3.5"),
+        ({"starts": 0}, "`starts` must be a whole number of at least 1, not 0"),
+        ({"seed": None}, "`seed` must be a whole number of at least 0, not None"),
+    ):
+        with pytest.raises(SimfoundryError, match=re.escape(message)):
+            TaskEnv(push, **options)
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
