@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from simfoundry.geometry.shapes import Box, Cylinder, closed_mesh
 from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.export import scene_html
+from simfoundry.studio.server import StudioServer
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas
 from simfoundry.studio.view.glb import glb_of
 from simfoundry.studio.view.nodes import DisplayOptions, FrustumContent, SurfaceContent, scene_nodes
+from tests.studio.conftest import SCENE
 
 viser = pytest.importorskip("viser")
 
@@ -95,6 +98,20 @@ def test_the_nodes_show_what_is_asked_for(desk: Path) -> None:
     }  # fmt: skip
     tray = everything["/objects/tray/base_colliders"].content
     assert isinstance(tray, SurfaceContent) and len(tray.pieces) == 5  # the walls and the floor of the box
+
+
+def test_a_window_without_editing_has_no_panel_that_edits(desk: Path) -> None:
+    with StudioServer(desk, port=0, is_editable=False) as server:
+        server.window.select("objects.mug")
+        server.window.refresh()
+        panels = server.window._panels
+        assert panels and not any(panel.edits for panel in panels)
+        assert server.window.gizmo.size == 0.0 and "/objects/mug/selection" in server.window.canvas.nodes
+        desk.write_text(SCENE.replace("mass: 0.3", "mass: 0.31"))
+        end = time.monotonic() + 10
+        while "0.31" not in server.session.text:
+            assert time.monotonic() < end
+            time.sleep(0.02)
 
 
 def test_a_page_contains_everything_and_is_the_same_each_time(desk: Path) -> None:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 # Number of lines of a diff that are shown; a longer one is easier to read in an editor.
 MAX_LINES = 400
 
+# Height of the diff, which is always visible, and must leave room for the tabs below it.
+HEIGHT = "11em"
+
 _COLORS = {"+": "#d7f5dd", "-": "#fbdada", "@": "#e4ecf7"}
 
 
@@ -30,7 +33,7 @@ class DocumentPanel(Panel):
         self._questions = gui.add_folder("Changed here and on disk", visible=False)
         self._asked: tuple[Any, ...] = ()
         self._controls: list[Any] = []
-        with gui.add_folder("Diff to the file", expand_by_default=False):
+        with gui.add_folder("Diff to the file"):
             self._diff = gui.add_html("")
         undo = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl")
         redo = gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift")
@@ -93,4 +96,7 @@ def diff_html(diff: str) -> str:
     if len(lines) > MAX_LINES:
         rows.append(f"<div>… and {len(lines) - MAX_LINES} more lines</div>")
     body = "".join(rows)
-    return f'<div style="font-family:monospace;font-size:0.72em;white-space:pre-wrap;margin:0.4em">{body}</div>'
+    style = (
+        f"font-family:monospace;font-size:0.72em;white-space:pre-wrap;margin:0.4em;max-height:{HEIGHT};overflow:auto"
+    )
+    return f'<div style="{style}">{body}</div>'
