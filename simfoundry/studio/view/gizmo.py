@@ -121,8 +121,8 @@ class SelectionGizmo:
         self._handle.on_update(on_update)
 
     def _drag(self, target: GizmoTarget, phase: str, client_id: int | None, X_WT: Pose) -> None:
-        if target.node != self._shown[0] or client_id is None:
-            return
+        if target.node != self._shown[0] or client_id not in self._window.server.get_clients():
+            return  # events may still be waiting when their browser is gone
         if phase == "end":
             self.dragged_by = None
             self._window.submit(target.act(X_WT))

@@ -98,8 +98,8 @@ class PullHandle:
         )
 
         async def on_update(event: Any) -> None:  # on the event loop, which keeps the order of events
-            if event.client_id is None or name != self._name:
-                return
+            if event.client_id not in self._window.server.get_clients() or name != self._name:
+                return  # events may still be waiting when their browser is gone
             is_over = event.phase == "end"
             self._dragged_by = None if is_over else event.client_id
             self._target = None if is_over else np.array(event.target.position)
