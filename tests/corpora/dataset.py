@@ -119,5 +119,5 @@ def _unwritable(build: tuple[object, ...], folder: Path) -> bool:
 
 
 if __name__ == "__main__":
-    numbers, names = sys.argv[1:3], sys.argv[3:4]
-    sys.exit(main(*map(int, numbers), *names))
+    counts = [int(text) for text in sys.argv[1:3]]
+    sys.exit(main(*counts, **{"name": name for name in sys.argv[3:4]}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -69,7 +70,7 @@ def select_demonstrations(spec: DatasetSpec, folder: Path) -> Iterator[SelectedD
             continue
         left = source.count
         found = 0
-        for one in _folders(folder / source.demonstrations):
+        for one in _folders(Path(os.path.normpath(folder / source.demonstrations))):
             demonstrations = read_demonstrations(one)
             positions = [k for k in range(len(demonstrations)) if _passes(spec.filter, demonstrations, k)]
             positions = positions if left is None else positions[:left]
