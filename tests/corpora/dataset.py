@@ -119,5 +119,5 @@ def _unwritable(build: tuple[object, ...], folder: Path) -> bool:
 
 
 if __name__ == "__main__":
-    counts = [int(text) for text in sys.argv[1:3]]
-    sys.exit(main(*counts, **{"name": name for name in sys.argv[3:4]}))
+    given = dict(zip(("count", "kills", "name"), sys.argv[1:], strict=False))
+    sys.exit(main(int(given.get("count", 200)), int(given.get("kills", 5)), given.get("name", "lerobot-v3")))
