@@ -130,4 +130,5 @@ def _edges(frame: Frame, window: tuple[slice, ...]) -> NDArray[np.float64]:
     _, edge, _ = edges_of(depth, K, reach)
     color = cv2.GaussianBlur(frame.color[window], (5, 5), 0).astype(np.float64)
     slope = np.hypot(*np.gradient(color, axis=(0, 1))).max(axis=-1)
-    return np.fmax(np.nan_to_num(edge), slope / COLOR_STEP)
+    strength: Array = np.fmax(np.nan_to_num(edge), slope / COLOR_STEP)
+    return strength
