@@ -17,6 +17,7 @@ def make_cousins(
     jobs: int | None,
     machines: Machines,
     progress: Callable[[str, float], None],
+    seed: int | None = None,
 ) -> list[Path]:
     """Make the cousins of a recipe, or those that are missing, and return their task documents.
 
@@ -27,6 +28,7 @@ def make_cousins(
         jobs: The number of parallel processes; None for one per core.
         machines: The machines to use.
         progress: Callback that receives a text and the fraction of cousins that are complete.
+        seed: The seed; None for that of the recipe.
 
     Raises:
         SimfoundryError: If there are fewer cousins than requested.
@@ -39,9 +41,9 @@ def make_cousins(
     from simfoundry.cousins.run.worker_pools import Work, open_pool
     from simfoundry.spec.files import files_below
 
-    read, folder = read_recipe(recipe), out.absolute()
+    read, folder = read_recipe(recipe, seed), out.absolute()
     if claim_project(read, folder) is not None:
-        read = read_recipe(recipe)  # the marker may have added documents to the project
+        read = read_recipe(recipe, seed)  # the marker may have added documents to the project
     setup = recipe.absolute(), folder, read.seed, "", ""
     plan = RunPlan(folder, count or read.spec.count, read.about(), None)
     progress("cousins: the twin", 0.0)
