@@ -33,6 +33,9 @@ REPORT, PAGE = "report.json", "report.html"
 # Fraction of several tasks that is kept for the evaluation, and the largest number of these tasks.
 HELD_OUT, MOST_HELD_OUT = 0.2, 25
 
+# Number of demonstrations to record by default.
+DEMONSTRATED = 200
+
 # Callback that receives a text and the fraction of the current stage that is complete.
 Progress = Callable[[str, float], None]
 
@@ -48,7 +51,7 @@ class TrainingRun:
         options: The options of the training. Its seed is replaced by each of ``seeds``.
         seeds: The seeds of the trainings, which give one policy each.
         minutes: The time budget of each training [min], or None.
-        count: The number of demonstrations.
+        count: The number of demonstrations; None for :data:`DEMONSTRATED`, or for all that are already recorded.
         policy: The policy that demonstrates.
         record_seed: The seed of the initial states of the demonstrations.
         tasks: The tasks to evaluate, or folders of them; by default, the single task, or tasks that are held out.
@@ -58,6 +61,8 @@ class TrainingRun:
         jobs: The number of parallel processes, or None for one on this machine and one per CPU of a cluster.
         machines: The machines that make cousins and run rollouts. Trainings run on this machine.
         video: Whether to record videos of the evaluation.
+        cameras: The cameras whose images are inputs instead of true poses.
+        image_width: The width of these images [px].
     """
 
     sources: tuple[Path, ...]
@@ -65,7 +70,7 @@ class TrainingRun:
     options: FitOptions
     seeds: tuple[int, ...] = (0,)
     minutes: float | None = None
-    count: int = 200
+    count: int | None = None
     policy: str = "expert"
     record_seed: int = 0
     tasks: tuple[Path, ...] = ()
@@ -75,6 +80,8 @@ class TrainingRun:
     jobs: int | None = None
     machines: Machines = LOCAL
     video: bool = True
+    cameras: tuple[str, ...] = ()
+    image_width: int = 64
 
 
 @dataclass(frozen=True)
@@ -114,10 +121,11 @@ class Trained:
 
 @dataclass(frozen=True)
 class _Material:
-    """The recordings to learn from, and the tasks to evaluate."""
+    """The recordings to learn from, and the tasks to evaluate. ``is_recorded`` is True if recordings were given."""
 
     demonstrations: tuple[Path, ...]
     tasks: tuple[Path, ...]
+    is_recorded: bool = False
 
 
 def train_policy(
@@ -125,7 +133,7 @@ def train_policy(
     policy: str = "expert",
     *,
     out: str | Path = "build/train",
-    count: int = 200,
+    count: int | None = None,
     steps: int = 10_000,
     minutes: float | None = None,
     seeds: Sequence[int] = (0,),
@@ -145,7 +153,7 @@ def train_policy(
         task: A task, a folder of tasks, a recipe of cousins, a folder of demonstrations, or several of them.
         policy: The policy that demonstrates, named as on the command line.
         out: Output folder.
-        count: Number of demonstrations.
+        count: Number of demonstrations; by default, 200, or all that are already recorded.
         steps: Maximum number of optimization steps.
         minutes: Time budget for each training [min].
         seeds: Seeds of the trainings; each gives one policy.
@@ -209,7 +217,7 @@ def _material(run: TrainingRun, progress: Progress) -> _Material:
         raise SimfoundryError("tasks and folders of demonstrations cannot be combined; record the tasks first")
     chosen = _task_files(run.tasks)
     if recorded:
-        return _Material(tuple(recorded), chosen or _recorded_tasks(recorded))
+        return _Material(tuple(recorded), chosen or _recorded_tasks(recorded), is_recorded=True)
     learned = _documents(run, progress)
     if not chosen:
         held_out = min(MOST_HELD_OUT, round(HELD_OUT * len(learned)))
@@ -254,9 +262,10 @@ def _record(run: TrainingRun, documents: Sequence[Path], progress: Progress) -> 
     from simfoundry.api.demonstrations import record_plan, run_record, shortage
 
     folder = run.folder / DEMONSTRATIONS
-    plan = record_plan(documents, run.policy, folder, run.count, run.record_seed)
+    count = run.count or DEMONSTRATED
+    plan = record_plan(documents, run.policy, folder, count, run.record_seed)
     summary = run_record(plan, run.jobs, run.machines, lambda text, share: progress(f"record: {text}", share))
-    if summary.kept < run.count:
+    if summary.kept < count:
         raise SimfoundryError(shortage(plan, summary))
 
 
@@ -272,8 +281,15 @@ def _plans(run: TrainingRun, material: _Material) -> dict[str, TrainPlan]:
 
     plans = {}
     for seed in run.seeds:
-        options = replace(run.options, seed=seed)
-        plan = TrainPlan(run.folder, material.demonstrations, options, run.minutes, run.count)
+        plan = TrainPlan(
+            folder=run.folder,
+            demonstrations=material.demonstrations,
+            options=replace(run.options, seed=seed),
+            minutes=run.minutes,
+            count=run.count if material.is_recorded else run.count or DEMONSTRATED,
+            cameras=run.cameras,
+            image_width=run.image_width,
+        )
         name = f"seed_{seed}"
         plans[name] = replace(plan, folder=run.folder / POLICIES / f"{name}_{request_digest(plan)}")
     return plans

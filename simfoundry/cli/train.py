@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 @output.subcommand("train")
 @click.argument("sources", nargs=-1, required=True, type=ANY)
-@option("-n", "--count", type=click.IntRange(*RANGES["count"]), default=200, help="Number of demonstrations.")
+@click.option("-n", "--count", type=click.IntRange(*RANGES["count"]),
+              help="Number of demonstrations. Default: 200, or all that are already recorded.")  # fmt: skip
 @option("-o", "--out", type=NEW_FOLDER, default=Path("build/train"))
 @option("-p", "--policy", metavar="POLICY", default="expert",
         help="Policy that demonstrates, as in `simfoundry record`.")  # fmt: skip
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 @click.option("--minutes", type=click.FloatRange(0, 10_000, min_open=True),
               help="Time budget of each training, which limits the number of steps.")  # fmt: skip
 @option("--steps", type=click.IntRange(*RANGES["steps"]), default=10_000, help="Number of optimization steps.")
+@click.option("--camera", "cameras", multiple=True,
+              help="Learn from images of this camera instead of true poses; may be repeated.")  # fmt: skip
+@option("--image-width", type=click.IntRange(16, 512), default=64, help="Width of these images [px].")
 @click.option("--cousins", type=click.IntRange(1, 1_000_000),
               help="Number of cousins of a recipe. Default: the count in the recipe.")  # fmt: skip
 @click.option("--eval", "tasks", multiple=True, type=ANY, metavar="TASKS",
@@ -43,15 +47,17 @@ if TYPE_CHECKING:
 @on_option
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
 def train_command(
-    sources: tuple[Path, ...], count: int, out: Path, policy: str, seeds: tuple[int, ...], minutes: float | None,
-    steps: int, cousins: int | None, tasks: tuple[Path, ...], rollouts: int | None, record_seed: int, eval_seed: int,
-    video: bool | None, jobs: int | None, machines: Machines, require: float | None, as_json: bool,
+    sources: tuple[Path, ...], count: int | None, out: Path, policy: str, seeds: tuple[int, ...],
+    minutes: float | None, steps: int, cameras: tuple[str, ...], image_width: int, cousins: int | None,
+    tasks: tuple[Path, ...], rollouts: int | None, record_seed: int, eval_seed: int, video: bool | None,
+    jobs: int | None, machines: Machines, require: float | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Record demonstrations, train a small policy on them, and evaluate it.
 
     SOURCES are task documents, folders that contain task documents, a recipe of cousins, or folders of demonstrations.
-    The policy is a flow-matching network that reads the true poses of the objects. It is evaluated from initial states
-    that it has not seen: with several tasks, a fifth of them, at most 25, is held out, unless --eval names the tasks.
+    The policy is a flow-matching network that reads the true poses of the objects, or images of the cameras that
+    --camera names. It is evaluated from initial states that it has not seen: with several tasks, a fifth of them, at
+    most 25, is held out, unless --eval names the tasks.
 
     OUT contains the cousins, the demonstrations, the policies, the evaluation, and report.html. Finished stages are not
     repeated, so you can repeat the command to resume an interrupted run; a resumed training gives the same weights. To
@@ -78,6 +84,8 @@ def train_command(
         cousins=cousins,
         jobs=jobs,
         machines=machines,
+        cameras=cameras,
+        image_width=image_width,
         video=can_film(("mujoco",)) if video is None else video,
     )
     with output.progress_bar(as_json) as progress, resumable(out):

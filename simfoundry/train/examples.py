@@ -11,11 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.data.action_conversion import ActionConverter
+from simfoundry.data.dataset.contents import ImageView
+from simfoundry.data.dataset.rendering import RenderedFrames
 from simfoundry.data.demonstrations import Demonstration
 from simfoundry.data.trajectory import Trajectory, TrajectorySampler
 from simfoundry.evaluate.actions import rotation_numbers, rotation_quat
+from simfoundry.evaluate.policies.base import ImageSize
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Index, Pose, Poses
 from simfoundry.scene.state import SceneState
@@ -39,6 +43,7 @@ class Examples:
         closings: The targets of the grippers, from 0 (open) to 1 (closed), shape (N,), keyed by robot.
         last: The index of the last frame of each frame's demonstration, shape (N,). After it, its target is repeated.
         episode: The number of each frame's demonstration, shape (N,).
+        images: The images of the cameras, shape (N, cameras, height, width, 3), without cameras (N, 0, 0, 0, 3).
     """
 
     now: Situations
@@ -46,6 +51,7 @@ class Examples:
     closings: Mapping[str, Array]
     last: Index
     episode: Index
+    images: NDArray[np.uint8]
 
     def __len__(self) -> int:
         """Return the number of examples."""
@@ -64,6 +70,7 @@ class Examples:
             closings={name: np.concatenate([part.closings[name] for part in parts]) for name in first.closings},
             last=np.concatenate([part.last + start for part, start in zip(parts, starts, strict=False)]),
             episode=np.concatenate([np.full(len(part), k) for k, part in enumerate(parts)]),
+            images=np.concatenate([part.images for part in parts]),
         )
 
     def chunks(self, index: Index, hands: Mapping[str, Poses], length: int) -> Array:
@@ -121,6 +128,8 @@ class ExampleReader:
         initial = SceneState.initial(task.scene)
         self._objects = {name: k for k, name in enumerate(initial.poses)}
         self._joints = {name: k for k, name in enumerate(initial.joints)}
+        names = {"objects": initial.poses, "joints": initial.joints, "motions": initial.motions}
+        self._names = {key: tuple(found) for key, found in names.items()}
         self._X_WB = task.scene.robot(layout.robots[0]).X_WB
 
     def read(self, demonstration: Demonstration) -> Examples:
@@ -133,7 +142,21 @@ class ExampleReader:
             q = np.array([rotation_quat(row[3:9], RotationForm.ROT6D) for row in one])
             targets[name], closings[name] = self._in_base(np.column_stack([one[:, :3], q])), one[:, 9]
         last = np.full(n, n - 1)
-        return Examples(self._situations(trajectory, n), targets, closings, last, np.zeros(n, np.int64))
+        images = self._images(trajectory, n)
+        return Examples(self._situations(trajectory, n), targets, closings, last, np.zeros(n, np.int64), images)
+
+    def _images(self, trajectory: Trajectory, n: int) -> NDArray[np.uint8]:
+        """Render the images of each frame."""
+        layout = self._layout
+        images = np.zeros((n, len(layout.cameras), layout.height, layout.width, 3), np.uint8)
+        if not layout.cameras:
+            return images
+        size = ImageSize(layout.width, layout.height)
+        views = {name: ImageView(name, size, size) for name in layout.cameras}
+        frames = RenderedFrames(views, trajectory, lambda: self._sampler.world, self._names)
+        for k, found in enumerate(frames.frames()):
+            images[k] = [found[name] for name in layout.cameras]
+        return images
 
     def _situations(self, trajectory: Trajectory, n: int) -> Situations:
         seen = trajectory.observations

@@ -180,7 +180,8 @@ class _Training:
         self._mean, self._scale = _input_scales(inputs)
         self._action_mean, self._action_scale = actions.mean(axis=0), np.maximum(actions.std(axis=0), TINY)
         self._weights = torch.from_numpy(_loss_weights(self._action_scale).astype(np.float32))
-        self.shape = NetworkShape(layout.size, actions.shape[1], options.width, options.blocks)
+        sizes = layout.size, actions.shape[1], options.width, options.blocks
+        self.shape = NetworkShape(*sizes, len(layout.cameras), layout.width, layout.height)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
             self._network, self._average = create_network(self.shape), create_network(self.shape)
@@ -218,7 +219,8 @@ class _Training:
         index = self._train[rng.integers(0, len(self._train), options.batch)]
         inputs, actions = self._tensors(*self._arrays(index, rng))
         generator = torch.Generator().manual_seed(int(rng.integers(0, 2**62)))
-        loss = flow_loss(self._network, inputs, actions, self._weights, generator)
+        images = torch.from_numpy(self._examples.images[index])
+        loss = flow_loss(self._network, inputs, images, actions, self._weights, generator)
         self._optimizer.zero_grad()
         torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), LARGEST_GRADIENT)
@@ -293,14 +295,17 @@ class _Training:
         inputs, actions = self._tensors(*self._arrays(index, None))
         with torch.inference_mode():
             generator = torch.Generator().manual_seed(0)
-            loss = flow_loss(self._average, inputs, actions, self._weights, generator)
+            images = torch.from_numpy(self._examples.images[index])
+            loss = flow_loss(self._average, inputs, images, actions, self._weights, generator)
         return float(loss.item())
 
     def _arrays(self, index: Index, rng: np.random.Generator | None) -> tuple[Array, Array]:
         """Return the inputs and the chunks of examples. With a generator, their hands are displaced."""
         options, now = self._options, self._examples.now.at(index)
         if rng is not None:
-            hands = displaced(now.hands, options.shift, options.turn, rng)
+            # An image shows where the hand really is, so that hands stay there.
+            scale = 0.0 if self._layout.cameras else 1.0
+            hands = displaced(now.hands, scale * options.shift, scale * options.turn, rng)
             noise = {name: g + rng.normal(0.0, GRIPPER_NOISE, len(g)) for name, g in now.grippers.items()}
             now = now.with_robots(hands, noise)
         chunks = self._examples.chunks(index, now.hands, options.chunk)

@@ -62,6 +62,8 @@ class TrainPlan:
         hz: The number of actions per second [Hz], or None for the control frequency of the tasks.
         executed: The number of actions that a rollout executes before the next prediction.
         flow_steps: The number of integration steps of a prediction.
+        cameras: The cameras whose images are inputs instead of true poses.
+        image_width: The width of these images [px].
     """
 
     folder: Path
@@ -72,6 +74,8 @@ class TrainPlan:
     hz: float | None = None
     executed: int = 8
     flow_steps: int = 10
+    cameras: tuple[str, ...] = ()
+    image_width: int = 64
 
 
 @dataclass(frozen=True)
@@ -248,6 +252,8 @@ def _request(plan: TrainPlan, sets: Sequence[DemonstrationSet], chosen: Sequence
         "hz": plan.hz,
         "executed": plan.executed,
         "flow_steps": plan.flow_steps,
+        "cameras": list(plan.cameras),
+        "image_width": plan.image_width if plan.cameras else 0,
         "options": asdict(plan.options),
     }
 
@@ -265,7 +271,7 @@ def _examples(
         for k in positions:
             by_task.setdefault(one[k].document, []).append((one, k))
     tasks = {document: found[0][0].task_of(found[0][0][found[0][1]]) for document, found in by_task.items()}
-    layout = input_layout(list(tasks.values()))
+    layout = input_layout(list(tasks.values()), plan.cameras, plan.image_width)
     rates = {task.control_hz for task in tasks.values()} if plan.hz is None else {plan.hz}
     if len(rates) > 1:
         listed = " and ".join(f"{rate:g}" for rate in sorted(rates))
@@ -315,7 +321,12 @@ def _spec(
         versions={"simfoundry": __version__, "torch": version("torch"), ENGINE: version(ENGINE)},
     )
     return BaselineSpec(
-        **asdict(layout),
+        robots=layout.robots,
+        objects=layout.objects,
+        joints=layout.joints,
+        words=layout.words,
+        cameras=layout.cameras,
+        image_size=(layout.width, layout.height),
         chunk=plan.options.chunk,
         executed=min(plan.executed, plan.options.chunk),
         hz=hz,

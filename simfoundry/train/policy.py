@@ -7,8 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simfoundry.evaluate.policies.base import Observation, Policy, RobotReading
+from simfoundry.evaluate.policies.base import ImageSize, Observation, Policy, RobotReading
 from simfoundry.evaluate.policies.checkpoint import PolicyLoader
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Pose, Poses
@@ -22,8 +23,8 @@ from simfoundry.train.situations import Situations, box_numbers, check_fits, inp
 class BaselinePolicy(Policy):
     """A trained baseline in one task.
 
-    It reads the true poses of the objects, so it is a privileged policy like the expert. Samples depend only on the
-    seed of the rollout and on the observations.
+    Without cameras, it reads the true poses of the objects, so it is a privileged policy like the expert. Samples
+    depend only on the seed of the rollout and on the observations.
     """
 
     name = "baseline"
@@ -37,6 +38,7 @@ class BaselinePolicy(Policy):
         stored = read_baseline(folder)
         check_fits(stored.spec.layout, task, f"the baseline in {folder}")
         self.control_hz = stored.spec.hz
+        self.cameras = {name: ImageSize(*stored.spec.image_size) for name in stored.spec.cameras}
         self._spec, self._layout = stored.spec, stored.spec.layout
         self._network = create_network(stored.spec.shape)
         self._network.load_state_dict(dict(stored.weights))
@@ -62,10 +64,17 @@ class BaselinePolicy(Policy):
         with _one_thread():
             inputs = (torch.from_numpy(vector).float() - norm["inputs.mean"]) / norm["inputs.scale"]
             size = self._spec.shape.actions
-            found = sample_chunks(self._network, inputs, size, self._spec.flow_steps, self._generator)
+            images = torch.from_numpy(self._images(observation))
+            found = sample_chunks(self._network, inputs, images, size, self._spec.flow_steps, self._generator)
             chunk = (found * norm["actions.scale"] + norm["actions.mean"]).numpy().astype(np.float64)
         rows = chunk.reshape(self._spec.chunk, -1)[: self._spec.executed]
         return absolute_actions(rows, hands, self._X_WB)
+
+    def _images(self, observation: Observation) -> NDArray[np.uint8]:
+        """Return the images of all cameras, shape (1, cameras, height, width, 3)."""
+        width, height = self._spec.image_size
+        found = [observation.images[name] for name in self._spec.cameras]
+        return np.array(found, np.uint8).reshape(1, len(found), height, width, 3)
 
     def _situation(self, observation: Observation, hands: dict[str, Pose]) -> Situations:
         X_BW = self._X_WB.inverse()

@@ -71,6 +71,8 @@ class BaselineSpec(_Data):
         executed: The number of these actions to execute before the next prediction.
         hz: The number of actions per second [Hz].
         flow_steps: The number of integration steps from noise to actions.
+        cameras: The cameras whose images are inputs instead of true poses.
+        image_size: The width and the height of the images [px]; 0 without cameras.
         width: The number of units in each layer.
         blocks: The number of residual blocks.
         training: The origin of the weights.
@@ -85,6 +87,8 @@ class BaselineSpec(_Data):
     executed: Annotated[int, Field(ge=1, le=1000)]
     hz: Annotated[float, Field(gt=0, le=1000)]
     flow_steps: Annotated[int, Field(ge=1, le=1000)]
+    cameras: _Words = ()
+    image_size: tuple[Annotated[int, Field(ge=0, le=1024)], Annotated[int, Field(ge=0, le=1024)]] = (0, 0)
     width: Annotated[int, Field(ge=1, le=4096)]
     blocks: Annotated[int, Field(ge=0, le=64)]
     training: TrainingFacts
@@ -92,13 +96,13 @@ class BaselineSpec(_Data):
     @property
     def layout(self) -> InputLayout:
         """The entries of the input vector."""
-        return InputLayout(self.robots, self.objects, self.joints, self.words)
+        return InputLayout(self.robots, self.objects, self.joints, self.words, self.cameras, *self.image_size)
 
     @property
     def shape(self) -> NetworkShape:
         """The dimensions of the network."""
         actions = self.chunk * len(self.robots) * ROBOT_SIZE
-        return NetworkShape(self.layout.size, actions, self.width, self.blocks)
+        return NetworkShape(self.layout.size, actions, self.width, self.blocks, len(self.cameras), *self.image_size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +147,10 @@ def read_about(folder: Path) -> BaselineSpec:
         raise PolicyError(
             f"{path} is not a description of a baseline: {f'`{at}`: ' if at else ''}{first['msg']}"
         ) from None
+    if bool(spec.cameras) != all(spec.image_size):
+        raise PolicyError(
+            f"{path} is not a description of a baseline: `cameras` and `image_size` contradict each other"
+        )
     if spec.executed > spec.chunk:
         raise PolicyError(f"{path} is not a description of a baseline: `executed` exceeds `chunk`")
     return spec

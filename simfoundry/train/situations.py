@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.policies.base import ImageSize
+from simfoundry.evaluate.rollouts.control import check_cameras
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Index, Poses
 from simfoundry.scene.object_shapes import bounds
@@ -28,12 +30,18 @@ class InputLayout:
         objects: The objects whose poses are inputs: those that the sub-tasks and the goal name, in this order.
         joints: The joints of these objects whose positions are inputs, such as ``cabinet.drawer``.
         words: The words that distinguish the instructions, sorted; empty if there is only one instruction.
+        cameras: The cameras whose images are inputs instead of the true poses of objects and the positions of joints.
+        width: The width of the images [px], or 0 without cameras.
+        height: The height of the images [px], or 0 without cameras.
     """
 
     robots: tuple[str, ...]
     objects: tuple[str, ...]
     joints: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+    width: int = 0
+    height: int = 0
 
     @property
     def size(self) -> int:
@@ -125,8 +133,13 @@ def box_numbers(task: Task, name: str) -> Array:
     return np.concatenate([(low + high) / 2, high - low])
 
 
-def input_layout(tasks: Sequence[Task]) -> InputLayout:
+def input_layout(tasks: Sequence[Task], cameras: Sequence[str] = (), width: int = 0) -> InputLayout:
     """Return the layout for tasks with the same robots and the same objects in their goals.
+
+    Args:
+        tasks: The tasks.
+        cameras: The cameras whose images are inputs, or none for true poses as inputs.
+        width: The width of the images [px]. Their height follows from the first camera.
 
     Raises:
         SimfoundryError: If the tasks differ in more than the scene and the instruction.
@@ -142,7 +155,21 @@ def input_layout(tasks: Sequence[Task]) -> InputLayout:
                 f"{', '.join((*layout.objects, *layout.joints))} and {', '.join((*other.objects, *other.joints))}; "
                 "train a policy for each of them"
             )
-    return replace(layout, words=_distinct_words(task.instruction for task in tasks))
+    layout = replace(layout, words=_distinct_words(task.instruction for task in tasks))
+    return layout if not cameras else _with_cameras(layout, first, tuple(cameras), width)
+
+
+def _with_cameras(layout: InputLayout, task: Task, cameras: tuple[str, ...], width: int) -> InputLayout:
+    """Return a layout with images instead of true poses."""
+    scene = task.scene
+    check_cameras(scene, {name: ImageSize(width, 1) for name in cameras}, "the training")
+    known = {camera.name: camera for camera in (*scene.cameras, *(mounted.camera for mounted in scene.mounted))}
+    heights = {name: max(1, round(width * known[name].height / known[name].width)) for name in cameras}
+    if len(set(heights.values())) > 1:
+        listed = ", ".join(f"{name} has {width} x {height}" for name, height in heights.items())
+        raise SimfoundryError(f"the images of all cameras must have the same proportions, but {listed} pixels")
+    height = heights[cameras[0]]
+    return replace(layout, objects=(), joints=(), cameras=cameras, width=width, height=height)
 
 
 def check_fits(layout: InputLayout, task: Task, who: str) -> None:
