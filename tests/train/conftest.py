@@ -11,7 +11,7 @@ from simfoundry.api.demonstrations import record_plan
 from simfoundry.data import attempt as attempts
 from simfoundry.data.record import record
 from simfoundry.runtime.extras import EXTRAS
-from tests.data.test_record import POLICY
+from tests.data.conftest import POLICY
 from tests.evaluate.benches import write_bench
 
 
