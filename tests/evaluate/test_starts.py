@@ -184,3 +184,15 @@ def test_the_page_about_rollouts_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(REPOSITORY)
     (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(compile(block, "docs/rollouts.md", "exec"), {})
+
+
+def test_the_cousins_of_a_recipe_start_from_different_positions(push: Task, tmp_path: Path) -> None:
+    def cousin(index: int) -> Task:
+        origin = f"origin: {{cousin: {{recipe: pushes, seed: 4, index: {index}, generator: simfoundry 0.1.0}}}}\n"
+        return load_task(write_bench(tmp_path / str(index), TASK + origin))
+
+    first, second = cousin(1), cousin(2)
+    assert digests(starts(first, 2)) == digests(starts(cousin(1), 2))
+    everyone = [*digests(starts(first, 2)), *digests(starts(second, 2)), *digests(starts(push, 2))]
+    assert len(set(everyone)) == 6
+    assert len({module.key_of_starts(task, 0) for task in (first, second, push)}) == 3

@@ -2,7 +2,8 @@
 
 The protocol follows the paper ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid for each object, one cell
 per rollout drawn without replacement, and a random rotation. An initial state depends only on the task, the seed and
-its own index. If an object's cell conflicts with the cells of other objects, it is exchanged for the cell of a later
+its own index. The cousins of a recipe have different initial states, so that many cousins with few rollouts each cover
+the regions of the task. If an object's cell conflicts with the cells of other objects, it is exchanged for the cell of a later
 initial state. Initial states are cached on disk under a key derived from the content they depend on.
 """
 
@@ -65,7 +66,20 @@ def key_of_starts(task: Task, seed: int) -> str:
     reset = task.reset.model_dump_json()
     carriers = json.dumps(dict(task.carriers), sort_keys=True)
     content = [part for name in sorted(files) for part in (name, files[name])]
-    return key_of(VERSION, str(seed), reset, goal, carriers, *content)
+    return key_of(VERSION, str(draw_seed(task, seed)), reset, goal, carriers, *content)
+
+
+def draw_seed(task: Task, seed: int) -> int:
+    """Return the seed from which positions are drawn: the given one, or for a cousin a number derived from both.
+
+    Otherwise, all cousins that keep the regions of their twin would start from the same positions.
+    """
+    origin = task.setup.task_spec.origin
+    if origin is None or origin.cousin is None:
+        return seed
+    cousin = origin.cousin
+    text = f"{seed} {cousin.recipe} {cousin.seed} {cousin.index}"
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8])
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
@@ -194,7 +208,7 @@ class _Block:
     def of(cls, task: Task, seed: int, block: int, known: Known | None) -> _Block:
         first = block * math.prod(task.reset.grid)
         if known is None:
-            return cls(first, deal(task.reset, seed, block))
+            return cls(first, deal(task.reset, draw_seed(task, seed), block))
         made = cls(first, known[0])
         made.starts = [made.start(k, seed, state) for k, state in enumerate(known[1])]
         return made
@@ -275,7 +289,8 @@ class StartSearch:
     def _next(self, block: _Block) -> RolloutStart:
         """Find the next initial state of a block, exchanging cells with later initial states if necessary."""
         k = len(block.starts)
-        rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
+        seed = draw_seed(self.task, self.seed)
+        rngs = {name: draws(name, seed, block.first + k) for name in self.task.reset.objects}
         cells = block.at(k)
         result = self._attempts(cells, rngs, TRIES)
         if isinstance(result, SceneState):
