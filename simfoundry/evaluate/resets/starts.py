@@ -3,8 +3,8 @@
 The protocol follows the paper ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid for each object, one cell
 per rollout drawn without replacement, and a random rotation. An initial state depends only on the task, the seed and
 its own index. The cousins of a recipe have different initial states, so that many cousins with few rollouts each cover
-the regions of the task. If an object's cell conflicts with the cells of other objects, it is exchanged for the cell of a later
-initial state. Initial states are cached on disk under a key derived from the content they depend on.
+the regions of the task. If an object's cell conflicts with the cells of other objects, it is exchanged for the cell of
+a later initial state. Initial states are cached on disk under a key derived from the content they depend on.
 """
 
 from __future__ import annotations
