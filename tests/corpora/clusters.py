@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from simfoundry.runtime.extras import is_installed
 from tests.cli.command import MAIN
 from tests.conftest import REPOSITORY
 from tests.corpora.kills import Tree
@@ -166,6 +167,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commands", nargs="*", metavar="COMMAND", help=", ".join(case.name for case in CASES))
     given = parser.parse_args()
+    if not is_installed("ray"):
+        print("Ray is not installed; install it with `pip install 'simfoundry[ray]'`")
+        return 0
     from ray.cluster_utils import Cluster
 
     def new_cluster() -> Any:
