@@ -130,7 +130,7 @@ def test_documents_outside_of_the_project_are_not_restored(desk: Path, tmp_path:
     session.apply(SetProperties("mug", {"mass": 0.25}))
     journal.close()
     (path,) = files()
-    outside = str(tmp_path.parent / "outside.scene.yaml")
+    outside = str(tmp_path.parent / "outside_of_the_journal.scene.yaml")
     path.write_text(path.read_text().replace(str(desk.resolve()), outside))
     again, kept = opened(desk)
     with pytest.raises(SimfoundryError, match="outside of the project"):

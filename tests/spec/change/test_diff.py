@@ -222,6 +222,7 @@ def test_every_name_that_refers_is_known() -> None:
         "library": "a known library",
         "protocol": "a known protocol",
         "together": "a draw that entries share",
+        "occludes": "pieces of one image of the capture itself",
         "split": "a split of the dataset itself, of a recipe, or of recorded demonstrations",
         "subtasks": "sub-tasks of recorded demonstrations, when it is a list",
     }

@@ -51,6 +51,9 @@ OTHERS: dict[Slot, str] = {
     ("PictureVariation", "split"): "a split of a recipe, which the command line uses too",
     **{(model, "together"): "a group of entries of one recipe" for model in DISTRIBUTIONS},
     ("CaptureSpec", "frames{}"): "defined here, and used by the command line only",
+    ("Decomposition", "pieces{}"): "pieces of one image, known to this document only",
+    ("Decomposition", "occludes"): "pieces of one image, known to this document only",
+    ("Decomposition", "occludes{}"): "pieces of one image, known to this document only",
 }
 
 
