@@ -41,8 +41,9 @@ SENTENCES = 10
 @output.subcommand("eval")
 @click.argument("tasks", nargs=-1, required=True, type=ANY)
 @click.option("-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
-              help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a "
-                   "server such as openpi:localhost:8000?action_space=joint_position. May be repeated.")  # fmt: skip
+              help="Policy to evaluate: random, expert, replay:FILE, baseline:FOLDER, python:MODULE:CLASS, a "
+                   ".policy.yaml file, or a server such as openpi:localhost:8000?action_space=joint_position. May be "
+                   "repeated.")  # fmt: skip
 @option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"))
 @option("-n", "--rollouts", type=click.IntRange(*RANGES["rollouts"]), default=25,
         help="Number of rollouts for each task.")  # fmt: skip
