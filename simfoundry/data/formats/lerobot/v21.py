@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from simfoundry.data.dataset.episode import Episode
 from simfoundry.data.dataset.features import DatasetInfo
-from simfoundry.data.dataset.formats import StagedEpisode, StoredDataset
+from simfoundry.data.dataset.formats import StagedEpisode
 from simfoundry.data.dataset.statistics import FeatureStatistics
-from simfoundry.data.formats.lerobot.check import check_features, format_losses
 from simfoundry.data.formats.lerobot.gr00t import gr00t_statistics, modality
 from simfoundry.data.formats.lerobot.metadata import (
     CHUNK_SIZE,
@@ -20,28 +18,18 @@ from simfoundry.data.formats.lerobot.metadata import (
     write_json,
     write_json_lines,
 )
-from simfoundry.data.formats.lerobot.read import LeRobotDataset, codebase_version
-from simfoundry.data.formats.lerobot.staging import TABLE, place_file, stage_episode, staged_video
+from simfoundry.data.formats.lerobot.staging import TABLE, place_file, staged_video
+from simfoundry.data.formats.lerobot.version import LeRobotVersion
 
 VERSION = "v2.1"
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
 
 
-class LeRobotV21:
+class LeRobotV21(LeRobotVersion):
     """The format LeRobot v2.1, with the additional files that GR00T reads."""
 
-    def check(self, info: DatasetInfo) -> None:
-        """Check that LeRobot can store a dataset."""
-        check_features(info)
-
-    def losses(self, info: DatasetInfo) -> Sequence[str]:
-        """Return what LeRobot does not store, or changes."""
-        return format_losses(info)
-
-    def write_episode(self, info: DatasetInfo, episode: Episode, folder: Path) -> None:
-        """Stage an episode."""
-        stage_episode(info, episode, folder)
+    version = VERSION
 
     def assemble(
         self,
@@ -77,14 +65,6 @@ class LeRobotV21:
         write_json_lines(meta / "episodes_stats.jsonl", rows)
         write_json(meta / "modality.json", modality(info))
         write_json(meta / "stats.json", gr00t_statistics(info, {**statistics, **overall}))
-
-    def recognizes(self, folder: Path) -> bool:
-        """Return True if a folder contains a dataset in this version."""
-        return codebase_version(folder) == VERSION
-
-    def read(self, folder: Path) -> StoredDataset:
-        """Open a dataset."""
-        return LeRobotDataset(folder, VERSION)
 
 
 FORMAT = LeRobotV21()

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from simfoundry.data.dataset.episode import Episode
 from simfoundry.data.dataset.features import DatasetInfo
-from simfoundry.data.dataset.formats import StagedEpisode, StoredDataset
+from simfoundry.data.dataset.formats import StagedEpisode
 from simfoundry.data.dataset.statistics import FeatureStatistics
-from simfoundry.data.formats.lerobot.check import check_features, format_losses
 from simfoundry.data.formats.lerobot.metadata import (
     CHUNK_SIZE,
     column_statistics,
@@ -20,9 +18,9 @@ from simfoundry.data.formats.lerobot.metadata import (
     video_features,
     write_json,
 )
-from simfoundry.data.formats.lerobot.read import LeRobotDataset, codebase_version
-from simfoundry.data.formats.lerobot.staging import TABLE, read_table, stage_episode, staged_video, write_table
+from simfoundry.data.formats.lerobot.staging import TABLE, read_table, staged_video, write_table
 from simfoundry.data.formats.lerobot.tables import write_episodes_table, write_tasks_table
+from simfoundry.data.formats.lerobot.version import LeRobotVersion
 from simfoundry.data.formats.video import exact_rate, join_videos
 
 VERSION = "v3.0"
@@ -59,20 +57,10 @@ def _files(sizes: Sequence[int], limit: int) -> Iterator[_File]:
     yield _File(number, first, len(sizes))
 
 
-class LeRobotV3:
+class LeRobotV3(LeRobotVersion):
     """The format LeRobot v3.0."""
 
-    def check(self, info: DatasetInfo) -> None:
-        """Check that LeRobot can store a dataset."""
-        check_features(info)
-
-    def losses(self, info: DatasetInfo) -> Sequence[str]:
-        """Return what LeRobot does not store, or changes."""
-        return format_losses(info)
-
-    def write_episode(self, info: DatasetInfo, episode: Episode, folder: Path) -> None:
-        """Stage an episode."""
-        stage_episode(info, episode, folder)
+    version = VERSION
 
     def assemble(
         self,
@@ -102,14 +90,6 @@ class LeRobotV3:
             row |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
         write_episodes_table(rows, out / EPISODES_PATH.format(chunk_index=0, file_index=0))
         write_json(out / "meta/stats.json", statistics_json(info, {**statistics, **overall}, True))
-
-    def recognizes(self, folder: Path) -> bool:
-        """Return True if a folder contains a dataset in this version."""
-        return codebase_version(folder) == VERSION
-
-    def read(self, folder: Path) -> StoredDataset:
-        """Open a dataset."""
-        return LeRobotDataset(folder, VERSION)
 
 
 def _join_tables(staged: Sequence[StagedEpisode], out: Path) -> list[dict[str, Any]]:
