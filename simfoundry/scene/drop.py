@@ -17,7 +17,7 @@ TOUCHING = 5 * CLEARANCE
 
 @dataclass(frozen=True)
 class DropResult:
-    """Where an object comes to rest.
+    """Resting place of an object that is dropped.
 
     Attributes:
         lift: The distance [m] by which the object moves up to rest just above its support; negative if it falls.

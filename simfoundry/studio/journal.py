@@ -93,7 +93,7 @@ class Journal:
 
     @property
     def unsaved(self) -> tuple[UnsavedState, ...]:
-        """What earlier sessions left unsaved."""
+        """Unsaved edits of earlier sessions."""
         return tuple(state for _, state in self._left)
 
     def restore(self, state: UnsavedState) -> None:

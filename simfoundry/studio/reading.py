@@ -96,7 +96,7 @@ class StudioScene:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What the texts of a session mean.
+    """Meaning of the texts of a session.
 
     Attributes:
         loaded: The document that was opened.

@@ -90,7 +90,7 @@ class StudioSession:
 
     @property
     def reading(self) -> Reading:
-        """What the present texts mean, which may be invalid."""
+        """The meaning of the current texts, which may be invalid."""
         return self._reading
 
     @property

@@ -81,7 +81,7 @@ def sampled_frames(length: int) -> set[int]:
 
 @dataclass(frozen=True, eq=False)
 class PixelCounts:
-    """How often each value occurs in the sampled images of a feature, from which exact statistics follow.
+    """Histograms of the pixel values in the sampled images of a feature, which determine its statistics exactly.
 
     Attributes:
         counts: The number of pixels with each value, int64, shape (channels, values).

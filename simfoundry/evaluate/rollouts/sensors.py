@@ -22,7 +22,7 @@ Captured = TypeVar("Captured")
 
 @dataclass(frozen=True, eq=False)
 class SensedMoment:
-    """What the sensors report at the start of an action.
+    """Sensor readings at the start of an action.
 
     Attributes:
         robots: The readings of the robots.

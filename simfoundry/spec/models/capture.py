@@ -64,7 +64,7 @@ Pixel = tuple[Annotated[int, Field(ge=0, lt=100_000)], Annotated[int, Field(ge=0
 
 
 class Decomposition(Model):
-    """What a person knows about the objects in a view, which their segmentation must respect.
+    """Constraints on the segmentation of a view, stated by a person.
 
     Pixels mark objects, so that the constraints hold however the image is segmented.
     """

@@ -1,4 +1,4 @@
-"""What people can do in the studio. Each act is data, and computes the edits of documents that it stands for.
+"""Acts of people in the studio. Each act is plain data, and computes the edits of the documents.
 
 Each module contains a family of acts. An act is a frozen dataclass with a ``label`` and a method ``edits``.
 """

@@ -22,7 +22,7 @@ from simfoundry.studio.reading import StudioScene
 
 @dataclass(frozen=True)
 class Snap:
-    """What a moved object snaps to: a grid of positions [m] and a step of angles [deg]. Zero turns each of them off."""
+    """Grid of positions [m] and step of angles [deg] to which a moved object snaps. Zero turns each of them off."""
 
     grid: float = 0.0
     angle_deg: float = 0.0

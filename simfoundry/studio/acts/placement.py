@@ -34,7 +34,7 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where a document states the pose of an object.
+    """Place in a document that states the pose of an object.
 
     Attributes:
         is_task: True for the start of a task, and False for the scene.

@@ -1,4 +1,4 @@
-"""Where documents refer to an object by its name, and the edits that remove these references."""
+"""References to an object by its name, and the edits that remove them."""
 
 from __future__ import annotations
 

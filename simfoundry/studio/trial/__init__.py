@@ -1,4 +1,4 @@
-"""What is tried in a scene without changing its text: physics, policies, and recordings.
+"""Trials in a scene that do not change its text: physics, policies and recordings.
 
 Physics and policies run in processes of their own, so that none of them can block or crash the studio.
 """

@@ -39,7 +39,7 @@ class CousinsTour:
 
     @property
     def review(self) -> CousinReview | None:
-        """What was decided about the present cousin, or None."""
+        """The decision about the current cousin, or None."""
         return self._reviews.get(self.present.index)
 
     @property

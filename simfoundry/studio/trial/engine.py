@@ -1,4 +1,4 @@
-"""What runs in the process of a trial: physics that is advanced piece by piece, and whole rollouts.
+"""Code for the process of a trial: physics that advances in short pieces, and whole rollouts.
 
 Functions here are called by name in a :class:`~simfoundry.runtime.workers.Worker`. They take and return plain data, and
 return errors for people, because workers report exceptions without their type.

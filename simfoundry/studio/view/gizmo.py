@@ -34,7 +34,7 @@ MARGIN_M = 0.002
 
 @dataclass(frozen=True)
 class GizmoTarget:
-    """What a gizmo moves: the node that it previews, its pose in the world, and the act that a new pose stands for."""
+    """Target of a gizmo: the node that it previews, its pose in the world, and the act for a new pose."""
 
     node: str
     X_WT: Pose

@@ -1,4 +1,4 @@
-"""What is shown of a scene, as data: a tree of named nodes, each with a pose and content that can be compared."""
+"""The displayed scene as data: a tree of named nodes, each with a pose and content that can be compared."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class ViewNode:
 
 @dataclass(frozen=True)
 class DisplayOptions:
-    """What of a scene is shown, besides its objects."""
+    """Parts of a scene that are shown besides its objects."""
 
     visuals: bool = True
     colliders: bool = False

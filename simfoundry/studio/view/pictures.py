@@ -1,4 +1,4 @@
-"""What the cameras of a scene see, as small pictures in their frusta."""
+"""Small pictures of the cameras' views, shown in their frusta."""
 
 from __future__ import annotations
 

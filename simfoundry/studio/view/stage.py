@@ -1,4 +1,4 @@
-"""What the window shows in place of the document's initial state: physics, a rollout, a recording or a cousin.
+"""States that the window shows in place of the document's initial state: physics, a rollout, a recording or a cousin.
 
 Only one of them is shown at a time, for all windows of the session. It ends when the text changes, and nothing here
 changes the text.
@@ -60,7 +60,7 @@ class TrialStage:
 
     @property
     def trial(self) -> StagedTrial | None:
-        """What is being tried, or None."""
+        """The running trial, or None."""
         return self._trial
 
     def begin(self, create: Callable[[TrialDocument, Show, Tell], AnyTrial]) -> AnyTrial:

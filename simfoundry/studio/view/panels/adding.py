@@ -36,7 +36,7 @@ MAX_FILES = 20_000
 
 
 class AddPanel(Panel):
-    """What to add, its name, and where."""
+    """Controls for a new object: its shape or asset, its name, and its support."""
 
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
@@ -46,7 +46,7 @@ class AddPanel(Panel):
         self._assets = project_assets(self.session.root, folder)
         with gui.add_folder("Add"):
             self._kind = gui.add_dropdown("What", (*SHAPES, *self._assets), initial_value="box")
-            self._name = gui.add_text("New name", "", hint="Default: what it is.")
+            self._name = gui.add_text("New name", "", hint="Default: the name of its shape or asset.")
             gui.add_button("Add").on_click(lambda _: self._add())
         with gui.add_folder("Selected object", expand_by_default=False):
             self._count = gui.add_number("Copies", 1, min=1, max=MAX_NEW, step=1)

@@ -1,4 +1,4 @@
-"""What is shown of the scene: materials, colliders, frames, joints, cameras, names."""
+"""Panel for what the view shows: materials, colliders, frames, joints, cameras, names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How moved objects behave: whether they drop and what they snap to; and the joints of the selected object."""
+"""Panel for moving objects: dropping, snapping, and the joints of the selected object."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class PlayerPanel(Panel):
 
     @property
     def playback(self) -> Playback | None:
-        """What is played, or None."""
+        """The rollout or recording that is played, or None."""
         trial = self.window.stage.trial
         return trial.playback if isinstance(trial, RolloutTrial) else trial if isinstance(trial, Playback) else None
 

@@ -1,4 +1,4 @@
-"""What is shown in place of the document, in one sentence, and the way back."""
+"""Panel that states what is shown in place of the document, and returns to the document."""
 
 from __future__ import annotations
 
