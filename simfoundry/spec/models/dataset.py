@@ -21,7 +21,15 @@ from simfoundry.spec.models.base import (
     exclusive,
     fault,
 )
-from simfoundry.spec.models.policy import CameraView, GripperConvention, WireKey
+from simfoundry.spec.models.policy import (
+    ActionKindWord,
+    CameraView,
+    FrameWord,
+    GripperConvention,
+    NormalizedFlag,
+    RotationWord,
+    WireKey,
+)
 from simfoundry.spec.models.vary import SplitSpec
 
 # Name of a built-in profile or of one from an installed package, or the path of a profile.
@@ -144,20 +152,12 @@ class DatasetSpec(DocumentSpec):
     fps: Positive | None = Field(
         None, le=1000, description="Number of frames per second [Hz]; default: the control frequency of the task."
     )
-    action_space: Literal["joint_position", "joint_velocity", "joint_delta", "hand_pose", "hand_delta"] | None = Field(
+    action_space: ActionKindWord | None = Field(
         None, description="Meaning of the arm values in an action. Recorded actions are converted if necessary."
     )
-    frame: Literal["base", "world", "hand"] | None = Field(
-        None, description="Frame of a hand pose or of its change; default: `base`."
-    )
-    rotation: Literal["quat_wxyz", "rotvec", "rpy", "rot6d"] | None = Field(
-        None,
-        description="Rotation in a hand pose or its change; default: `quat_wxyz` for `hand_pose`, `rotvec` for "
-        "`hand_delta`.",
-    )
-    normalized: bool = Field(
-        False, description="Whether arm values range from -1 to 1, which stand for the limits of the action space."
-    )
+    frame: FrameWord = None
+    rotation: RotationWord = None
+    normalized: NormalizedFlag = False
     gripper: GripperConvention | None = Field(None, description="Gripper values in actions and observations.")
     pictures: PictureVariation | None = Field(None, description="Vary the pictures of each demonstration.")
     splits: dict[Name, SplitSpec] = Field(

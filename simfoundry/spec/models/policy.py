@@ -46,6 +46,24 @@ Whole = Annotated[int, Field(ge=0, le=100)]
 Reading = Literal["joints", "gripper", "joints_gripper", "hand", "hand_quat", "hand_rotvec", "hand_rot6d", "hand_world"]
 
 
+# Words of an action space, which policies and datasets write as separate keys.
+ActionKindWord = Literal["joint_position", "joint_velocity", "joint_delta", "hand_pose", "hand_delta"]
+FrameWord = Annotated[
+    Literal["base", "world", "hand"] | None,
+    Field(description="Frame of a hand pose or of its change; default: `base`."),
+]
+RotationWord = Annotated[
+    Literal["quat_wxyz", "rotvec", "rpy", "rot6d"] | None,
+    Field(
+        description="Rotation in a hand pose or its change; default: `quat_wxyz` for `hand_pose`, `rotvec` for "
+        "`hand_delta`."
+    ),
+]
+NormalizedFlag = Annotated[
+    bool, Field(description="Whether arm values range from -1 to 1, which stand for the limits of the action space.")
+]
+
+
 @dataclass(frozen=True)
 class PolicyProtocol:
     """A protocol for policy servers.
@@ -168,20 +186,12 @@ class PolicySpec(DocumentSpec):
     address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
         description="Server address, such as `localhost:8000`, `wss://policies.example.org` or `tcp://10.0.0.7:5555`."
     )
-    action_space: Literal["joint_position", "joint_velocity", "joint_delta", "hand_pose", "hand_delta"] = Field(
+    action_space: ActionKindWord = Field(
         description="How to interpret the arm values in an action; protocols do not specify this."
     )
-    frame: Literal["base", "world", "hand"] | None = Field(
-        None, description="Frame of a hand pose or of its change; default: `base`."
-    )
-    rotation: Literal["quat_wxyz", "rotvec", "rpy", "rot6d"] | None = Field(
-        None,
-        description="Rotation in a hand pose or its change; default: `quat_wxyz` for `hand_pose`, `rotvec` for "
-        "`hand_delta`.",
-    )
-    normalized: bool = Field(
-        False, description="Whether arm values range from -1 to 1, which stand for the limits of the action space."
-    )
+    frame: FrameWord = None
+    rotation: RotationWord = None
+    normalized: NormalizedFlag = False
     control_hz: Positive | None = Field(
         None, le=1000, description="Number of actions per second [Hz]; default: the control frequency of the task."
     )
