@@ -25,10 +25,10 @@ PANELS_S = 0.4
 
 
 class StagedTrial(Protocol):
-    """Something that is tried."""
+    """A trial that the window can show."""
 
     def close(self) -> None:
-        """End it, even if it hangs."""
+        """End the trial, even if its process hangs."""
 
 
 AnyTrial = TypeVar("AnyTrial", bound=StagedTrial)
@@ -136,7 +136,7 @@ class TrialStage:
         self._window.request_refresh()
 
     def close(self) -> None:
-        """End everything."""
+        """End the trial, and stop following the session."""
         self._unsubscribe()
         self.end()
         self._jobs.shutdown(wait=False, cancel_futures=True)
