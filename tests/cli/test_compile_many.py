@@ -71,6 +71,7 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+@pytest.mark.slow  # 5 s: it compiles twice in processes
 def test_scenes_keep_the_shape_of_their_folder_and_are_compiled_once(project: Path) -> None:
     names = ["a.scene.yaml", "b.scene.yaml", "more/c.scene.yaml"]
     assert states(".", "-j", "2") == dict.fromkeys(names, COMPILED)

@@ -102,6 +102,7 @@ def test_a_report_of_several_documents() -> None:
     assert "turned.scene.yaml (renamed from moved.scene.yaml)" in run("diff", "HEAD~1..HEAD").out
 
 
+@pytest.mark.slow  # 4 s: it renders
 def test_images_are_files_beside_the_report(changed: Repository) -> None:
     options = ["HEAD~1..HEAD", "-o", "out/report.md", "--pictures", "my pictures"]
     assert run("diff", "--format", "markdown", *options).code == 2

@@ -138,6 +138,7 @@ def test_the_page_is_the_same_each_time_and_stands_alone(repository: Repository)
     assert not re.search(rb"https?:|url\(|@import", first)
 
 
+@pytest.mark.slow  # 4 s: it renders
 def test_a_scene_without_a_viewpoint_is_seen_from_the_side(repository: Repository) -> None:
     plain = re.sub(r"cameras:\n.*\n", "", BASE.replace("viewpoint: front\n", ""))
     repository.write("a.scene.yaml", plain)

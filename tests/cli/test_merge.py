@@ -369,6 +369,7 @@ def test_a_large_scene_merges_in_time(tmp_path: Path) -> None:
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 4 s: it runs many commands of git
 def test_the_page_does_what_it_says(start: Start) -> None:
     page = (REPOSITORY / "docs" / "git.md").read_text()
     scene = re.findall(r"^```yaml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)

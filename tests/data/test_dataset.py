@@ -268,6 +268,7 @@ def test_existing_datasets_are_mixed_in(demos: Path, built: Path, tmp_path: Path
 # -- the same bytes, and faults ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 4 s: it builds several times
 def test_the_bytes_do_not_depend_on_processes_or_kills(demos: Path, built: Path, tmp_path: Path) -> None:
     out, document = tmp_path / "out", document_of(demos, tmp_path)
     command = [sys.executable, "-m", "simfoundry", "dataset", "build", str(document), "-o", str(out), "-j", "2"]

@@ -16,6 +16,7 @@ BLOCKS = re.findall(
 )
 
 
+@pytest.mark.slow  # 4 s: it records and builds
 @pytest.mark.usefixtures("plain")
 @pytest.mark.skipif(choose_engine() is Engine.RAYCAST, reason="no GL driver")
 def test_the_python_of_the_page_runs(

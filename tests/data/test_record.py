@@ -93,6 +93,7 @@ def _document(folder: Path) -> str:
     return str(json.loads((folder / "demonstrations.json").read_text())["document"])
 
 
+@pytest.mark.slow  # 7 s: it records several times
 def test_the_bytes_depend_neither_on_processes_nor_on_interruptions(demos: Path, here: Path) -> None:
     for name, counts, jobs in (("more", (2, 4), 1), ("jobs", (4,), 2)):
         out = here / name / "demos"
@@ -104,6 +105,7 @@ def test_the_bytes_depend_neither_on_processes_nor_on_interruptions(demos: Path,
     assert record(plan_of(out, 1)).kept == kept == 4  # fewer than there are: nothing is lost
 
 
+@pytest.mark.slow  # 5 s: it records several times
 def test_a_killed_recording_is_resumed_without_loss_or_repetition(demos: Path, here: Path) -> None:
     out = here / "killed" / "demos"
     command = [sys.executable, "-m", "simfoundry", "record", "push.task.yaml", "-n", "4", "-o", str(out)]
@@ -309,6 +311,7 @@ def tasks(bench: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow  # 7 s: it records several times
 def test_several_tasks_take_turns(tasks: Path, here: Path) -> None:
     documents = sorted(tasks.rglob("*.task.yaml"))
     plans = [replace(plan_of(here / name, 3), documents=tuple(documents)) for name in ("turns", "turns jobs")]

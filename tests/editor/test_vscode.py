@@ -15,13 +15,8 @@ import pytest
 import simfoundry
 from editors.npm import NoPackagesError, install
 from editors.vscode.build import HERE, build, bundle, check_types, run
-from editors.vscode.snippets import MEMBERS, documents, members
-from simfoundry.spec.editor.snippets import lookup
-from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS, suffix
-from simfoundry.spec.yaml.text import parse
 from tests.conftest import REPOSITORY
-from tests.scenes import checker_png
 
 MANIFEST: dict[str, Any] = json.loads((HERE / "package.json").read_text())
 
@@ -132,48 +127,6 @@ def test_packages_are_pinned_and_no_registry_is_named() -> None:
     assert {name: packages[f"node_modules/{name}"]["version"] for name in wanted} == wanted
     assert all(entry["integrity"].startswith("sha512-") for entry in packages.values())
     assert not any("resolved" in entry for entry in packages.values())
-
-
-# -- snippets -------------------------------------------------------------------------------------------------------
-
-
-def expanded(body: list[str] | str) -> str:
-    """Return the text of a snippet whose holes keep their first value."""
-    text = body if isinstance(body, str) else "\n".join(body) + "\n"
-    values = dict(re.findall(r"\$\{(\d+):((?:[^}\\]|\\.)*)\}", text))
-    text = re.sub(r"\$\{(\d+):(?:[^}\\]|\\.)*\}", lambda hole: values[hole[1]], text)
-    return re.sub(r"\$(\d+)", lambda hole: values[hole[1]], text).replace("\\}", "}")
-
-
-@pytest.mark.parametrize("title", documents())
-def test_a_new_document_is_valid_as_it_is(title: str, tmp_path: Path) -> None:
-    (tmp_path / "base.scene.yaml").write_text(expanded(documents()["New scene"]["body"]))
-    for name in ("color.png", "depth.png"):
-        (tmp_path / name).write_bytes(checker_png())
-    snippet = documents()[title]
-    word = str(snippet["prefix"])
-    path = tmp_path / f"new.{'scene' if word == 'overlay' else word}.yaml"
-    path.write_text(expanded(snippet["body"]))
-    assert [finding.message for finding in load(path).all_findings()] == []
-
-
-def test_every_kind_has_a_snippet_and_each_word_is_used_once() -> None:
-    words = [snippet["prefix"] for snippet in (documents() | members()).values()]
-    assert len(words) == len(set(map(str, words)))
-    assert {kind.partition("/")[0] for kind in KINDS} <= set(map(str, words))
-
-
-@pytest.mark.parametrize("model", [model for models in MEMBERS.values() for model in models])
-def test_members_say_what_the_schemas_say(model: str) -> None:
-    word = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", model.removesuffix("Spec")).lower()
-    snippet = next(each for each in members().values() if each["prefix"] == word)
-    body = lookup("members", model)
-    text = expanded(snippet["body"])
-    assert "$" not in text and str(snippet["description"]).endswith(".")
-    if isinstance(body, str):
-        assert text == f"name: {expanded(body)}\n"
-    else:
-        assert list(parse(text).data["name"]) == list(body)
 
 
 # -- its own tests --------------------------------------------------------------------------------------------------

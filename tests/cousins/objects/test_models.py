@@ -51,6 +51,7 @@ def made(project: Path, *more: str) -> Done:
     return run("cousins", recipe, "-n", "2", "-o", project / "out", "-j", "1", "--no-gallery", *more)
 
 
+@pytest.mark.slow  # 4 s: two whole runs
 def test_a_recipe_asks_the_models_and_goes_on_without_them(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with served() as (url, models):
         at(url, monkeypatch)

@@ -187,6 +187,7 @@ def test_other_axes_beside_it(room: Path, sampler: Sampler) -> None:
     assert len(scene.objects) == 10 and not one.pictures_only
 
 
+@pytest.mark.slow  # 3 s: a whole run
 def test_the_command(room: Path) -> None:
     recipe = room / "lit.cousins.yaml"
     recipe.write_text(

@@ -259,6 +259,7 @@ cameras:
 """
 
 
+@pytest.mark.slow  # 5 s: a whole run
 def test_all_axes_together_and_what_they_wrote(project: Path) -> None:
     """Every cousin has another cup, in another place, more things beside it, and a task that can be done with it."""
     for name in ("bowl", "cup"):

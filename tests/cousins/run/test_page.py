@@ -80,6 +80,7 @@ def test_from_a_library(project: Path) -> None:
     assert all("library" in (project / "out" / name).read_text() for name in assets(project, "cup"))
 
 
+@pytest.mark.slow  # 3 s: a whole run
 def test_from_models(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pydantic_ai", reason="the extra `vlm` is not installed")
     needs = re.search(r"^impossible: `cup` has the source `model`.*$", PAGE, re.MULTILINE)

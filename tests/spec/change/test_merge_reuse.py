@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from simfoundry.spec.change.merge.texts import merge_texts
 from simfoundry.spec.yaml.text import parse
 from tests.corpora.reuse_merges import merge_pairs
@@ -36,6 +38,7 @@ relations:
 """
 
 
+@pytest.mark.slow  # 4 s: many random merges
 def test_independent_edits_of_reuse_merge_into_both() -> None:
     outcome = merge_pairs(50, seed=1)
     assert outcome.clashes == 5
