@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.executors import JOBS, Machines, worker_count
+from simfoundry.api.ranges import check_ranges
+from simfoundry.runtime.executors import Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.data.dataset.formats import StoredDataset
@@ -49,8 +49,7 @@ def build_dataset(
     """
     from simfoundry.data.dataset.reading import open_dataset
 
-    if jobs is not None and not JOBS[0] <= jobs <= JOBS[1]:
-        raise SimfoundryError(f"`jobs` must be between {JOBS[0]} and {JOBS[1]}, not {jobs}")
+    check_ranges([("jobs", jobs)])
     plan = dataset_plan(Path(source), formats, profile)
     folders = run_build(plan, default_folder(plan) if out is None else Path(out), jobs, Machines.parse(on))
     return [open_dataset(folder)[1] for folder in folders]

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simfoundry.api.ranges import check_ranges
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.executors import JOBS, Machines, worker_count
+from simfoundry.runtime.executors import Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.data.demonstrations import DemonstrationSet
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from simfoundry.data.shards import Attempt
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
-RANGES = {"count": (1, 1_000_000), "seed": (0, 2**31), "jobs": JOBS}
 
 
 def default_attempts(count: int) -> int:
@@ -58,9 +58,7 @@ def record(
     from simfoundry.cousins.run.review import usable_tasks
     from simfoundry.data.record import record as run
 
-    for (name, (low, high)), value in zip(RANGES.items(), (count, seed, 1 if jobs is None else jobs), strict=True):
-        if not low <= value <= high:
-            raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
+    check_ranges([("count", count), ("seed", seed), ("jobs", jobs)])
     paths = [Path(one) for one in ([task] if isinstance(task, str | Path) else task)]
     documents, _ = usable_tasks(paths)
     plan = record_plan(documents, policy, Path(out), count, seed, max_attempts)

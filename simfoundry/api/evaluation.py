@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.api.ranges import check_ranges
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.executors import JOBS, LOCAL, Machines, worker_count
+from simfoundry.runtime.executors import LOCAL, Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
-RANGES = {"rollouts": (1, 10_000), "seed": (0, 2**31), "jobs": JOBS}
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,7 @@ def evaluate(
     named = contenders((policies,) if isinstance(policies, str) else tuple(policies))
     if not entries or not named:
         raise SimfoundryError(f"no {'policy' if entries else 'task'} is specified; pass at least one")
-    for (name, (low, high)), value in zip(RANGES.items(), (rollouts, seed, 1 if jobs is None else jobs), strict=True):
-        if not low <= value <= high:
-            raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
+    check_ranges([("rollouts", rollouts), ("seed", seed), ("jobs", jobs)])
     plan = EvaluationPlan(Path(out), entries, tuple(named), rollouts, seed, (engine,), video=video)
     machines = Machines.parse(on)
     prepare(plan)

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.api.ranges import RANGES, check_ranges
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.executors import JOBS, LOCAL, Machines, worker_count
+from simfoundry.runtime.executors import LOCAL, Machines, worker_count
 
 if TYPE_CHECKING:
     from simfoundry.api.evaluation import Evaluation
@@ -18,14 +19,6 @@ if TYPE_CHECKING:
     from simfoundry.train.job import TrainPlan, TrainSummary
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
-RANGES: Mapping[str, tuple[int, int]] = {
-    "count": (1, 1_000_000),
-    "seed": (0, 2**31),
-    "steps": (20, 10_000_000),
-    "rollouts": (1, 10_000),
-    "jobs": JOBS,
-}
-
 # The parts of the output folder.
 COUSINS, DEMONSTRATIONS, POLICIES, EVALUATION = "cousins", "demonstrations", "policies", "evaluation"
 REPORT, PAGE = "report.json", "report.html"
@@ -168,11 +161,8 @@ def train_policy(
     """
     from simfoundry.train.fit import FitOptions
 
-    given: dict[str, int | None] = {"count": count, "steps": steps, "rollouts": rollouts, "jobs": jobs}
-    for name, value in [*given.items(), *(("seed", seed) for seed in seeds)]:
-        low, high = RANGES[name]
-        if value is not None and not low <= value <= high:
-            raise SimfoundryError(f"`{name}` must be between {low} and {high}, not {value}")
+    given = {"count": count, "steps": steps, "rollouts": rollouts, "jobs": jobs}
+    check_ranges([*given.items(), *(("seed", seed) for seed in seeds)])
     sources = tuple(Path(one) for one in ([task] if isinstance(task, str | Path) else task))
     options = FitOptions(steps=steps)
     run = TrainingRun(
@@ -314,12 +304,11 @@ def _train_all(run: TrainingRun, plans: Mapping[str, TrainPlan], progress: Progr
 
 
 def _evaluate(run: TrainingRun, material: _Material, policies: Mapping[str, Path], progress: Progress) -> Evaluation:
-    from simfoundry.api.evaluation import RANGES as EVALUATION_RANGES
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import TaskEntry, contenders
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
-    least, most = EVALUATION_RANGES["rollouts"]
+    least, most = RANGES["rollouts"]
     rollouts = run.rollouts or min(most, max(least, -(-MOST_HELD_OUT // len(material.tasks))))
     entries = tuple(TaskEntry(path) for path in material.tasks)
     named = contenders(tuple(f"{label}=baseline:{folder}" for label, folder in policies.items()))

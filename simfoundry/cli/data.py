@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.api.demonstrations import RANGES
+from simfoundry.api.ranges import RANGES
 from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable, task_documents
 from simfoundry.runtime.executors import Machines

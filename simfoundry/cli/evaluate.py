@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.api.evaluation import RANGES
+from simfoundry.api.ranges import RANGES
 from simfoundry.cli import output
 from simfoundry.cli.options import (
     ANY,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.api.training import RANGES
+from simfoundry.api.ranges import RANGES
 from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable
 from simfoundry.runtime.executors import Machines

@@ -9,6 +9,7 @@ import pytest
 
 from simfoundry.api.demonstrations import record_plan
 from simfoundry.data import attempt as attempts
+from simfoundry.data.plan import RecordSummary
 from simfoundry.data.record import record
 from simfoundry.evaluate.entries import Contender
 from tests.conftest import REPOSITORY
@@ -45,27 +46,35 @@ class Push:
 """
 
 
-@pytest.fixture(scope="session")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("record")
+def write_push(folder: Path) -> Path:
+    """Write a task in which a block is pushed, and the policy `pushing.py:Push` beside it."""
     (folder / "pushing.py").write_text(POLICY)
     return write_bench(folder)
+
+
+def recorded(task: Path, policy: str, out: Path, count: int) -> RecordSummary:
+    """Record demonstrations of a policy in the folder of the task, in this process, which is faster."""
+    before = Path.cwd()
+    os.chdir(task.parent)
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Contender, "is_foreign", False)
+            return record(record_plan([Path(task.name)], policy, out, count))
+    finally:
+        os.chdir(before)
+        attempts.close()
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_push(tmp_path_factory.mktemp("record"))
 
 
 @pytest.fixture(scope="session")
 def demos(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four demonstrations of a policy that fails from every third start."""
     out = tmp_path_factory.mktemp("demos") / "demos"
-    before = Path.cwd()
-    os.chdir(bench.parent)
-    try:
-        plan = record_plan([Path("push.task.yaml")], "python:pushing.py:Push?miss=3", out, 4)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Contender, "is_foreign", False)  # in this process, which is faster
-            summary = record(plan)
-    finally:
-        os.chdir(before)
-        attempts.close()
+    summary = recorded(bench, "python:pushing.py:Push?miss=3", out, 4)
     assert (summary.kept, set(summary.failures)) == (4, {"horizon"})
     return out
 

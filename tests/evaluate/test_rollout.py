@@ -82,7 +82,7 @@ def test_a_policy_succeeds_and_its_steps_are_dated(
     assert [o.time for o in policy.seen] == [pytest.approx(8 * k / 15) for k in range(done.chunks)]
     assert Judge(push.scene)(push.goal, done.final).value
     np.testing.assert_allclose(policy.seen[0].robots["arm"].joints, [0, 0], atol=1e-3)
-    assert done.timings.total >= done.timings.physics > 0 == done.timings.render or done.timings.render < 1e-3
+    assert done.timings.total >= done.timings.physics > 0
 
 
 def test_the_same_start_and_policy_give_the_same_bits(

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
-from simfoundry.api.demonstrations import record_plan
-from simfoundry.data import attempt as attempts
-from simfoundry.data.record import record
 from simfoundry.runtime.extras import EXTRAS
-from tests.data.conftest import POLICY
-from tests.evaluate.benches import write_bench
+from tests.data.conftest import recorded, write_push
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -27,20 +22,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The task document."""
-    folder = tmp_path_factory.mktemp("train")
-    (folder / "pushing.py").write_text(POLICY)
-    return write_bench(folder)
+    return write_push(tmp_path_factory.mktemp("train"))
 
 
 @pytest.fixture(scope="session")
 def demos(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve demonstrations of a policy that pushes the block out."""
     out = tmp_path_factory.mktemp("demos") / "demos"
-    before = Path.cwd()
-    os.chdir(bench.parent)
-    try:
-        record(record_plan([bench], "python:pushing.py:Push", out, 12))
-    finally:
-        os.chdir(before)
-        attempts.close()
+    recorded(bench, "python:pushing.py:Push", out, 12)
     return out
