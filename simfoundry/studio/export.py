@@ -11,6 +11,7 @@ from simfoundry.runtime.files import MARK
 from simfoundry.scene.model import Scene
 from simfoundry.studio.guard import ConnectionGuard, guarded
 from simfoundry.studio.view.canvas import Canvas, prepare_view
+from simfoundry.studio.view.lights import light_nodes, panorama_nodes
 from simfoundry.studio.view.nodes import DisplayOptions, object_nodes, scene_nodes
 from simfoundry.studio.view.robots import ShownRobots
 
@@ -29,6 +30,8 @@ def scene_html(scene: Scene, options: DisplayOptions = PLAIN) -> str:
     import viser
 
     nodes = scene_nodes(scene, options)
+    if options.lights:
+        nodes |= light_nodes(scene, options.shadows) | panorama_nodes(scene)
     robots = ShownRobots()
     robots.read(scene.robots)
     for robot in robots.known(scene.robots):
@@ -38,7 +41,9 @@ def scene_html(scene: Scene, options: DisplayOptions = PLAIN) -> str:
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
             prepare_view(server, scene, bool(scene.robots))
-            Canvas(server.scene).show(nodes)
+            canvas = Canvas(server.scene)
+            canvas.light("/lights/sky" not in nodes, options.shadows)
+            canvas.show(nodes)
             page = server.scene.as_html()
         finally:
             server.stop()

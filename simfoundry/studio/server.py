@@ -18,7 +18,7 @@ from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.window import StudioWindow
 
 # Interval at which files are looked at [s]: changes appear well within a second, and a look takes microseconds.
-WATCH_S = 0.1
+WATCH_S = 0.05
 
 # Port of viser, which people who know it expect.
 DEFAULT_PORT = 8080

@@ -21,8 +21,9 @@ from simfoundry.studio.export import scene_html
 from simfoundry.studio.server import StudioServer
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas
+from simfoundry.studio.view.contents import FrustumContent, SurfaceContent
 from simfoundry.studio.view.glb import glb_of
-from simfoundry.studio.view.nodes import DisplayOptions, FrustumContent, SurfaceContent, scene_nodes
+from simfoundry.studio.view.nodes import DisplayOptions, scene_nodes
 from tests.studio.conftest import SCENE
 
 viser = pytest.importorskip("viser")

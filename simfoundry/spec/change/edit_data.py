@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from simfoundry.spec.change.edit_text import edit_text
+from simfoundry.spec.change.edit_text import edit_text, parsed_once
 from simfoundry.spec.change.flatten import own_data
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.compose.compose import inherited_data
@@ -13,7 +13,7 @@ from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.text import Read, parse, read
+from simfoundry.spec.yaml.text import Read, read
 
 # A path in the data of a document, such as ``("objects", "mug")``.
 DataPath = tuple[str, ...]
@@ -60,6 +60,6 @@ def edited_text(loaded: Loaded, edits: DataEdits, reader: Read = read) -> str:
     after = before
     for path, value in edits.items():
         after = with_value(model, after, path, value)
-    written = parse(loaded.source.text).data  # joining a document with others may have changed its nodes
+    written = parsed_once(loaded.source.text).data  # joining a document with others may have changed its nodes
     own = own_data(written, before, after, inherited_data(loaded, kind, loaded.root, reader))
     return edit_text(loaded.source.text, own, model)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import Add, Path_, Remove, Rename, Reorder, Set, diff, members, same
+from simfoundry.spec.change.diff.changes import Add, Change, Path_, Remove, Rename, Reorder, Set, diff, members, same
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import RIVALS, KeyOrder, key_order
@@ -29,6 +29,16 @@ _BOM = "\ufeff"
 _QUOTED_CALL = re.compile(r'"([A-Za-z]\w*\([\w., ]*\))"')
 
 
+@lru_cache(maxsize=2)  # an editor edits the text that its last edit has made
+def parsed_once(text: str) -> Document:
+    """Parse a text, or return the same document as before. It must not be joined with others, which changes its nodes.
+
+    Raises:
+        YamlError: If the text could not be parsed.
+    """
+    return parse(text)
+
+
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
     """Edit ``text`` so that it contains ``data``, leaving all unaffected bytes unchanged.
 
@@ -39,15 +49,17 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
     """
     body = text.removeprefix(_BOM)
     mark = text.removesuffix(body)
-    document = parse(body)
-    for _ in range(len(diff(document.data, data)) + 2):
+    document = parsed_once(body)
+    changes = diff(document.data, data)
+    for turn in range(len(changes) + 2):
         if _same_content(document.data, data):
             return mark + body
-        splices = _Round(document, data, model).splices()
+        changes = diff(document.data, data) if turn else changes
+        splices = _Round(document, data, model).splices(changes)
         for start, end, new in reversed(splices):
             body = body[:start] + new + body[end:]
         try:
-            document = parse(body)
+            document = parsed_once(body)
         except YamlError:
             break
         if not splices:
@@ -93,9 +105,11 @@ class _Round:
         self.text, self.root = document.text, _spans(document.text)
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
-    def splices(self) -> list[Splice]:
-        """Return the next edits in the order of the text, or an empty list if no change can be applied in place."""
-        changes = diff(self.document.data, self.data)
+    def splices(self, changes: Sequence[Change]) -> list[Splice]:
+        """Return the next edits in the order of the text, or an empty list if no change can be applied in place.
+
+        ``changes`` are those from the document to the data.
+        """
         renames = [c for c in changes if isinstance(c, Rename)]
         values = {self._place(c.path) for c in changes if isinstance(c, Set)}
         removed, added = dict[Path_, list[str]](), dict[Path_, dict[str, Any]]()

@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.geometry.frames import Pose, rotations
+from simfoundry.geometry.frames import Array, Pose, rotations
+from simfoundry.render.shading import encode_srgb
 from simfoundry.render.views import default_orbit, framing
-from simfoundry.studio.view.nodes import (
-    CAMERA_RGB,
-    FRUSTUM_M,
+from simfoundry.scene.model import LightType
+from simfoundry.studio.view.contents import (
     CloudContent,
     FrameContent,
     FrustumContent,
     LabelContent,
+    LightContent,
     LinesContent,
     NodeContent,
     PictureContent,
     SplatContent,
     SurfaceContent,
-    ViewNode,
 )
+from simfoundry.studio.view.nodes import CAMERA_RGB, FRUSTUM_M, ViewNode
 
 if TYPE_CHECKING:
     from viser import SceneApi, ViserServer
 
     from simfoundry.scene.model import Scene
     from simfoundry.scene.model import Splat as Gaussians
+
+# Intensity of a light in the browser that fully lights a white surface, which reflects 1 / pi of what reaches it.
+FULLY_LIT = math.pi
 
 # Called with what a click selects, such as ``objects.mug``.
 Select = Callable[[str], None]
@@ -51,6 +56,7 @@ class Canvas:
         self._scene, self._select, self._poke = scene, select, poke
         self._nodes: dict[str, ViewNode] = {}
         self._handles: dict[str, Any] = {}
+        self._lighting: tuple[bool, bool] | None = None
         self.sent = 0
 
     @property
@@ -64,6 +70,15 @@ class Canvas:
             self._remove(name)
         for name in sorted(nodes, key=lambda name: name.count("/")):
             self.put(name, nodes[name])
+
+    def light(self, is_even: bool, casts_shadows: bool) -> None:
+        """Light the scene evenly, as a room does, or only by the lights among the nodes."""
+        if self._lighting != (is_even, casts_shadows):
+            self._scene.configure_default_lights(is_even, cast_shadow=casts_shadows)
+            if is_even != (self._lighting is None or self._lighting[0]):
+                self._scene.configure_environment_map("city" if is_even else None)
+            self._lighting = is_even, casts_shadows
+            self.sent += 1
 
     def put(self, name: str, node: ViewNode) -> None:
         """Show one node, in place of the present one with this name."""
@@ -136,6 +151,8 @@ class Canvas:
                 return scene.add_point_cloud(name, cloud.points, colors, point_size=cloud.size, **place)
             case PictureContent() as shown:
                 return scene.add_image(name, shown.picture, shown.width, shown.height, **place)
+            case LightContent() as light:
+                return _add_light(scene, name, light, place)
             case SplatContent(gaussians):
                 return scene.add_gaussian_splats(name, *_splat_arrays(gaussians), **place)
         if node.selects:
@@ -146,6 +163,25 @@ class Canvas:
     def _click(self, node: str, selects: str, event: Any) -> None:
         self._select(selects)
         self._poke(node, event.ray_origin, event.ray_direction)
+
+
+def _add_light(scene: SceneApi, name: str, light: LightContent, place: dict[str, Any]) -> Any:
+    brightest = max(*light.rgb, *light.below, 1e-6)
+    above, below = (_color(np.array(rgb) / brightest) for rgb in (light.rgb, light.below))
+    intensity = FULLY_LIT * brightest
+    match light.type:
+        case LightType.DISTANT:
+            shadow = light.casts_shadows
+            return scene.add_light_directional(name, color=above, intensity=intensity, cast_shadow=shadow, **place)
+        case LightType.POINT:
+            return scene.add_light_point(name, color=above, intensity=intensity, decay=0.0, **place)
+        case LightType.DOME:
+            return scene.add_light_hemisphere(name, sky_color=above, ground_color=below, intensity=intensity, **place)
+
+
+def _color(linear: Array) -> tuple[int, int, int]:
+    r, g, b = encode_srgb(linear).tolist()
+    return r, g, b
 
 
 def prepare_view(server: ViserServer, scene: Scene | None, has_robot: bool = False) -> None:

@@ -14,10 +14,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Geometry, Mesh
-from simfoundry.render.surface import surface_patch
-
-# Segments around round primitives; the outline of a cup that is 200 pixels wide is off by at most a quarter of a pixel.
-SEGMENTS = 48
+from simfoundry.render.surface import FEW_SEGMENTS, surface_patch
 
 # Surface of dielectrics such as wood, ceramics and plastics: matt, without metal.
 ROUGHNESS, METALLIC = 0.75, 0.0
@@ -26,13 +23,18 @@ ROUGHNESS, METALLIC = 0.75, 0.0
 _FLOAT, _UINT32, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
 
 
-def glb_of(pieces: Sequence[tuple[Geometry, Pose, Sequence[float]]]) -> bytes:
+# Extension for surfaces that have their own colors whatever the lights.
+_UNLIT = "KHR_materials_unlit"
+
+
+def glb_of(pieces: Sequence[tuple[Geometry, Pose, Sequence[float]]], is_lit: bool = True) -> bytes:
     """Return a GLB file with one primitive for each piece.
 
     Args:
         pieces: Each geometry with its pose in the common frame, and its color (sRGB and opacity in [0, 1], shape (4,)).
+        is_lit: Whether lights matter; otherwise, the surfaces have exactly their colors.
     """
-    writer = _GlbWriter()
+    writer = _GlbWriter(is_lit)
     for geometry, X_FG, rgba in pieces:
         writer.add(geometry, X_FG, rgba)
     return writer.bytes()
@@ -41,7 +43,8 @@ def glb_of(pieces: Sequence[tuple[Geometry, Pose, Sequence[float]]]) -> bytes:
 class _GlbWriter:
     """The parts of a file, which are added one after another."""
 
-    def __init__(self) -> None:
+    def __init__(self, is_lit: bool = True) -> None:
+        self.is_lit = is_lit
         self.data = bytearray()
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
@@ -51,7 +54,7 @@ class _GlbWriter:
 
     def add(self, geometry: Geometry, X_FG: Pose, rgba: Sequence[float]) -> None:
         """Add a surface with its material."""
-        patch = surface_patch(geometry, SEGMENTS)
+        patch = surface_patch(geometry, FEW_SEGMENTS)
         if not len(patch.corners):
             return
         texture = geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
@@ -101,6 +104,8 @@ class _GlbWriter:
         material: dict[str, Any] = {"pbrMetallicRoughness": surface, "doubleSided": not closed}
         if rgba[3] < 1:
             material["alphaMode"] = "BLEND"
+        if not self.is_lit:
+            material["extensions"] = {_UNLIT: {}}
         if material in self.materials:
             return self.materials.index(material)
         self.materials.append(material)
@@ -123,6 +128,8 @@ class _GlbWriter:
                 "bufferViews": self.views,
                 "buffers": [{"byteLength": len(self.data)}],
             }
+        if not self.is_lit:
+            document["extensionsUsed"] = [_UNLIT]
         if self.images:
             document |= {"images": self.images, "textures": [{"source": k} for k in range(len(self.images))]}
         text = json.dumps(document, separators=(",", ":")).encode()

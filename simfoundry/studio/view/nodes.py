@@ -6,19 +6,24 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.kinematics import axis_frame, link_poses
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState, object_at
-from simfoundry.studio.view.glb import glb_of
+from simfoundry.studio.view.contents import (
+    FrameContent,
+    FrustumContent,
+    LabelContent,
+    LinesContent,
+    NodeContent,
+    SplatContent,
+    SurfaceContent,
+)
 
 # Colors (sRGB in [0, 1]) of colliders and of convex parts: clearly no material of a scene.
 COLLIDER_RGBA = (0.1, 0.75, 0.35, 0.35)
@@ -28,120 +33,6 @@ JOINT_RGB, CAMERA_RGB, REGION_RGB, SELECTION_RGB = (230, 60, 200), (60, 60, 60),
 
 # Length [m] of the pictured camera frusta and of joint axes; the size of a hand, which is visible beside small objects.
 FRUSTUM_M, AXIS_M = 0.08, 0.12
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceContent:
-    """Visible surfaces in one frame, which are written as GLB only if they are sent."""
-
-    key: str
-    pieces: tuple[tuple[Geometry, Pose, tuple[float, ...]], ...]
-
-    @property
-    def glb(self) -> bytes:
-        """The surfaces as a GLB file."""
-        return _kept_glb(self)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SurfaceContent) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-
-@lru_cache(maxsize=512)  # copies of one object share a file
-def _kept_glb(content: SurfaceContent) -> bytes:
-    return glb_of(content.pieces)
-
-
-@dataclass(frozen=True)
-class FrameContent:
-    """A frame, with axes of the given length [m], or without axes if it is zero."""
-
-    axes: float = 0.0
-
-
-@dataclass(frozen=True)
-class LinesContent:
-    """Line segments between pairs of points [m], with a color (sRGB, 0 to 255) and a thickness [px]."""
-
-    points: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
-    rgb: tuple[int, int, int]
-    thickness: float = 2.0
-
-
-@dataclass(frozen=True)
-class FrustumContent:
-    """The frustum of a camera: its vertical field of view [rad], its aspect, and the PNG image that it sees, if any."""
-
-    fov: float
-    aspect: float
-    image: bytes = b""
-
-
-@dataclass(frozen=True)
-class LabelContent:
-    """A text at a point."""
-
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class SplatContent:
-    """Gaussians of a splat, compared by identity because they are large and never change."""
-
-    gaussians: Any
-
-
-@dataclass(frozen=True, eq=False)
-class CloudContent:
-    """A cloud of points, compared by its key.
-
-    Attributes:
-        key: What identifies the points and their colors.
-        points: Points [m], shape (n, 3).
-        rgb: Colors (sRGB, 0 to 255), shape (n, 3).
-        size: Size of a point [m].
-    """
-
-    key: str
-    points: Array
-    rgb: NDArray[np.uint8]
-    size: float
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, CloudContent) and (self.key, self.size) == (other.key, other.size)
-
-    def __hash__(self) -> int:
-        return hash((self.key, self.size))
-
-
-@dataclass(frozen=True, eq=False)
-class PictureContent:
-    """A picture (sRGB, shape (h, w, 3)) on a rectangle [m], compared by its key."""
-
-    key: str
-    picture: NDArray[np.uint8]
-    width: float
-    height: float
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, PictureContent) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-
-NodeContent = (
-    SurfaceContent
-    | FrameContent
-    | LinesContent
-    | FrustumContent
-    | LabelContent
-    | SplatContent
-    | CloudContent
-    | PictureContent
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +54,11 @@ class ViewNode:
 
 @dataclass(frozen=True)
 class DisplayOptions:
-    """Parts of a scene that are shown besides its objects."""
+    """Parts of a scene that are shown besides its objects.
+
+    Without ``lights``, or if a scene has none, it is lit evenly. Shadows take half of the time of a browser that draws
+    without a graphics card, or more, so they are not shown by default.
+    """
 
     visuals: bool = True
     colliders: bool = False
@@ -171,6 +66,8 @@ class DisplayOptions:
     joints: bool = False
     cameras: bool = True
     names: bool = False
+    lights: bool = True
+    shadows: bool = False
     pictures: Mapping[str, bytes] = field(default_factory=dict)
 
 

@@ -22,6 +22,7 @@ from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas, prepare_view
 from simfoundry.studio.view.capture_link import CaptureLink
 from simfoundry.studio.view.gizmo import SelectionGizmo
+from simfoundry.studio.view.lights import lamp_glyphs, light_nodes, panorama_nodes
 from simfoundry.studio.view.nodes import DisplayOptions, Nodes, object_nodes, scene_nodes
 from simfoundry.studio.view.panels.adding import AddPanel
 from simfoundry.studio.view.panels.background import BackgroundPanel
@@ -241,7 +242,9 @@ class StudioWindow:
     def _move(self) -> None:
         """Show the nodes in the present state."""
         with self.session.lock, self.server.atomic():
-            self.canvas.show(self._nodes())
+            nodes = self._nodes()
+            self.canvas.light("/lights/sky" not in nodes, self.options.shadows)
+            self.canvas.show(nodes)
             self.pull.refresh()
         self.server.flush()
 
@@ -250,6 +253,9 @@ class StudioWindow:
         nodes: Nodes = {}
         if scene is not None:
             nodes |= scene_nodes(scene.scene, self.options, state)
+            if self.options.lights:
+                around = scene.surroundings
+                nodes |= light_nodes(around, self.options.shadows) | lamp_glyphs(around) | panorama_nodes(around)
             for robot in self.robot_items:
                 nodes |= object_nodes(robot_at(robot, state), self.options, "robots")
         for panel in self._panels:

@@ -80,7 +80,7 @@ def diff(a: Any, b: Any) -> tuple[Change, ...]:
     Renames come first. The paths and old values in all other changes use the new names.
     """
     renames = find_renames(a, b)
-    return (*renames, *_value(renamed(a, renames), b, ()))
+    return (*renames, *_value(renamed(a, renames) if renames else a, b, ()))
 
 
 def to_json(change: Change) -> dict[str, Any]:
@@ -171,7 +171,8 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
         known = len(found)
         spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
         # Sections that define names come first, before those that only refer to them.
-        for path, x, y in sorted(_sections(renamed(a, found.values()), b, ()), key=lambda s: len(s[0])):
+        present = renamed(a, found.values()) if found else a
+        for path, x, y in sorted(_sections(present, b, ()), key=lambda s: len(s[0])):
             for rename in _matches(path, x, y):
                 meaning = (_space(path), rename.old, rename.new)
                 if not meaning[0] or meaning not in spaces:

@@ -11,7 +11,8 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.similarity import Similarity
 from simfoundry.scene.model import Background, Scene
 from simfoundry.studio.acts.background import AlignBackground, AlignByPoints, Point, background_similarity
-from simfoundry.studio.view.nodes import LabelContent, Nodes, ViewNode, background_nodes
+from simfoundry.studio.view.contents import LabelContent
+from simfoundry.studio.view.nodes import Nodes, ViewNode, background_nodes
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 from simfoundry.studio.view.picking import background_point, scene_point
 

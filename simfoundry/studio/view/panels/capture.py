@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from simfoundry.capture.overlay import CaptureOverlay
 from simfoundry.geometry.frames import Pose
 from simfoundry.render.montage import label_color
-from simfoundry.studio.view.nodes import CloudContent, FrameContent, Nodes, PictureContent, ViewNode
+from simfoundry.studio.view.contents import CloudContent, FrameContent, PictureContent
+from simfoundry.studio.view.nodes import Nodes, ViewNode
 from simfoundry.studio.view.panels.panel import Panel, set_value
 
 if TYPE_CHECKING:

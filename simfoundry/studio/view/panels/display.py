@@ -19,6 +19,8 @@ LABELS = {
     "joints": "Joint axes",
     "cameras": "Cameras",
     "names": "Names",
+    "lights": "Lights of the scene",
+    "shadows": "Shadows",
 }
 
 

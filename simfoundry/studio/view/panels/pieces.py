@@ -19,7 +19,8 @@ from simfoundry.studio.acts.decomposition import (
     StateOcclusion,
     stated_decomposition,
 )
-from simfoundry.studio.view.nodes import LabelContent, Nodes, ViewNode
+from simfoundry.studio.view.contents import LabelContent
+from simfoundry.studio.view.nodes import Nodes, ViewNode
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import numpy as np
 
 from simfoundry.spec.models.task import ResetRegion
 from simfoundry.studio.acts.regions import RemoveRegion, SetRegion
-from simfoundry.studio.view.nodes import REGION_RGB, SELECTION_RGB, LinesContent, Nodes, ViewNode
+from simfoundry.studio.view.contents import LinesContent
+from simfoundry.studio.view.nodes import REGION_RGB, SELECTION_RGB, Nodes, ViewNode
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 
 if TYPE_CHECKING:
