@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from simfoundry.api.augmentation import augment_demonstrations as augment_demonstrations
     from simfoundry.api.build import Build as Build
     from simfoundry.api.datasets import build_dataset as build_dataset
     from simfoundry.api.datasets import dataset as dataset
@@ -38,6 +39,7 @@ _MODULES = {
     "TaskDocument": "api.tasks",
     "Trained": "api.training",
     "UnknownNameError": "api.entries",
+    "augment_demonstrations": "api.augmentation",
     "build_dataset": "api.datasets",
     "dataset": "api.datasets",
     "demonstrations": "api.demonstrations",

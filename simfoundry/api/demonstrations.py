@@ -70,14 +70,15 @@ def record(
 
 
 def record_plan(
-    documents: Sequence[Path], policy: str, out: Path, count: int, seed: int = 0, max_attempts: int | None = None
-) -> RecordPlan:
+    documents: Sequence[Path], policy: str, out: Path, count: int, seed: int = 0, max_attempts: int | None = None,
+    source: Path | None = None,
+) -> RecordPlan:  # fmt: skip
     """Return the plan of a recording."""
     from simfoundry.data.plan import RecordPlan
     from simfoundry.evaluate.entries import contenders
 
     (contender,) = contenders((policy,))
-    return RecordPlan(out, tuple(documents), contender, count, max_attempts or default_attempts(count), seed)
+    return RecordPlan(out, tuple(documents), contender, count, max_attempts or default_attempts(count), seed, source)
 
 
 def shortage(plan: RecordPlan, summary: RecordSummary) -> str:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 # The smallest and the largest value of each numeric option, in Python and on the command line.
 # The parts of the output folder.
-COUSINS, DEMONSTRATIONS, POLICIES, EVALUATION = "cousins", "demonstrations", "policies", "evaluation"
+COUSINS, DEMONSTRATIONS, AUGMENTED, POLICIES, EVALUATION = (
+    "cousins", "demonstrations", "augmented", "policies", "evaluation",
+)  # fmt: skip
 REPORT, PAGE = "report.json", "report.html"
 
 # Fraction of several tasks that is kept for the evaluation, and the largest number of these tasks.
@@ -45,6 +47,7 @@ class TrainingRun:
         seeds: The seeds of the trainings, which give one policy each.
         minutes: The time budget of each training [min], or None.
         count: The number of demonstrations; None for :data:`DEMONSTRATED`, or for all that are already recorded.
+        augment: The number of demonstrations to generate from the recorded ones, and to learn from; or None.
         policy: The policy that demonstrates.
         record_seed: The seed of the initial states of the demonstrations.
         tasks: The tasks to evaluate, or folders of them; by default, the single task, or tasks that are held out.
@@ -64,6 +67,7 @@ class TrainingRun:
     seeds: tuple[int, ...] = (0,)
     minutes: float | None = None
     count: int | None = None
+    augment: int | None = None
     policy: str = "expert"
     record_seed: int = 0
     tasks: tuple[Path, ...] = ()
@@ -114,11 +118,19 @@ class Trained:
 
 @dataclass(frozen=True)
 class _Material:
-    """The recordings to learn from, and the tasks to evaluate. ``is_recorded`` is True if recordings were given."""
+    """What to learn from, and what to evaluate.
+
+    Attributes:
+        demonstrations: The recordings to learn from.
+        tasks: The tasks to evaluate.
+        count: The number of demonstrations to use, or None for all.
+        augmentation: The content of the report about the augmentation, or None without one.
+    """
 
     demonstrations: tuple[Path, ...]
     tasks: tuple[Path, ...]
-    is_recorded: bool = False
+    count: int | None
+    augmentation: Mapping[str, Any] | None = None
 
 
 def train_policy(
@@ -127,6 +139,7 @@ def train_policy(
     *,
     out: str | Path = "build/train",
     count: int | None = None,
+    augment: int | None = None,
     steps: int = 10_000,
     minutes: float | None = None,
     seeds: Sequence[int] = (0,),
@@ -147,6 +160,7 @@ def train_policy(
         policy: The policy that demonstrates, named as on the command line.
         out: Output folder.
         count: Number of demonstrations; by default, 200, or all that are already recorded.
+        augment: Number of demonstrations to generate from the recorded ones, and to learn from; by default, none.
         steps: Maximum number of optimization steps.
         minutes: Time budget for each training [min].
         seeds: Seeds of the trainings; each gives one policy.
@@ -162,7 +176,7 @@ def train_policy(
     from simfoundry.train.fit import FitOptions
 
     given = {"count": count, "steps": steps, "rollouts": rollouts, "jobs": jobs}
-    check_ranges([*given.items(), *(("seed", seed) for seed in seeds)])
+    check_ranges([*given.items(), ("count", augment), *(("seed", seed) for seed in seeds)])
     sources = tuple(Path(one) for one in ([task] if isinstance(task, str | Path) else task))
     options = FitOptions(steps=steps)
     run = TrainingRun(
@@ -172,6 +186,7 @@ def train_policy(
         tuple(seeds),
         minutes,
         count,
+        augment,
         policy,
         rollouts=rollouts,
         jobs=jobs,
@@ -207,14 +222,28 @@ def _material(run: TrainingRun, progress: Progress) -> _Material:
         raise SimfoundryError("tasks and folders of demonstrations cannot be combined; record the tasks first")
     chosen = _task_files(run.tasks)
     if recorded:
-        return _Material(tuple(recorded), chosen or _recorded_tasks(recorded), is_recorded=True)
+        return _augmented(run, _Material(tuple(recorded), chosen or _recorded_tasks(recorded), run.count), progress)
     learned = _documents(run, progress)
     if not chosen:
         held_out = min(MOST_HELD_OUT, round(HELD_OUT * len(learned)))
         chosen = learned[len(learned) - held_out :] or learned
         learned = learned[: len(learned) - held_out]
     _record(run, learned, progress)
-    return _Material((run.folder / DEMONSTRATIONS,), chosen)
+    material = _Material((run.folder / DEMONSTRATIONS,), chosen, run.count or DEMONSTRATED)
+    return _augmented(run, material, progress)
+
+
+def _augmented(run: TrainingRun, material: _Material, progress: Progress) -> _Material:
+    """Generate demonstrations if the run asks for them, and learn from these."""
+    if run.augment is None:
+        return material
+    from simfoundry.api.augmentation import generate
+
+    if len(material.demonstrations) > 1:
+        raise SimfoundryError("several folders of demonstrations cannot be augmented together; name one of them")
+    (source,), out, use = material.demonstrations, run.folder / AUGMENTED, material.count or 0
+    facts = generate(source, out, run.augment, use, run.jobs, run.machines, lambda t, s: progress(f"augment: {t}", s))
+    return _Material((out,), material.tasks, run.augment, {"folder": AUGMENTED, **facts})
 
 
 def _task_files(paths: Sequence[Path]) -> tuple[Path, ...]:
@@ -276,7 +305,7 @@ def _plans(run: TrainingRun, material: _Material) -> dict[str, TrainPlan]:
             demonstrations=material.demonstrations,
             options=replace(run.options, seed=seed),
             minutes=run.minutes,
-            count=run.count if material.is_recorded else run.count or DEMONSTRATED,
+            count=material.count,
             cameras=run.cameras,
             image_width=run.image_width,
         )
@@ -339,6 +368,7 @@ def _write_report(
         "simfoundry": "training/1",
         "sources": [str(source) for source in run.sources],
         "demonstrations": [str(folder) for folder in material.demonstrations],
+        "augmentation": material.augmentation,
         "policies": {
             label: {
                 "folder": folder.relative_to(run.folder).as_posix(),

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 @click.argument("sources", nargs=-1, required=True, type=ANY)
 @click.option("-n", "--count", type=click.IntRange(*RANGES["count"]),
               help="Number of demonstrations. Default: 200, or all that are already recorded.")  # fmt: skip
+@click.option("--augment", type=click.IntRange(*RANGES["count"]), metavar="N",
+              help="Generate N demonstrations from the recorded ones, and learn from them.")  # fmt: skip
 @option("-o", "--out", type=NEW_FOLDER, default=Path("build/train"))
 @option("-p", "--policy", metavar="POLICY", default="expert",
         help="Policy that demonstrates, as in `simfoundry record`.")  # fmt: skip
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 @on_option
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
 def train_command(
-    sources: tuple[Path, ...], count: int | None, out: Path, policy: str, seeds: tuple[int, ...],
+    sources: tuple[Path, ...], count: int | None, augment: int | None, out: Path, policy: str, seeds: tuple[int, ...],
     minutes: float | None, steps: int, cameras: tuple[str, ...], image_width: int, cousins: int | None,
     tasks: tuple[Path, ...], rollouts: int | None, record_seed: int, eval_seed: int, video: bool | None,
     jobs: int | None, machines: Machines, require: float | None, as_json: bool,
@@ -57,11 +59,12 @@ def train_command(
     SOURCES are task documents, folders that contain task documents, a recipe of cousins, or folders of demonstrations.
     The policy is a flow-matching network that reads the true poses of the objects, or images of the cameras that
     --camera names. It is evaluated from initial states that it has not seen: with several tasks, a fifth of them, at
-    most 25, is held out, unless --eval names the tasks.
+    most 25, is held out, unless --eval names the tasks. With --augment, few demonstrations are recorded, and many are
+    generated from them as in `simfoundry augment`.
 
-    OUT contains the cousins, the demonstrations, the policies, the evaluation, and report.html. Finished stages are not
-    repeated, so you can repeat the command to resume an interrupted run; a resumed training gives the same weights. To
-    run a policy again, use `simfoundry eval TASK -p baseline:OUT/policies/NAME`.
+    OUT contains the cousins, the demonstrations, the augmented ones, the policies, the evaluation, and report.html.
+    Finished stages are not repeated, so you can repeat the command to resume an interrupted run; a resumed training
+    gives the same weights. To run a policy again, use `simfoundry eval TASK -p baseline:OUT/policies/NAME`.
 
     The exit code is 1 if rollouts are missing or if a success rate is below --require.
     """
@@ -76,6 +79,7 @@ def train_command(
         seeds=seeds,
         minutes=minutes,
         count=count,
+        augment=augment,
         policy=policy,
         record_seed=record_seed,
         tasks=tasks,
@@ -102,6 +106,9 @@ def _print_trained(trained: Trained, require: float | None, as_json: bool) -> in
     if as_json:
         output.print_json({**trained.report, "missing": evaluation.missing, "troubles": list(evaluation.troubles)})
     else:
+        if trained.report["augmentation"] is not None:
+            made = trained.report["augmentation"]
+            click.echo(f"{made['demonstrations']} demonstrations generated in {made['attempts']} attempts")
         for label, rate in rates.items():
             facts = trained.summaries[label].spec.training
             learned = f"{output.plural(facts.demonstrations, 'demonstration')}, {facts.steps} steps"

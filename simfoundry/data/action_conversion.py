@@ -50,6 +50,49 @@ class ReplayError:
     is_identical: bool
 
 
+def arm_values(arm: Arm, targets: Array, space: ActionSpace, hz: float) -> Array:
+    """Return the arm values of actions that move the joint targets of an arm, before normalization.
+
+    Args:
+        arm: The arm.
+        targets: The joint targets before the first action and after each action [rad or m], shape (T + 1, n).
+        space: The action space.
+        hz: The number of actions per second [Hz].
+
+    Returns:
+        The values, shape (T, arm size).
+    """
+    match space.kind:
+        case ActionKind.JOINT_POSITION:
+            return targets[1:]
+        case ActionKind.JOINT_DELTA:
+            return np.asarray(np.diff(targets, axis=0))
+        case ActionKind.JOINT_VELOCITY:
+            return np.asarray(np.diff(targets, axis=0) * hz)
+        case ActionKind.HAND_POSE | ActionKind.HAND_DELTA:
+            return _hand_values(arm, targets, space)
+
+
+def _hand_values(arm: Arm, targets: Array, space: ActionSpace) -> Array:
+    poses = [arm.hand(q) for q in targets]
+    X_WB = arm.robot.X_WB
+    rows = []
+    for before, after in pairwise(poses):
+        if space.kind is ActionKind.HAND_POSE:
+            pose = X_WB.inverse() @ after if space.frame is HandFrame.BASE else after
+            rows.append(np.concatenate([pose.p, rotation_numbers(pose.q, space.rotation)]))
+            continue
+        axes: Mapping[HandFrame, Pose] = {
+            HandFrame.BASE: X_WB,
+            HandFrame.WORLD: Pose.of(),
+            HandFrame.HAND: before,
+        }
+        R_FW = Pose.of(q=axes[space.frame].q).inverse()
+        turn = R_FW @ Pose.of(q=after.q) @ Pose.of(q=before.q).inverse() @ R_FW.inverse()
+        rows.append(np.concatenate([R_FW.apply(after.p - before.p), rotation_numbers(turn.q, space.rotation)]))
+    return np.array(rows)
+
+
 class ActionConverter:
     """Converts the actions of trajectories of one task to an action space."""
 
@@ -64,7 +107,8 @@ class ActionConverter:
             return ConvertedActions(trajectory.recorded)
         columns = []
         for name in trajectory.robots:
-            columns += [self._arm_values(name, trajectory), trajectory.grippers[name][:, None]]
+            values = arm_values(self._arm(name), trajectory.targets[name], self.space, trajectory.hz)
+            columns += [values, trajectory.grippers[name][:, None]]
         values = np.concatenate(columns, axis=1) if columns else np.zeros((trajectory.length, 0))
         loss = self._loss(trajectory)
         if self.space.normalized:
@@ -77,7 +121,11 @@ class ActionConverter:
 
     def hand_targets(self, trajectory: Trajectory) -> dict[str, list[Pose]]:
         """Return the pose X_WT of each hand if its joints were at their targets, in T + 1 rows as in ``targets``."""
-        return {name: [self._arm(name).hand(q) for q in rows] for name, rows in trajectory.targets.items()}
+        return {name: [self.hand(name, q) for q in rows] for name, rows in trajectory.targets.items()}
+
+    def hand(self, robot: str, q: Array) -> Pose:
+        """Return the pose X_WH of a robot's hand at joint positions ``q`` [rad or m]."""
+        return self._arm(robot).hand(q)
 
     def replay_error(self, demonstration: Demonstration, actions: Array, hz: float) -> ReplayError:
         """Execute converted actions, and compare what happens with the demonstration."""
@@ -96,39 +144,6 @@ class ActionConverter:
             for name in task.robots
         )
         return ReplayError(distance, angle, done.success, same)
-
-    def _arm_values(self, name: str, trajectory: Trajectory) -> Array:
-        """Return the arm values of a robot in each frame, shape (T, arm size), before normalization."""
-        targets = trajectory.targets[name]
-        match self.space.kind:
-            case ActionKind.JOINT_POSITION:
-                return targets[1:]
-            case ActionKind.JOINT_DELTA:
-                return np.asarray(np.diff(targets, axis=0))
-            case ActionKind.JOINT_VELOCITY:
-                return np.asarray(np.diff(targets, axis=0) * trajectory.hz)
-            case ActionKind.HAND_POSE | ActionKind.HAND_DELTA:
-                return self._hand_values(name, targets)
-
-    def _hand_values(self, name: str, targets: Array) -> Array:
-        arm = self._arm(name)
-        poses = [arm.hand(q) for q in targets]
-        X_WB = arm.robot.X_WB
-        rows = []
-        for before, after in pairwise(poses):
-            if self.space.kind is ActionKind.HAND_POSE:
-                pose = X_WB.inverse() @ after if self.space.frame is HandFrame.BASE else after
-                rows.append(np.concatenate([pose.p, rotation_numbers(pose.q, self.space.rotation)]))
-                continue
-            axes: Mapping[HandFrame, Pose] = {
-                HandFrame.BASE: X_WB,
-                HandFrame.WORLD: Pose.of(),
-                HandFrame.HAND: before,
-            }
-            R_FW = Pose.of(q=axes[self.space.frame].q).inverse()
-            turn = R_FW @ Pose.of(q=after.q) @ Pose.of(q=before.q).inverse() @ R_FW.inverse()
-            rows.append(np.concatenate([R_FW.apply(after.p - before.p), rotation_numbers(turn.q, self.space.rotation)]))
-        return np.array(rows)
 
     def _loss(self, trajectory: Trajectory) -> str:
         """Return why the targets differ from the recorded ones, or an empty string."""

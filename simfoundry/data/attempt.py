@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +71,7 @@ def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
         opened = _opened(job.document)
         start, policy = opened.start(job.seed, job.start), opened.policy(job.contender)
         done = rollout(opened.task, start, policy, opened.world, opened.judge)
-        about = _about(job, start, done)
+        about = {**_about(job, start, done), **_origin(policy)}
         if not done.success:
             return Attempt(about)
         initial = state_to_json(start.state)
@@ -105,6 +106,11 @@ def _about(job: AttemptJob, start: RolloutStart, done: Rollout) -> dict[str, Any
         "subtasks": dict(done.subtasks),
         "trajectory": done.digest,
     }
+
+
+def _origin(policy: Policy) -> dict[str, Any]:
+    """Return where the actions of the last rollout came from, if the policy states it."""
+    return {"origin": json.loads(json.dumps(dict(policy.origin)))} if policy.origin else {}
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, overload
 
 from simfoundry.data.attempt import ENGINE
@@ -42,6 +43,8 @@ class Demonstration:
         steps: The number of control steps.
         subtasks: The step at which each sub-task was completed, counted from 1, or None if it was not completed.
         trajectory: The digest of the trajectory, which a replay reproduces.
+        origin: Where the actions come from, such as the demonstration of each segment of an augmented one; empty if the
+            policy does not state it.
     """
 
     index: int
@@ -56,6 +59,7 @@ class Demonstration:
     steps: int
     subtasks: Mapping[str, int | None]
     trajectory: str
+    origin: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
     def of(cls, attempt: Attempt, folder: Path, tasks: Sequence[Mapping[str, Any]]) -> Demonstration:
@@ -85,6 +89,7 @@ class Demonstration:
             steps=int(said["steps"]),
             subtasks=dict(said["subtasks"]),
             trajectory=str(said["trajectory"]),
+            origin=dict(said.get("origin", {})),
         )
         _check(made)
         return made

@@ -32,6 +32,9 @@ from simfoundry.spec.yaml.write import to_data
 
 INDEX, TASKS = "demonstrations.json", "tasks"
 
+# The folder of the demonstrations that were augmented. It may move: the digest of the policy covers its content.
+SOURCE = "source"
+
 # Maximum size of an index to read [bytes]; one of ten thousand tasks takes about 10 MB.
 MOST_BYTES = 2**26
 
@@ -88,6 +91,7 @@ def _facts(plan: RecordPlan, document: Path) -> dict[str, Any]:
         "seed": plan.seed,
         "policy": plan.contender.label,
         "policy_digest": plan.contender.digest,
+        **({} if plan.source is None else {SOURCE: plan.name(plan.source)}),
         "instruction": task.instruction,
         "control_hz": task.control_hz,
         "horizon": task.horizon,
@@ -162,7 +166,7 @@ def check_index(folder: Path, index: Mapping[str, Any], wanted: Mapping[str, Any
     for old, new in zip(there, mine, strict=True):
         where = f"{folder} contains demonstrations" + (f" of {new['document']}" if len(mine) > 1 else "")
         for key, value in new.items():
-            if old.get(key) != value:
+            if key != SOURCE and old.get(key) != value:
                 raise OutputError(
                     f"{where} with a different {_NAMES.get(key, f'`{key}`')}: {old.get(key)!r}, not {value!r}; "
                     "choose another folder"

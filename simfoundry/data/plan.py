@@ -24,6 +24,7 @@ class RecordPlan:
         count: The number of demonstrations.
         max_attempts: The maximum number of attempts, including successful ones.
         seed: The seed for the initial states.
+        source: The folder of the demonstrations that are augmented, or None.
     """
 
     folder: Path
@@ -32,6 +33,7 @@ class RecordPlan:
     count: int
     max_attempts: int
     seed: int = 0
+    source: Path | None = None
 
     def name(self, document: Path) -> str:
         """Return the path of a task document relative to the folder."""

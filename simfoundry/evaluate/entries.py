@@ -45,6 +45,9 @@ class ReplayChoice:
 # A selected policy that has not been created yet.
 Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | CheckpointChoice | PythonClass
 
+# A folder of each kind of policy that is stored in one, for messages.
+_FOLDERS = {"augment": "demos", "baseline": "build/train/policy"}
+
 # Policies that are created separately for each task.
 TASK_CHOICES = (ExpertChoice, CheckpointChoice)
 
@@ -56,7 +59,7 @@ def parse_policy(text: str) -> Choice:
 
     - ``random`` or ``expert``
     - ``replay:FILE``
-    - ``baseline:FOLDER``
+    - ``baseline:FOLDER``, or ``augment:DEMOS``, optionally followed by options as ``?name=value&…``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
     - the path of a ``*.policy.yaml`` document
     - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``, which uses
@@ -75,8 +78,8 @@ def parse_policy(text: str) -> Choice:
         return ReplayChoice(Path(rest))
     if kind in LOADERS:
         if not rest:
-            raise PolicyError(f"`{kind}` requires the folder of a trained policy, such as `{kind}:build/train/policy`")
-        return CheckpointChoice(kind, Path(rest))
+            raise PolicyError(f"`{kind}` requires a folder, such as `{kind}:{_FOLDERS[kind]}`")
+        return _checkpoint(kind, rest)
     if kind == "python":
         return _python(rest)
     if text.endswith((".yaml", ".yml")):
@@ -85,7 +88,8 @@ def parse_policy(text: str) -> Choice:
         return spec
     if kind in PROTOCOLS:
         return _short(kind, rest)
-    words = "`random`, `expert`, `replay:FILE`, `baseline:FOLDER`, `python:MODULE:CLASS`, a path to a .policy.yaml"
+    folders = ", ".join(f"`{one}:FOLDER`" for one in LOADERS)
+    words = f"`random`, `expert`, `replay:FILE`, {folders}, `python:MODULE:CLASS`, a path to a .policy.yaml"
     servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PROTOCOLS.names())
     raise PolicyError(f"`{text}` is not a valid policy; use {words}, or a server such as {servers}")
 
@@ -126,13 +130,22 @@ def _python(rest: str) -> PythonClass:
     module, _, name = path.rpartition(":")
     if not module or not name.isidentifier():
         raise PolicyError(f"`python:{rest}` does not name a class; use `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
+    return PythonClass(module, name, _arguments(query, name, "?checkpoint=last.pt&horizon=8"))
+
+
+def _checkpoint(kind: str, rest: str) -> CheckpointChoice:
+    folder, _, query = rest.partition("?")
+    return CheckpointChoice(kind, Path(folder), _arguments(query, kind, "?noise=0.01"))
+
+
+def _arguments(query: str, name: str, example: str) -> tuple[tuple[str, str | int | float], ...]:
+    """Parse the arguments of a policy, such as ``checkpoint=last.pt&horizon=8``."""
     said = parse_qsl(query, keep_blank_values=True)
     if not all(key.isidentifier() for key, _ in said) or len(dict(said)) < len(said):
         raise PolicyError(
-            f"`{query}` does not contain valid arguments for `{name}`; specify each argument once, such as "
-            "`?checkpoint=last.pt&horizon=8`"
+            f"`{query}` does not contain valid arguments for `{name}`; specify each argument once, such as `{example}`"
         )
-    return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
+    return tuple((key, _value(value)) for key, value in said)
 
 
 def _short(protocol: str, rest: str) -> PolicySpec:

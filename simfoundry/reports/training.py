@@ -32,6 +32,7 @@ def training_page(report: Mapping[str, Any], records: Sequence[Mapping[str, Any]
         "tasks": ", ".join(first["tasks"][:5]) + ("…" if len(first["tasks"]) > 5 else ""),
         "learned from": ", ".join(report["sources"]),
         "demonstrations": str(first["demonstrations"]),
+        "augmentation": _augmentation(report.get("augmentation")),
         "evaluated tasks": str(len({record["task"] for record in records})),
         "seen initial states": f"{report['seen_starts']} of {len(records)}",
         "versions": versions,
@@ -45,6 +46,14 @@ def training_page(report: Mapping[str, Any], records: Sequence[Mapping[str, Any]
         curves=loss_curves({label: one["losses"] for label, one in report["policies"].items()}),
         evaluation=report["evaluation"],
     )
+
+
+def _augmentation(made: Mapping[str, Any] | None) -> str:
+    """Return how many demonstrations were generated, and from how many, or an empty string."""
+    if made is None:
+        return ""
+    rate = Rate(made["success"]["successes"], made["success"]["attempts"])
+    return f"generated from {len(made['sources'])} demonstrations, success {rate}"
 
 
 def _policy(label: str, facts: Mapping[str, Any], records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.evaluate.policies.base import ImageSize, Observation, Policy, RobotReading
-from simfoundry.evaluate.policies.checkpoint import PolicyLoader
+from simfoundry.evaluate.policies.base import ImageSize, Observation, Policy, PolicyError, RobotReading
+from simfoundry.evaluate.policies.checkpoint import Options, PolicyLoader
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Pose, Poses
 from simfoundry.runtime.extras import need_extra
@@ -102,8 +102,19 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _open(folder: Path, task: Task) -> Policy:
+def _open(folder: Path, task: Task, _: Options) -> Policy:
     return BaselinePolicy(folder, task)
 
 
-BASELINE = PolicyLoader(open=_open, digest=baseline_digest)
+def _digest(folder: Path, options: Options) -> str:
+    """Return a digest of a baseline, which has no options.
+
+    Raises:
+        PolicyError: If there are options, or if the folder does not contain a baseline.
+    """
+    if options:
+        raise PolicyError(f"`baseline` has no options, but `{next(iter(options))}` is given")
+    return baseline_digest(folder)
+
+
+BASELINE = PolicyLoader(open=_open, digest=_digest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,6 +234,7 @@ class PlanningScene:
         self._free = {name: int(model.joint(joint).qposadr[0]) for name, joint in free.items()}
         model.geom_margin[:] = FAR / 2
         model.pair_margin[:] = FAR
+        model.body_margin[:] = FAR / 2  # bodies that are farther apart are skipped
         self._hands = {name: self._hand(name) for name in self._natives}
         self._hand_geoms = {name: {int(g) for g in hand[1]} for name, hand in self._hands.items()}
         self._world.reset()
@@ -312,12 +313,16 @@ class PlanningScene:
     def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
         """Return the bodies and geoms of a hand, and the pose of the hand frame relative to the first body."""
         model, frame = self._model, self._natives[robot].frame("hand")
-        top = model.body(f"{robot}.{frame.link}").id
-        bodies = [top]
-        for body in range(top + 1, model.nbody):  # MuJoCo orders bodies depth first: parents precede children
-            if int(model.body_parentid[body]) in bodies:
-                bodies.append(body)
+        bodies = self._below(model.body(f"{robot}.{frame.link}").id)
         return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
+
+    def _below(self, top: int) -> list[int]:
+        """Return a body and all bodies that move with it."""
+        bodies = [top]
+        for body in range(top + 1, self._model.nbody):  # MuJoCo orders bodies depth first: parents precede children
+            if int(self._model.body_parentid[body]) in bodies:
+                bodies.append(body)
+        return bodies
 
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
         """Return the first body that is closer than ``gap`` [m] to one of the ``moving`` robots and objects, or None.
@@ -340,3 +345,35 @@ class PlanningScene:
             elif second in mine and first not in passed:
                 return str(first)
         return None
+
+    def hands_are_free(self, robots: Iterable[str], held: str = "", gap: float = FAR) -> bool:
+        """Return True if hands, and the object that they hold, are at least ``gap`` [m] away from everything else.
+
+        Args:
+            robots: The robots to which the hands belong.
+            held: The name of the object in the hands, or an empty string.
+            gap: The required clearance [m], at most :data:`FAR`.
+        """
+        self._collide()
+        mine, contact = set(robots), self._data.contact
+        for k in np.flatnonzero(contact.dist[: self._data.ncon] < gap):
+            pair = [int(g) for g in contact.geom[k]]
+            for geom, other in (pair, pair[::-1]):
+                owner = str(self._owner[geom])
+                is_moving = owner == held or (owner in mine and geom in self._tips[owner])
+                if is_moving and str(self._owner[other]) not in {*mine, held}:
+                    return False
+        return True
+
+    @cached_property
+    def _tips(self) -> Mapping[str, set[int]]:
+        """The geoms that collide at the end of each robot: those of its hand, or of the closest link that has any."""
+        model, found = self._model, {}
+        felt = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        for name, (bodies, _, _) in self._hands.items():
+            body, geoms = int(bodies[0]), set[int]()
+            while body and not geoms:
+                within = np.isin(model.geom_bodyid, self._below(body))
+                geoms, body = {int(g) for g in np.flatnonzero(within & felt)}, int(model.body_parentid[body])
+            found[name] = geoms
+        return found

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,8 @@ class Policy(Protocol):
     :class:`~simfoundry.spec.models.signals.ActionSpace` describes the numbers in an action. ``control_hz`` is the
     number of actions per second [Hz], or None for the control frequency of the task. ``name`` is used in reports.
     ``cameras`` maps the cameras that the policy uses to the size of their images, and ``image_kinds`` lists the kinds
-    of images of each of them. No other cameras are rendered.
+    of images of each of them. No other cameras are rendered. ``origin`` states where the actions of the present rollout
+    come from, as plain data that is stored with a recorded attempt.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Policy(Protocol):
     control_hz: float | None = None
     image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
+    origin: Mapping[str, Any] = MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
         """Start a rollout.
@@ -130,3 +132,7 @@ class InvalidAnswerError(PolicyError):
 
     The rollout then fails.
     """
+
+
+class GaveUpError(PolicyError):
+    """An error raised if a policy knows that it cannot succeed. The rollout then fails, with the message as reason."""

@@ -85,6 +85,7 @@ class PythonPolicy:
         self.control_hz = self._rate(getattr(self._policy, "control_hz", None))
         self.image_kinds = self._kinds(getattr(self._policy, "image_kinds", None))
         self.cameras = self._sizes(getattr(self._policy, "cameras", None))
+        self.origin: Mapping[str, Any] = MappingProxyType({})
 
     def _space(self, space: object) -> ActionSpace:
         try:

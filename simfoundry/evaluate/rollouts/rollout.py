@@ -15,6 +15,7 @@ import numpy as np
 
 from simfoundry.evaluate.actions import action_size, checked_actions
 from simfoundry.evaluate.policies.base import (
+    GaveUpError,
     Image,
     ImageSize,
     InvalidAnswerError,
@@ -113,6 +114,8 @@ class RolloutEnd(StrEnum):
     DIVERGED = "diverged"
     INVALID = "invalid answer"
     """The policy returned an error or something other than actions, so the rollout failed."""
+    GAVE_UP = "gave up"
+    """The policy stated that it cannot succeed, so the rollout failed."""
     NO_ANSWER = "no answer"
     """The policy could not be queried or the connection was lost, so the rollout has no result and counts as missing.
     """
@@ -260,6 +263,8 @@ class _Run:
                     return ended
         except InvalidAnswerError as error:
             return RolloutEnd.INVALID, str(error)
+        except GaveUpError as error:
+            return RolloutEnd.GAVE_UP, str(error)
         except PolicyError as error:
             return RolloutEnd.NO_ANSWER, str(error)
         return RolloutEnd.HORIZON, f"not completed after {self.task.horizon} control steps"
