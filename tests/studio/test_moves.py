@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.studio.acts.carry import carried_objects
 from simfoundry.studio.acts.move import MoveObject, Snap
 from simfoundry.studio.session import StudioSession
 from tests.studio.conftest import SCENE, TASK
@@ -91,6 +92,49 @@ def test_a_moved_support_carries_what_stands_on_it(desk: Path) -> None:
     session.apply(MoveObject("desk", Pose.of((0.5, 0, -0.02), quat_from_rpy(0, 0, math.radians(90)))))
     assert "place: {inside: tray, xy: [0.6, -0.3], yaw_deg: 90}" in session.text
     assert "pose: {xyz: [0.7, 0.12, 0.0201], yaw_deg: 90}" in session.text  # the ball
+
+
+LEANING = """\
+  box:
+    shape: {box: [0.1, 0.2, 0.2]}
+    mass: 0.2
+    place: {on: desk, xy: [0.3, 0.25]}
+  book:  # its upper edge touches the side of the box
+    shape: {box: [0.02, 0.15, 0.2]}
+    mass: 0.2
+    pose: {xyz: [0.1956, 0.25, 0.0937], rpy_deg: [0, 27, 0]}
+  ruler:  # lies across the edge of the tray, and its end is on the desk
+    shape: {box: [0.3, 0.02, 0.004]}
+    mass: 0.2
+    pose: {xyz: [-0.0574, -0.1, 0.0409], rpy_deg: [0, 15, 0]}
+  can:  # stands beside the box and touches it
+    shape: {cylinder: {radius: 0.03, height: 0.1}}
+    mass: 0.2
+    place: {on: desk, xy: [0.38, 0.25]}
+"""
+
+
+def test_what_leans_on_a_moved_object_moves_with_it(desk: Path) -> None:
+    text = SCENE.replace("\ncameras:", f"{LEANING}\ncameras:")
+    desk.write_text(text)
+    session = StudioSession(desk)
+    assert session.scene is not None
+    assert set(carried_objects(session.scene, "box")) == {"book"}
+    assert set(carried_objects(session.scene, "tray")) == {"ruler"}
+    assert set(carried_objects(session.scene, "can")) == set(carried_objects(session.scene, "book")) == set()
+    session.apply(MoveObject("box", Pose.of((0.3, -0.2, 0.1))))
+    assert "place: {on: desk, xy: [0.3, -0.2]}" in session.text
+    assert "pose: {xyz: [0.1956, -0.2, 0.0937], rpy_deg: [0, 27, 0]}" in session.text
+    session.apply(MoveObject("book", Pose.of((0.0, 0.3, 0.2), quat_from_rpy(0, math.radians(27), 0))))
+    assert "place: {on: desk, xy: [0.3, -0.2]}" in session.text  # the box does not lean on the book
+    assert session.undo() and session.undo() and session.text == text
+
+
+def test_what_is_inside_moves_along_even_if_it_stands_on_something_else(desk: Path) -> None:
+    text = SCENE.replace("place: {on: desk, xy: [0.2, 0.1]}", "pose: {xyz: [-0.25, -0.1, 0.2]}")  # above the tray
+    lifted = text.replace("xyz: [-0.25, -0.1, 0.2]", "xyz: [-0.25, -0.1, 0.062]")  # 2 mm above its floor
+    for scene, lines in ((text, 1), (lifted, 2)):
+        assert len(move(desk, scene, MoveObject("tray", Pose.of((0.25, 0.1, 0.0252))))) == lines
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import to_data
 from simfoundry.studio.acts.act import ActEdits, ActError, require_object, scene_edits
 from simfoundry.studio.acts.add import FREE_M
-from simfoundry.studio.acts.move import rest_below
+from simfoundry.studio.acts.carry import rest_below
 from simfoundry.studio.acts.placement import written_pose
 from simfoundry.studio.acts.references import references
 from simfoundry.studio.reading import StudioScene

@@ -1,4 +1,4 @@
-"""Move and turn objects: snapped to a grid and to angles, dropped onto what is beneath, with what stands on them."""
+"""Move and turn objects: snapped to a grid and to angles, dropped onto what is beneath, with what they carry."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
-from simfoundry.geometry.hulls import Hulls
-from simfoundry.scene.drop import TOUCHING, DropResult, drop_onto
+from simfoundry.geometry.frames import Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.scene.drop import DropResult
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.change.edit_data import DataPath
 from simfoundry.studio.acts.act import ActEdits, ActError, require_object
+from simfoundry.studio.acts.carry import carried_objects, rest_below
 from simfoundry.studio.acts.placement import STILL_M, STILL_RAD, written_pose
 from simfoundry.studio.reading import StudioScene
 
@@ -47,7 +47,7 @@ class MoveObject:
         name: The object.
         X_WO: Its new pose.
         drop: Whether it then falls onto what is beneath, if it is not fixed.
-        carry: Whether objects that stand on it move with it.
+        carry: Whether objects that stand on it, are inside of it or lean on it move with it.
         snap: What the pose snaps to first.
     """
 
@@ -108,38 +108,3 @@ def _follows(scene: StudioScene, name: str) -> bool:
     is_beside = any((place.left_of, place.right_of, place.in_front_of, place.behind))
     is_turned = place.yaw_deg is not None or place.rpy_deg is not None
     return place.xy is None and place.frame is None and not is_beside and not is_turned
-
-
-def rest_below(scene: StudioScene, held: Hulls, without: Collection[str]) -> DropResult | None:
-    """Return where a posed shape comes to rest among the objects of a scene, except some of them."""
-    low, high = held.bounds()
-    near = (
-        name
-        for name, (least, most) in scene.draft.bounds.items()
-        if name not in without and (most[:2] >= low[:2]).all() and (least[:2] <= high[:2]).all()
-    )
-    return drop_onto(held, {name: scene.draft.shapes[name] for name in near})
-
-
-def carried_objects(scene: StudioScene, name: str) -> dict[str, DropResult]:
-    """Return the objects that stand on or in an object, directly or on others of them, with what each rests on."""
-    bounds, carried = scene.draft.bounds, dict[str, DropResult]()
-    todo = [name]
-    while todo:
-        below = todo.pop()
-        if below not in bounds:
-            continue
-        for other, box in bounds.items():
-            if other == name or other in carried or scene.objects[other].fixed or not _is_above(bounds[below], box):
-                continue
-            found = rest_below(scene, scene.draft.shapes[other], (other,))
-            if found is not None and found.support == below and abs(found.lift) <= 4 * TOUCHING:
-                carried[other] = found
-                todo.append(other)
-    return carried
-
-
-def _is_above(below: tuple[Array, Array], above: tuple[Array, Array]) -> bool:
-    """Return True if a bounding box overlaps another one as seen from above, and does not start below it."""
-    overlaps = (above[0][:2] <= below[1][:2]).all() and (above[1][:2] >= below[0][:2]).all()
-    return bool(overlaps and above[0][2] >= below[0][2] and above[0][2] <= below[1][2] + 4 * TOUCHING)

@@ -13,7 +13,7 @@ from simfoundry.scene.state import pose_spec
 from simfoundry.spec.change.edit_data import DataPath
 from simfoundry.spec.yaml.write import to_data
 from simfoundry.studio.acts.act import ActEdits, require_object
-from simfoundry.studio.acts.move import rest_below
+from simfoundry.studio.acts.carry import rest_below
 from simfoundry.studio.acts.placement import pose_source, written_pose
 from simfoundry.studio.acts.references import without_object
 from simfoundry.studio.reading import StudioScene
