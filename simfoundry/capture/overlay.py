@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.masks import Labels
-from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh, gather
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh, gather, surface_distances
 from simfoundry.capture.shapes.fit import MIN_POINTS
 from simfoundry.capture.shapes.fit_primitives import search
 from simfoundry.errors import SimfoundryError
@@ -38,6 +39,10 @@ STARTS_DEG = (0.0, 12.0, -12.0)
 
 # Least decrease of the cost for which an object is moved. Below it, turns of round objects differ only by their facets.
 WORTH = 0.005
+
+
+# Vertices [m], shape (n, 3), and faces, shape (k, 3).
+Surface = tuple[Array, NDArray[np.int32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +76,26 @@ class CaptureOverlay:
         at = np.flatnonzero(np.isfinite(self.frame.depth))
         at = at[:: max(1, round(1 / max(share, 1e-3)))]
         return self.points_W.reshape(-1, 3)[at], self.frame.color.reshape(-1, 3)[at], self.labels.reshape(-1)[at]
+
+    def errors(self, surfaces: Mapping[int, Surface], share: float = 1.0) -> Array:
+        """Return the distances of the measured points from the surfaces of their objects.
+
+        Args:
+            surfaces: The surfaces of objects in the world, by the objects' numbers.
+            share: Fraction of the points, as in :meth:`cloud`.
+
+        Returns:
+            Distances [m] as in the fit error, shape (n,): infinite for a point at which the camera would not see its
+            object, and NaN for a point that belongs to none of the objects.
+        """
+        points, _, numbers = self.cloud(share)
+        out = np.full(len(points), np.nan)
+        for number, (vertices, faces) in surfaces.items():
+            own = numbers == number
+            if own.any() and len(faces):
+                rays = points[own] - self.X_WC.p
+                out[own] = surface_distances(np.ones(len(rays)), cast_mesh(self.X_WC.p, rays, vertices, faces))
+        return out
 
     def pixel_of(self, segment: int) -> Pixel | None:
         """Return the pixel (column, row) farthest inside of an object, or None if the object has no pixels."""
@@ -146,9 +171,6 @@ def segment_image(labels: Labels) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(labels.astype(np.uint16)).save(stream, "PNG", optimize=True)
     return stream.getvalue()
-
-
-Surface = tuple[Array, NDArray[np.int32]]
 
 
 def object_surface(item: SceneObject) -> Surface:

@@ -37,6 +37,12 @@ def state_folder() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "state") / "simfoundry" / "studio"
 
 
+def document_folder(document: Path, folder: Path | None = None) -> Path:
+    """Return the folder of the state of a document, given by its resolved path, below that of the user by default."""
+    key = hashlib.sha256(str(document).encode(errors="surrogateescape")).hexdigest()[:20]
+    return (folder or state_folder()) / key
+
+
 class Journal:
     """The journal of one session, and what earlier sessions of the same document left unsaved.
 
@@ -59,9 +65,8 @@ class Journal:
         self._files: dict[Path, str] = {}
         self._done: list[EditStep] = []
         self._undone: list[EditStep] = []
-        key = hashlib.sha256(str(session.path).encode(errors="surrogateescape")).hexdigest()[:20]
         try:
-            self._begin((folder or state_folder()) / key)
+            self._begin(document_folder(session.path, folder))
         except OSError as error:
             self.problem = f"edits that are not saved are not kept if the studio is killed: {error}"
         self._unsubscribe = session.subscribe(lambda _what: self.record())

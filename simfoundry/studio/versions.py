@@ -7,11 +7,13 @@ import os
 import re
 import sys
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
+from simfoundry.spec.project import document_files
 from simfoundry.studio.acts.decomposition import CaptureFrame
 
 # Suffix of scene documents.
@@ -20,6 +22,9 @@ SUFFIX = ".scene.yaml"
 # Largest number of versions that are listed, and of bytes that are exported. A person compares a handful; the meshes of
 # a large scene take a few megabytes.
 MAX_LISTED, MAX_BYTES = 200, 500_000_000
+
+# Number of bytes of a scene in which its origin is looked for; that of a reconstruction is a few kilobytes long.
+MAX_TEXT = 1_000_000
 
 # Time stamp of exported files, so that the same versions make the same bytes; the earliest that ZIP can express.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -41,6 +46,25 @@ def version_files(path: Path) -> list[Path]:
     found = sorted(runs, key=lambda p: (len(p.parent.name), p.parent.name))
     found += sorted((p for p in versions if p != path), key=lambda p: _number(p, name))
     return found[:MAX_LISTED]
+
+
+def reconstructions(path: Path, root: Path, captures: Collection[str]) -> list[Path]:
+    """Return the other scenes of a project that were reconstructed from some captures, in the order of their paths.
+
+    The versions of the scene are not among them. This reads the texts of all scenes of the project.
+    """
+    if not captures:
+        return []
+    named = re.compile(rf"\bcapture: *[\"']?({'|'.join(map(re.escape, sorted(captures)))})\b".encode())
+    documents = document_files(root)
+    own = {path, *version_files(path)}
+    found: list[Path] = []
+    for file in sorted({*documents.included, *documents.excluded}):
+        if len(found) < MAX_LISTED and file.name.endswith(SUFFIX) and file not in own and file.is_file():
+            with file.open("rb") as stream:
+                if named.search(stream.read(MAX_TEXT)):
+                    found.append(file)
+    return found
 
 
 def save_version(path: Path, text: str, root: Path) -> Path:

@@ -17,7 +17,7 @@ from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Mesh, tessellate
 from simfoundry.spec.load import load_capture, load_scene
 from simfoundry.studio.acts.act import Act, ActError
@@ -29,7 +29,8 @@ from simfoundry.studio.acts.refine import RefinePose, ScaleObject, nudged
 from simfoundry.studio.acts.versions import TakeObjects, TakeShape
 from simfoundry.studio.captures import NoCaptureError, find_capture, scene_overlay
 from simfoundry.studio.session import StudioSession
-from simfoundry.studio.versions import exported_versions, fresh_folder, save_version, version_files
+from simfoundry.studio.versions import exported_versions, fresh_folder, reconstructions, save_version, version_files
+from simfoundry.studio.view.panels.capture import error_colors
 from tests.studio.captured import CAPTURE, write_project, yawed
 
 
@@ -86,6 +87,27 @@ def test_the_cloud_lies_on_the_objects(project: Project) -> None:
     )
     assert found.fit < 0.001 and found.explained > 0.99
     assert overlay.evidence(7, 0.0) is None
+
+
+def test_points_are_colored_by_their_distance_from_their_object(project: Project) -> None:
+    scene, overlay = project.session.scene, project.overlay
+    assert scene is not None
+    numbers = overlay.cloud()[2]
+    vertices, faces = object_surface(scene.objects["carton"])
+
+    def errors(offset: tuple[float, float, float]) -> Array:
+        X_WO = yawed(scene.objects["carton"].X_WO, offset, 0.0)
+        return overlay.errors({1: (X_WO.apply(vertices), faces)})
+
+    good, far = errors((0.0, 0.0, 0.0)), errors((0.5, 0.0, 0.0))
+    assert np.array_equal(np.isnan(good), numbers != 1) and np.isinf(far[numbers == 1]).all()
+    assert np.median(good[numbers == 1]) < 0.001
+    is_top = (numbers == 1) & (overlay.cloud()[0][:, 2] > 0.118)
+    assert np.median(errors((0.0, 0.0, 0.004))[is_top]) == pytest.approx(0.004, abs=5e-4)
+    colors = error_colors(np.array([0.0, 0.005, 0.01, 0.5, np.inf, np.nan]))
+    assert colors[0].tolist() == [0, 160, 60] and colors[1].tolist() == [250, 200, 0]
+    assert colors[2].tolist() == colors[3].tolist() == colors[4].tolist() == [220, 0, 30]
+    assert colors[5].tolist() == [150, 150, 150]
 
 
 def test_a_pixel_is_found_inside_an_object_and_on_a_ray(project: Project) -> None:
@@ -307,6 +329,17 @@ def test_each_version_is_a_file_of_its_own(project: Project) -> None:
     names = zipfile.ZipFile(io.BytesIO(exported)).namelist()
     beside = [f"build/desk/desk{version}.scene.yaml" for version in ("", ".v1", ".v2")]
     assert names == [*beside, "build/desk_2/desk.scene.yaml"]
+
+
+def test_other_reconstructions_of_the_capture_are_found(project: Project) -> None:
+    path, root = project.session.path, project.session.root
+    other = root / "elsewhere" / "other.scene.yaml"
+    other.parent.mkdir()
+    other.write_text(path.read_text())
+    save_version(path, path.read_text(), root)
+    (root / "plain.scene.yaml").write_text("simfoundry: scene/1\nname: plain\norigin: {capture: desktop}\n")
+    assert reconstructions(path, root, ["desk"]) == [other]  # neither versions, nor those of other captures
+    assert reconstructions(path, root, []) == []
 
 
 def test_objects_are_taken_from_another_version(project: Project) -> None:

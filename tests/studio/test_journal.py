@@ -11,6 +11,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.studio.acts.names import RenameSymbol
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.journal import FILE, SLOTS, Journal, state_folder
+from simfoundry.studio.marks import ObjectMarks, read_marks, write_marks
 from simfoundry.studio.session import StudioSession
 from tests.studio.conftest import SCENE, TASK
 
@@ -174,3 +175,17 @@ def test_without_a_folder_the_studio_works_and_says_so(desk: Path, state_folder:
 def test_more_studios_than_journals(desk: Path) -> None:
     every = [opened(desk) for _ in range(SLOTS + 1)]
     assert [bool(journal.problem) for _, journal in every] == [False] * SLOTS + [True]
+
+
+def test_locked_and_hidden_objects_stay_so_in_the_next_studio(desk: Path, state_folder: Path) -> None:
+    path = desk.resolve()
+    assert read_marks(path) == ObjectMarks()
+    marks = ObjectMarks(frozenset({"mug", "größe"}), frozenset({"tray"}))
+    write_marks(path, marks)
+    assert read_marks(path) == marks and read_marks(desk.with_name("other.scene.yaml")) == ObjectMarks()
+    (file,) = state_folder.rglob("marks.json")
+    for damaged in (b"", b"[]", b'{"locked": 3, "hidden": []}', b"\xff", b"[" * 100_000):
+        file.write_bytes(damaged)
+        assert read_marks(path) == ObjectMarks()
+    write_marks(path, ObjectMarks())
+    assert not file.exists()

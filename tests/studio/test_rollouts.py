@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.studio.acts.names import RenameSymbol
 from simfoundry.studio.session import StudioSession
+from simfoundry.studio.trial.folders import found_folders, has_cousins, has_recordings
 from simfoundry.studio.trial.recordings import demonstration_states, find_recordings, inside_project
 from simfoundry.studio.trial.rollouts import RolloutTrial
 from simfoundry.studio.view.robots import ShownRobots
@@ -208,6 +210,22 @@ def test_folders_are_looked_for_in_the_project_only(desk: Path) -> None:
         inside_project(root, "inner/link")
     with pytest.raises(SimfoundryError, match="not a folder"):
         inside_project(root, "missing")
+
+
+def test_folders_of_the_project_are_listed_with_the_latest_first(desk: Path) -> None:
+    root = desk.parent
+    for name in ("build/old", "runs/größer", ".hidden/run", "elsewhere"):
+        (root / name).mkdir(parents=True)
+    for name in ("build/old", "runs/größer", ".hidden/run"):
+        (root / name / "manifest.json").write_text('{"simfoundry": "cousins-run/1", "cousins": []}')
+        (root / name / "rollouts" / "deep").mkdir(parents=True)
+    (root / "elsewhere" / "manifest.json").write_text('{"simfoundry": "build/1"}')
+    (root / "link").symlink_to(root / "build")
+    os.utime(root / "build" / "old", (1e9, 1e9))
+    assert found_folders(root, has_cousins) == ("runs/größer", "build/old")
+    assert found_folders(root, has_recordings) == ("runs/größer", "build/old")
+    (root / "elsewhere" / "demonstrations.json").touch()
+    assert "elsewhere" in found_folders(root, has_recordings)
 
 
 def test_a_folder_without_recordings_says_what_it_expects(task: Path, desk: Path) -> None:

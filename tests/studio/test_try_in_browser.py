@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simfoundry.studio.trial.physics import PhysicsTrial
 from simfoundry.studio.trial.rollouts import RolloutTrial
+from simfoundry.studio.view.panels.cousins import CousinsPanel
 from tests.studio.browser import StudioPage
 from tests.studio.conftest import SCENE, OpenStudio
 from tests.studio.test_rollouts import POLICY, TASK
@@ -92,7 +94,8 @@ def test_cousins_are_reviewed(desk: Path, open_studio: OpenStudio) -> None:
     nodes = studio.server.window.canvas
     studio.tab("Try")
     studio.page.get_by_text("Cousins", exact=True).click()
-    studio.press("Open cousins")
+    studio.until(lambda: "build/cousins" in studio.server.window.panel(CousinsPanel)._folders.list.options, "the run")
+    studio.choose("Cousin run", "build/cousins")
     studio.until(lambda: nodes.nodes["/objects/mug"].X_PN.p[0] == pytest.approx(0.3), "the first cousin")
     studio.press("Reject")  # without a reason
     studio.page.get_by_text("a rejection needs a reason").first.wait_for()
@@ -105,6 +108,50 @@ def test_cousins_are_reviewed(desk: Path, open_studio: OpenStudio) -> None:
         "1": {"verdict": "rejected", "reason": "the mug hides the tray"}
     }
     studio.until(lambda: nodes.nodes["/objects/mug"].X_PN.p[0] == pytest.approx(0.4), "the next cousin")
+    studio.press("Play")  # physics of the cousin, which ends at its own poses
+    studio.until(lambda: isinstance(studio.server.window.stage.trial, PhysicsTrial), "physics")
+    trial = studio.server.window.stage.trial
+    assert isinstance(trial, PhysicsTrial)
+    studio.until(lambda: trial.elapsed > 0.2, "physics of the cousin")
+    assert nodes.nodes["/objects/mug"].X_PN.p[0] == pytest.approx(0.4, abs=1e-3)
+    studio.press("Settle and keep")
+    studio.page.get_by_text("cannot be kept in the document").first.wait_for()
     studio.press("Back to the document")
     studio.until(lambda: nodes.nodes["/objects/mug"].X_PN.p[0] == pytest.approx(0.2), "the document")
     assert studio.text == SCENE == studio.file_text
+
+
+def test_a_click_pokes_an_object_and_a_handle_pulls_it(desk: Path, open_studio: OpenStudio) -> None:
+    studio = open_studio(desk)
+    window, nodes = studio.server.window, studio.server.window.canvas
+
+    def shown(name: str) -> list[float]:
+        place: list[float] = nodes.nodes[f"/objects/{name}"].X_PN.p.tolist()
+        return place
+
+    studio.tab("Try")
+    studio.press("Play")
+    studio.until(lambda: isinstance(window.stage.trial, PhysicsTrial), "physics")
+    trial = window.stage.trial
+    assert isinstance(trial, PhysicsTrial)
+    studio.until(lambda: trial.elapsed > 0.1, "physics to run")
+    away = next(np.array(client.camera.position) for client in studio.server.viser.get_clients().values())
+    start = shown("ball")
+    studio.page.mouse.click(*studio.screen_point((start[0], start[1], start[2])))
+    studio.until(lambda: np.linalg.norm(np.subtract(shown("ball"), start)) > 0.02, "the ball to roll")
+    moved = np.subtract(shown("ball"), start)[:2]
+    assert moved @ (np.array(start) - away)[:2] > 0  # along the line of sight, away from the eye
+    assert window.selected_object == "ball"
+
+    window.select("objects.mug")
+    studio.until(lambda: window.pull._name == "mug", "the handle")
+    studio.page.wait_for_timeout(500)
+    start = shown("mug")
+    tip = studio.screen_point((start[0] + 0.1, start[1], start[2]))  # on the red arrow
+    end = studio.screen_point((start[0] + 0.3, start[1], start[2]))
+    studio.drag(tip, end, steps=30, release=False)
+    studio.until(lambda: shown("mug")[0] > start[0] + 0.05, "the mug to follow")
+    studio.page.mouse.up()
+    studio.until(lambda: window.pull._target is None, "the handle to be let go")
+    assert studio.text == SCENE == studio.file_text and not studio.server.session.is_modified
+    assert studio.problems == []

@@ -336,6 +336,17 @@ class RayAgreement:
     cost: float
 
 
+def surface_distances(depth: Array, hits: SolidHits) -> Array:
+    """Return the distances [m] of the observations at the depths (m,) on rays from a solid that the rays may hit.
+
+    A distance is measured along the normal of the surface. It is infinite if the ray misses the solid, or without a
+    depth.
+    """
+    known = np.isfinite(hits.depth) & np.isfinite(depth)
+    gap = np.where(known, hits.depth, 0) - np.where(known, depth, 0)
+    return np.where(known, np.abs(gap) * hits.slant, np.inf)
+
+
 def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     """Compare the hits on a solid with the observations."""
     scale = evidence.scale
@@ -344,8 +355,8 @@ def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     own = evidence.inside & measured
     blind = evidence.inside & ~measured
     gap = np.where(hit & measured, hits.depth, 0) - np.where(hit & measured, evidence.depth, 0)
-    distance = np.abs(gap) * hits.slant
-    residual = np.where(hit, np.minimum(distance / scale, 1.0), 1.0)
+    distance = surface_distances(evidence.depth, hits)
+    residual = np.minimum(distance / scale, 1.0)
     beyond = ~evidence.inside & hit
     free = beyond & measured & (-gap > 2.0 * scale)
     unlit = beyond & ~measured & ~evidence.hidden

@@ -76,7 +76,7 @@ class SelectionGizmo:
 
     def nodes(self) -> Nodes:
         """Return the frame around the selected object."""
-        scene, name = self._window.session.scene, self._window.selected_object
+        scene, name = self._window.shown_scene, self._window.selected_object
         if scene is None or name not in scene.objects:
             return {}
         low, high = world_bounds(scene.objects[name], Pose.of())

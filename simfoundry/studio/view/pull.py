@@ -57,7 +57,7 @@ class PullHandle:
             origin: The origin of the line of sight in the world [m].
             direction: Its direction.
         """
-        physics, scene, parts = self._physics, self._window.session.scene, node.split("/")
+        physics, scene, parts = self._physics, self._window.shown_scene, node.split("/")
         if physics is None or scene is None or len(parts) < 3 or parts[1] != "objects" or parts[2] not in scene.objects:
             return
         item = scene.objects[parts[2]]
@@ -111,7 +111,7 @@ class PullHandle:
             self._dragged_by = self._target = None
 
     def _item(self) -> SceneObject | None:
-        scene = self._window.session.scene
+        scene = self._window.shown_scene
         item = scene.objects.get(self._window.selected_object) if scene is not None else None
         return item if item is not None and not item.fixed else None
 

@@ -63,23 +63,27 @@ class TrialStage:
         """The running trial, or None."""
         return self._trial
 
-    def begin(self, create: Callable[[TrialDocument, Show, Tell], AnyTrial]) -> AnyTrial:
+    def begin(self, create: Callable[[TrialDocument, Show, Tell], AnyTrial], tries_cousin: bool = False) -> AnyTrial:
         """End what is shown, and begin something else.
 
         Args:
             create: Function that creates the trial from the document, and from functions that show a state and tell
                 people a sentence. These may be called from any thread.
+            tries_cousin: Whether the cousin that is shown, if any, is tried instead of the document.
 
         Raises:
             SimfoundryError: If the text has an error.
         """
         session = self._window.session
         with session.lock, self._lock:
+            cousin = self.cousin if tries_cousin else None
             self.end()
             if session.scene is None or not session.is_current:
                 raise SimfoundryError("the text has an error, so nothing can be tried; correct it first")
             self._scene, self.message = session.scene, ""
             document = TrialDocument(session.path, dict(session.texts))
+            if cousin is not None:
+                self.cousin, document = cousin, TrialDocument(cousin.root.path, {})
             token = object()
             self._token = token
 

@@ -17,6 +17,7 @@ from simfoundry.scene.state import SceneState
 from simfoundry.studio.acts.act import Act
 from simfoundry.studio.acts.move import MoveObject, Snap
 from simfoundry.studio.journal import Journal
+from simfoundry.studio.marks import ObjectMarks, read_marks, write_marks
 from simfoundry.studio.reading import StudioScene
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas, prepare_view
@@ -105,7 +106,8 @@ class StudioWindow:
         self.state: SceneState | None = None
         self.drops = True
         self.snap = Snap()
-        self.hidden: frozenset[str] = frozenset()
+        marks = read_marks(session.path) if journal is not None else ObjectMarks()
+        self.session.locked, self.hidden = marks.locked, marks.hidden
         self.move_act: Callable[[str, Pose], Act] = self._plain_move
         self.previews: list[Callable[[str, Pose], None]] = []
         self.capture = CaptureLink(self, capture)
@@ -175,6 +177,13 @@ class StudioWindow:
     def run(self, work: Callable[[], object]) -> None:
         """Run work that changes the session after that submitted before. Errors are shown as messages."""
         self._acts.submit(self._guarded, work)
+
+    def mark(self, locked: frozenset[str], hidden: frozenset[str]) -> None:
+        """Lock and hide exactly these objects, in later studios of the document, too."""
+        self.session.locked, self.hidden = locked, hidden
+        if self.journal is not None:
+            self.run(lambda: write_marks(self.session.path, ObjectMarks(locked, hidden)))
+        self.request_refresh()
 
     def save(self) -> None:
         """Save all documents."""

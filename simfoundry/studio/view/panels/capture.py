@@ -8,21 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.overlay import CaptureOverlay
-from simfoundry.geometry.frames import Pose
+from simfoundry.capture.overlay import CaptureOverlay, Surface, object_surface
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.render.montage import label_color
+from simfoundry.scene.model import SceneObject
 from simfoundry.studio.view.contents import CloudContent, FrameContent, PictureContent
-from simfoundry.studio.view.nodes import Nodes, ViewNode
+from simfoundry.studio.view.nodes import Nodes, ViewNode, link_surface
 from simfoundry.studio.view.panels.panel import Panel, set_value
 
 if TYPE_CHECKING:
     from simfoundry.studio.view.window import StudioWindow
 
 # Colors of the cloud that can be chosen.
-PHOTO, OBJECTS, SELECTED = "photo", "objects", "selected object"
+PHOTO, OBJECTS, SELECTED, ERRORS = "photo", "objects", "selected object", "fit error"
 
 # Colors (sRGB, 0 to 255) of the selected object's points, and of those that belong to no object or to another one.
 MARKED_RGB, OTHER_RGB = (255, 90, 0), (150, 150, 150)
+
+# Colors (sRGB, 0 to 255) of points on the surface of their object, half as far away as the largest distance [m], and at
+# least so far. Depth cameras are off by a few millimeters at 1 m, and reconstructions by about two.
+FIT_RGB, LARGEST_M = np.array([(0, 160, 60), (250, 200, 0), (220, 0, 30)]), 0.01
 
 # Density [%] and size [mm] of the points at first: light enough for a browser on a laptop, and without gaps at 1 m.
 DENSITY, SIZE_MM = 50, 2.0
@@ -45,7 +50,7 @@ class CapturePanel(Panel):
             self.cloud = gui.add_checkbox("Cloud", True)
             self.size = gui.add_slider("Point size [mm]", min=0.5, max=10.0, step=0.5, initial_value=SIZE_MM)
             self.density = gui.add_slider("Density [%]", min=1, max=100, step=1, initial_value=DENSITY)
-            self.colors = gui.add_dropdown("Colors", (PHOTO, OBJECTS, SELECTED), initial_value=PHOTO)
+            self.colors = gui.add_dropdown("Colors", (PHOTO, OBJECTS, SELECTED, ERRORS), initial_value=PHOTO)
             self.picture = gui.add_checkbox("Picture", False, hint="The picture, behind what it shows.")
             self._look = gui.add_button("Look through the camera")
         for handle in (self.cloud, self.size, self.density, self.colors, self.picture):
@@ -82,12 +87,38 @@ class CapturePanel(Panel):
     def _cloud(self, overlay: CaptureOverlay, segment: int) -> CloudContent:
         share, colors = float(self.density.value) / 100, str(self.colors.value)
         key = f"{id(overlay)} {share} {colors} {segment if colors == SELECTED else 0}"
+        key += self._poses() if colors == ERRORS else ""
         size = float(self.size.value) / 1000
         shown = self.window.canvas.nodes.get("/capture/cloud")
         if shown is not None and isinstance(shown.content, CloudContent) and shown.content.key == key:
             return CloudContent(key, shown.content.points, shown.content.rgb, size)
         points, photo, numbers = overlay.cloud(share)
-        return CloudContent(key, points.astype(np.float32), cloud_colors(colors, photo, numbers, segment), size)
+        if colors == ERRORS:
+            rgb = error_colors(overlay.errors(self._surfaces(), share))
+        else:
+            rgb = cloud_colors(colors, photo, numbers, segment)
+        return CloudContent(key, points.astype(np.float32), rgb, size)
+
+    def _surfaces(self) -> dict[int, Surface]:
+        """Return the surfaces of all objects that the capture shows, in the world."""
+        found = {}
+        for item in self._objects():
+            vertices, faces = object_surface(item)
+            found[self.window.capture.segment(item.name)] = item.X_WO.apply(vertices), faces
+        return found
+
+    def _objects(self) -> list[SceneObject]:
+        """Return the objects that the capture shows."""
+        scene = self.session.scene
+        return [o for o in scene.objects.values() if self.window.capture.segment(o.name)] if scene is not None else []
+
+    def _poses(self) -> str:
+        """Return what identifies the poses of the objects and their shapes."""
+        found = []
+        for item in self._objects():
+            surfaces = [surface.key for link in item.links if (surface := link_surface(link)) is not None]
+            found.append((surfaces, item.X_WO.p.tolist(), item.X_WO.q.tolist()))
+        return repr(found)
 
     def _look_through(self, event: Any) -> None:
         overlay = self.window.capture.overlay
@@ -109,6 +140,16 @@ def cloud_colors(colors: str, photo: NDArray[np.uint8], numbers: NDArray[np.int3
         if colors == OBJECTS or number == segment:
             out[numbers == number] = label_color(number) if colors == OBJECTS else MARKED_RGB
     return out
+
+
+def error_colors(errors: Array) -> NDArray[np.uint8]:
+    """Return the colors of points, shape (n, 3), from their distances [m] from their objects, shape (n,).
+
+    They go from green by way of yellow to red, and are gray for points that belong to no object (NaN).
+    """
+    share = np.clip(np.where(np.isfinite(errors), errors, LARGEST_M) / LARGEST_M, 0.0, 1.0)
+    rgb = np.stack([np.interp(share, (0.0, 0.5, 1.0), FIT_RGB[:, k]) for k in range(3)], axis=-1)
+    return np.where(np.isnan(errors)[:, None], OTHER_RGB, rgb).astype(np.uint8)
 
 
 def picture_node(overlay: CaptureOverlay) -> ViewNode:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.cousins.run.review import CousinReview
 from simfoundry.errors import SimfoundryError
 from simfoundry.studio.trial.cousins import CousinsTour
-from simfoundry.studio.trial.recordings import inside_project
+from simfoundry.studio.trial.folders import has_cousins
+from simfoundry.studio.view.panels.folders import FolderChoice
 from simfoundry.studio.view.panels.panel import Panel, set_value
 
 if TYPE_CHECKING:
@@ -18,14 +20,13 @@ MAX_LISTED = 12
 
 
 class CousinsPanel(Panel):
-    """The folder of a run, the steps through its cousins, and the decision about the present one."""
+    """The choice of a run, the steps through its cousins, and the decision about the present one."""
 
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         gui = window.gui
         with gui.add_folder("Cousins", expand_by_default=False):
-            self._folder = gui.add_text("Run", "build/cousins")
-            gui.add_button("Open cousins").on_click(lambda _: window.stage.run(self._open))
+            self._folders = FolderChoice(window, "Cousin run", "cousins", has_cousins, self._open)
             self._review = gui.add_folder("Review", visible=False)
             with self._review:
                 step = gui.add_button_group("Cousin", ("Previous", "Next"))
@@ -49,8 +50,8 @@ class CousinsPanel(Panel):
             self._shown = tour, tour.position, tour.review
             set_value(self._reason, tour.review.reason if tour.review is not None else "")
 
-    def _open(self) -> None:
-        self._tour = CousinsTour(inside_project(self.session.root, self._folder.value))
+    def _open(self, folder: Path) -> None:
+        self._tour = CousinsTour(folder)
         self._show()
 
     def _step(self, button: str) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # Number of sentences about objects that did not settle well that are shown.
 MAX_PROBLEMS = 4
 
+OF_COUSIN = "The state of a cousin cannot be kept in the document; go back to the document, or open the cousin itself."
+
 
 class PhysicsPanel(Panel):
     """The buttons of physics, and what it does at the moment."""
@@ -67,11 +69,14 @@ class PhysicsPanel(Panel):
         if isinstance(stage.trial, PhysicsTrial):
             return stage.trial
         engine = self._engine.value
-        trial = stage.begin(lambda document, show, tell: PhysicsTrial(document, engine, show, tell))
+        trial = stage.begin(lambda document, show, tell: PhysicsTrial(document, engine, show, tell), tries_cousin=True)
         trial.pull_by(self.window.pull.forces)
         return trial
 
     def _settle(self) -> None:
+        if self.window.stage.cousin is not None:
+            self.window.stage.tell(OF_COUSIN)
+            return
         self.window.stage.run(lambda: self._physics().settle(self._settled))
 
     def _settled(self, state: SceneState, problems: Sequence[str]) -> None:
@@ -87,6 +92,9 @@ class PhysicsPanel(Panel):
 
     def _keep(self) -> None:
         stage, state = self.window.stage, self.window.shown_state
+        if stage.cousin is not None:
+            stage.tell(OF_COUSIN)
+            return
         if state is None or stage.trial is None:
             stage.tell("There is no state to keep; press Play first.")
             return

@@ -97,15 +97,14 @@ class PiecesPanel(Panel):
     # -- what people do -----------------------------------------------------------------------------------------------
 
     def _switch(self, what: str, on: bool) -> None:
-        name, owner = self.window.selected_object, self.session if what == "locked" else self.window
+        name = self.window.selected_object
+        marks = {"locked": self.session.locked, "hidden": self.window.hidden}
         if name:
-            names = getattr(owner, what)
-            setattr(owner, what, names | {name} if on else names - {name})
-        self.window.request_refresh()
+            marks[what] = marks[what] | {name} if on else marks[what] - {name}
+        self.window.mark(**marks)
 
     def _show_all(self) -> None:
-        self.window.hidden = frozenset()
-        self.window.request_refresh()
+        self.window.mark(self.session.locked, frozenset())
 
     def _run(self, make: Any) -> None:
         def work() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.studio.trial.engine import TrialDocument
+from simfoundry.studio.trial.folders import has_recordings
 from simfoundry.studio.trial.playback import Playback
-from simfoundry.studio.trial.recordings import Recording, demonstration_states, find_recordings, inside_project
+from simfoundry.studio.trial.recordings import Recording, demonstration_states, find_recordings
 from simfoundry.studio.trial.rollouts import RolloutTrial
+from simfoundry.studio.view.panels.folders import NONE, FolderChoice
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 from simfoundry.studio.view.stage import Show, Tell
 from simfoundry.worlds import world_names
@@ -21,8 +24,6 @@ BUILT_IN = ("expert", "random")
 
 # Factors of real time.
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
-
-NONE = "(none)"
 
 
 class RolloutPanel(Panel):
@@ -43,8 +44,7 @@ class RolloutPanel(Panel):
             self._buttons = gui.add_button_group("Policy run", ("Run", "Stop"))
             self._buttons.on_click(lambda event: self._run() if event.target.value == "Run" else self._stop())
         with gui.add_folder("Recording", expand_by_default=False):
-            self._folder = gui.add_text("Folder", "build/eval")
-            gui.add_button("Open recordings").on_click(lambda _: window.stage.run(self._list))
+            self._folders = FolderChoice(window, "Recorded in", "recordings", has_recordings, self._list)
             self._choice = gui.add_dropdown("Rollout", (NONE,), initial_value=NONE)
             self._choice.on_update(by_person(lambda event: window.stage.run(lambda: self._show(event.target.value))))
         self._recordings: dict[str, Recording] = {}
@@ -58,20 +58,21 @@ class RolloutPanel(Panel):
         def create(document: TrialDocument, show: Show, tell: Tell) -> RolloutTrial:
             return RolloutTrial(show, tell, "run_policy", document, policy, index, seed, engine)
 
-        self.window.stage.run(lambda: self.window.stage.begin(create))
+        self.window.stage.run(lambda: self.window.stage.begin(create, tries_cousin=True))
 
     def _stop(self) -> None:
         trial = self.window.stage.trial
         if isinstance(trial, RolloutTrial):
             trial.stop()
 
-    def _list(self) -> None:
+    def _list(self, folder: Path) -> None:
         scene = self.session.scene
         if scene is None:
             raise SimfoundryError("the text has an error, so there is no task whose recordings could be shown")
-        found = find_recordings(inside_project(self.session.root, self._folder.value), scene)
+        found = find_recordings(folder, scene)
         self._recordings = {recording.label: recording for recording in found}
         self._choice.options = (NONE, *self._recordings)
+        set_value(self._choice, NONE)
         self.window.stage.tell(f"{len(found)} recording{'s' * (len(found) != 1)} of the task; choose one.")
 
     def _show(self, label: str) -> None:

@@ -18,8 +18,15 @@ from simfoundry.spec.load import load_scene
 from simfoundry.studio.acts.act import ActError, resolved_path
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.acts.versions import TakeObjects, TakeShape
+from simfoundry.studio.captures import capture_names
 from simfoundry.studio.disk import file_stamp
-from simfoundry.studio.versions import exported_versions, reconstruct_again, save_version, version_files
+from simfoundry.studio.versions import (
+    exported_versions,
+    reconstruct_again,
+    reconstructions,
+    save_version,
+    version_files,
+)
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 
 if TYPE_CHECKING:
@@ -48,12 +55,14 @@ class VersionsPanel(Panel):
         self._shapes: dict[str, tuple[str, FitCandidate, float]] = {}
         self._files: dict[str, Path] = {}
         self._read: tuple[Any, Any] = (None, None)
+        self._others: list[Path] = []  # other reconstructions of the same capture
         take.on_click(lambda event: self._take(event.target.value == "everything"))
         save.on_click(lambda _: window.run(self._save))
         export.on_click(lambda event: window.run(lambda: self._export(event.client)))
         self._again.on_click(lambda _: self._in_background(self._reconstruct))
         self._fit.on_click(lambda _: self._in_background(self._fit_shapes))
         self.version.on_update(lambda _: window.request_refresh())
+        self._in_background(self._search)
         self.variant.on_update(by_person(lambda event: self._choose_variant(event.target.value)))
         self.shape.on_update(by_person(lambda event: self._take_shape(event.target.value)))
 
@@ -62,7 +71,8 @@ class VersionsPanel(Panel):
         scene, name, link = self.session.scene, self.window.selected_object, self.window.capture
         if scene is None:
             return
-        self._files = {self._label(path): path for path in version_files(scene.loaded.path)}
+        files = dict.fromkeys((*version_files(scene.loaded.path), *self._others))
+        self._files = {self._label(path): path for path in files if path.is_file()}
         _set_options(self.version, (NONE, *self._files))
         set_value(self._differs, self._difference(name))
         spec = scene.spec.objects.get(name)
@@ -83,7 +93,7 @@ class VersionsPanel(Panel):
     def _label(self, path: Path) -> str:
         scene = self.session.scene
         is_beside = scene is not None and path.parent == scene.loaded.path.parent
-        return path.name if is_beside else f"{path.parent.name}/{path.name}"
+        return path.name if is_beside else self.session.shown_path(path)
 
     def _difference(self, name: str) -> str:
         """Return how the selected object differs in the chosen version."""
@@ -108,6 +118,12 @@ class VersionsPanel(Panel):
         if self._read[0] != key:
             self._read = (key, load_scene(path).spec)
         return self._read[1]
+
+    def _search(self) -> None:
+        """Find the other reconstructions of the capture in the project."""
+        scene = self.session.scene
+        if scene is not None:
+            self._others = reconstructions(scene.loaded.path, self.session.root, capture_names(scene))
 
     # -- what people do -----------------------------------------------------------------------------------------------
 
@@ -164,6 +180,7 @@ class VersionsPanel(Panel):
         self.window.tell("Reconstructing", "This takes about half a minute; the result appears as a version.")
         found = reconstruct_again(source, scene.loaded.path, self.session.root)
         self.window.tell("Reconstructed", self.session.shown_path(found))
+        self._search()
 
     def _fit_shapes(self) -> None:
         name, link = self.window.selected_object, self.window.capture
