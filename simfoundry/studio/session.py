@@ -13,14 +13,14 @@ from types import MappingProxyType
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.edit_data import edited_text
-from simfoundry.spec.change.text_diff import unified_diff
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.open_documents import OpenDocuments, Stamp
 from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
-from simfoundry.studio.disk import DiskFile, DiskQuestion, answered, encoded, file_stamp, taken_in
+from simfoundry.studio.disk import DiskQuestion, answered
 from simfoundry.studio.history import EditHistory, EditStep, UnsavedState
+from simfoundry.studio.open_files import OpenFiles
 from simfoundry.studio.reading import Reading, StudioScene, changed_objects, lint_findings, read_session
 
 # Called after each change of a session, with what happened.
@@ -54,10 +54,8 @@ class StudioSession:
         self._lock = RLock()
         self._documents = OpenDocuments()
         self._history = EditHistory()
-        self._files: dict[Path, DiskFile] = {}
+        self._files = OpenFiles(self.root)
         self._listeners: list[Listener] = []
-        self._questions: tuple[DiskQuestion, ...] = ()
-        self._held: dict[Path, Diagnostic] = {}  # files whose change on disk cannot be taken in
         self._stamps: dict[Path, Stamp] = {}  # states of the documents that are used, but not open here
         self._texts: dict[Path, str] = {}
         self._open(self.path)
@@ -106,12 +104,12 @@ class StudioSession:
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
         """The findings in the present texts. Those of lints appear once :meth:`examine` has run."""
-        return (*self._held.values(), *self._findings)
+        return (*self._files.held.values(), *self._findings)
 
     @property
     def questions(self) -> tuple[DiskQuestion, ...]:
         """The conflicts between edits here and edits on disk that a person has to decide."""
-        return self._questions
+        return self._files.questions
 
     @property
     def undo_label(self) -> str:
@@ -131,12 +129,12 @@ class StudioSession:
     @property
     def file_texts(self) -> Mapping[Path, str]:
         """The texts of the files of the open documents, as they were last read or written here."""
-        return {path: file.text for path, file in self._files.items()}
+        return self._files.texts
 
     @property
     def is_modified(self) -> bool:
         """True if a text differs from its file."""
-        return any(self._texts[path] != file.text for path, file in self._files.items())
+        return self._files.is_modified(self._texts)
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` after each change. Returns a function that ends the subscription."""
@@ -227,13 +225,11 @@ class StudioSession:
     def diff(self) -> str:
         """Return the unified diff from the files on disk to the texts, which is empty if there is nothing to save."""
         with self._lock:
-            files = sorted(self._files.items())
-            shown = ((self.shown_path(path), path, file) for path, file in files)
-            return "".join(unified_diff(f.text, self._texts[path], name, name) for name, path, f in shown)
+            return self._files.diff(self._texts)
 
     def shown_path(self, path: Path) -> str:
         """Return the path of a document relative to the project."""
-        return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
+        return self._files.shown_path(path)
 
     def save(self) -> tuple[Path, ...]:
         """Write all texts that differ from their files, or none of them, and return the files that were written.
@@ -241,25 +237,12 @@ class StudioSession:
         Raises:
             SimfoundryError: If a file has changed on disk in a way that conflicts, or if it cannot be written.
         """
-        from simfoundry.runtime.files import write_all_in_place, write_in_place
-
         with self._lock:
             self.poll()
-            if self._held:
-                held = next(iter(self._held.values()))
-                raise SimfoundryError(f"{held.file} was not saved, because {held.message}; correct it there first")
-            if self._questions:
-                raise SimfoundryError("answer the questions about changes on disk before you save")
-            deleted = [path for path in self._files if not path.exists()]
-            changed = {p: f for p, f in self._files.items() if f.text != self._texts[p] and p not in deleted}
-            write_all_in_place({p: (f.data, encoded(self._texts[p])) for p, f in changed.items()})
-            for path in deleted:
-                write_in_place(path, encoded(self._texts[path]))
-            for path in (*changed, *deleted):
-                self._files[path] = DiskFile.read(path)
+            written = self._files.write(self._texts)
             self.version += 1
         self._notify("save")
-        return (*changed, *deleted)
+        return written
 
     def poll(self) -> bool:
         """Take in changes of files on disk, and return True if there were any.
@@ -268,35 +251,31 @@ class StudioSession:
         cannot be merged, because it is not valid YAML, is reported as a finding until it changes again.
         """
         with self._lock:
-            found = taken_in(self._files, self._texts, self._held, self._questions)
-            is_used_changed = self._has_other_change()
-            is_same = (found.texts, found.held, found.questions) == (self._texts, self._held, self._questions)
-            self._files = dict(found.files)
-            if is_same and not is_used_changed:
+            found = self._files.take_in(self._texts)
+            if not self._has_other_change() and found is None:
                 return False
-            self._history.push(EditStep.between(FROM_DISK, self._texts, found.texts), self._texts)
-            self._held, self._questions = dict(found.held), found.questions
-            self._set(found.texts, self._read(found.texts))
+            texts = self._texts if found is None else found.texts
+            self._history.push(EditStep.between(FROM_DISK, self._texts, texts), self._texts)
+            self._set(texts, self._read(texts))
         self._notify(FROM_DISK)
         return True
 
     def disk_state(self) -> Mapping[Path, tuple[int, ...]]:
         """Return what identifies the states of all files of the session, for a cheap look at changes."""
-        used = tuple(resolved_path(file) for file in self._reading.loaded.files())
-        return {path: file_stamp(path) for path in (*self._files, *used)}
+        return self._files.stamps(resolved_path(file) for file in self._reading.loaded.files())
 
     def _has_other_change(self) -> bool:
         """Return True if a document that is used, but not open here, has changed since the last call."""
-        used = {resolved_path(file) for file in self._reading.loaded.files()} - self._files.keys()
+        used = {resolved_path(file) for file in self._reading.loaded.files()} - self._files.paths
         before, self._stamps = self._stamps, {path: self._documents.stamp(path) for path in used}
         return any(before.get(path, stamp) != stamp for path, stamp in self._stamps.items())
 
     def answer(self, question: DiskQuestion, take_disk: bool) -> None:
         """Decide a question: keep the value of this session, or take that of the file."""
         with self._lock:
-            if question not in self._questions:
+            if question not in self._files.questions:
                 return
-            self._questions = tuple(q for q in self._questions if q != question)
+            self._files.questions = tuple(q for q in self._files.questions if q != question)
             texts = dict(self._texts)
             if take_disk:
                 texts[question.path] = answered(texts[question.path], question)
@@ -315,7 +294,7 @@ class StudioSession:
                 raise SimfoundryError("save or undo the edits made here before you restore those of an earlier session")
             for path in (path for path in earlier.texts if path.exists()):
                 self._open(path)
-            self._files |= {path: DiskFile(path, encoded(text), (0,)) for path, text in earlier.files.items()}
+            self._files.assume(earlier.files)
             self._history = earlier.history
             self._set(earlier.texts, self._read(earlier.texts))
             self.poll()
@@ -379,10 +358,7 @@ class StudioSession:
         """
         path = resolved_path(path)
         if path not in self._files:
-            if not path.is_relative_to(self.root):
-                raise SimfoundryError(f"{path} is outside of the project {self.root}, so it is not edited here")
-            self._files[path] = file = DiskFile.read(path)
-            self._texts[path] = file.text
+            self._texts[path] = self._files.open(path)
         return path
 
     def _open_used(self) -> None:

@@ -31,6 +31,17 @@ S_WF = Similarity(Pose.of((-0.9, -0.6, -0.75), quat_from_rpy(0.05, -0.02, 0.4)),
 CORNERS_F = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 3.0, 0.0], [4.0, 0.0, 2.0]])
 
 
+def floor_splat() -> bytes:
+    """A part of a floor as a splat: opaque Gaussians on a grid of 0.04 in the units of its file, from (0, 1.6, 0)."""
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    grid = np.stack(np.meshgrid(0.04 * np.arange(32), 1.6 + 0.04 * np.arange(36)), axis=-1).reshape(-1, 2)
+    data = np.zeros((len(grid), len(names)), dtype="<f4")
+    data[:, :2], data[:, 3], data[:, 6], data[:, 7:10], data[:, 10] = grid, 1.0, 5.0, np.log(0.02), 1.0
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(grid)}\n"
+    return (head + "".join(f"property float {n}\n" for n in names) + "end_header\n").encode() + data.tobytes()
+
+
 @pytest.fixture
 def session(desk: Path) -> StudioSession:
     """A scene with a background."""
@@ -111,3 +122,25 @@ def test_clicks_meet_the_background_and_the_objects(session: StudioSession) -> N
     assert on_mug is not None
     np.testing.assert_allclose(on_mug, mug, atol=1e-6)
     assert scene_point(scene.scene, None, eye, np.array([0.0, 0.0, 1.0])) is None
+
+
+def test_clicks_meet_a_splat(desk: Path) -> None:
+    desk.with_name("floor.ply").write_bytes(floor_splat())
+    desk.write_text(SCENE + BACKGROUND.replace("mesh: room.obj", "splat: floor.ply"))
+    opened = StudioSession(desk)
+    assert opened.scene is not None and opened.scene.surroundings.background is not None
+    background, S_WF = opened.scene.surroundings.background, similarity(opened)
+    center = S_WF.apply(np.array([0.4, 2.0, 0.0]))
+    eye = np.array([0.0, 0.0, 2.0])
+    found = background_point(background, eye, (center - eye) * 0.3 + np.array([0.0008, 0.0, 0.0]))
+    assert found is not None
+    np.testing.assert_allclose(found, center, atol=1e-6)  # the nearest Gaussian, although the click was beside it
+    assert background_point(background, eye, np.array([1.0, 0.0, 0.0])) is None
+    shift = Pose.of((0.5, -0.55, 0.8), quat_from_rpy(0, 0, 0.3))
+    pairs = tuple(
+        (as_points(p[None])[0], as_points(shift.apply(p)[None])[0])
+        for p in S_WF.apply(np.array([[0.4, 2.0, 0.0], [0.4, 2.72, 0.0], [1.0, 2.72, 0.0]]))
+    )
+    opened.apply(AlignByPoints(pairs))
+    np.testing.assert_allclose(similarity(opened).apply(np.array([0.4, 2.0, 0.0])), shift.apply(center), atol=1e-4)
+    assert opened.undo() and opened.text == SCENE + BACKGROUND.replace("mesh: room.obj", "splat: floor.ply")

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simfoundry.geometry.frames import Pose
+from simfoundry.studio.acts.background import background_similarity
+from simfoundry.studio.view.contents import CloudContent
 from tests.studio.browser import StudioPage
 from tests.studio.captured import CAPTURE, write_project
 from tests.studio.conftest import SCENE, OpenStudio
-from tests.studio.test_background import BACKGROUND, ROOM
+from tests.studio.test_background import BACKGROUND, ROOM, floor_splat
 
 pytestmark = pytest.mark.slow
 
@@ -63,11 +66,45 @@ def test_a_pose_is_refined_by_keys_with_its_fit_and_snapped(scene: Path, open_st
     assert studio.problems == []
 
 
+def drag_arrow(studio: StudioPage, X_WO: Pose, by: tuple[float, float]) -> None:
+    """Drag the red arrow of the gizmo at a pose by a distance on the screen [px]."""
+    tip = studio.screen_point(tuple(X_WO.apply(np.array([0.8 * studio.server.window.gizmo.size, 0, 0])).tolist()))
+    studio.drag(tip, (tip[0] + by[0], tip[1] + by[1]))
+
+
+def test_a_gizmo_drag_on_the_cloud_refines_the_pose_with_its_fit(scene: Path, open_studio: OpenStudio) -> None:
+    studio = opened(open_studio, scene)
+    before, session = studio.text, studio.server.session
+    select(studio, "tin")
+    fit = studio.page.get_by_text("fit error", exact=False).first
+    studio.until(lambda: "tin" in fit.inner_text() and "fit error 0." in fit.inner_text(), "the fit")
+    assert session.scene is not None
+    drag_arrow(studio, session.scene.objects["tin"].X_WO, (-40.0, 0.0))
+    studio.until(lambda: studio.text != before, "the refinement")
+    changed = [line for line in studio.text.splitlines() if line not in before.splitlines()]
+    assert [line.split(":")[0].strip() for line in changed] == ["pose", "origin"]
+    moved = np.linalg.norm(session.scene.objects["tin"].X_WO.p - np.array([-0.08, -0.06, 0.04]))
+    error = float(changed[1].split("fit_error: ")[1].split(",")[0].rstrip("}"))
+    assert moved > 0.005 and 0.001 < error < moved  # the worse fit is written with the pose
+    studio.until(lambda: "fit error 0." not in fit.inner_text(), "the worse fit")
+    studio.press("Undo")
+    studio.until(lambda: studio.text == before, "undoing")
+    assert studio.problems == []
+
+
 def test_the_cloud_follows_its_switches(scene: Path, open_studio: OpenStudio) -> None:
     studio = opened(open_studio, scene)
     nodes = studio.server.window.canvas.nodes["/capture/cloud"]
     studio.choose("Colors", "objects")
     studio.until(lambda: studio.server.window.canvas.nodes["/capture/cloud"].content != nodes.content)
+    objects = studio.server.window.canvas.nodes["/capture/cloud"]
+    studio.choose("Colors", "fit error")
+    studio.until(lambda: studio.server.window.canvas.nodes["/capture/cloud"].content != objects.content)
+    shown = studio.server.window.canvas.nodes["/capture/cloud"].content
+    assert isinstance(shown, CloudContent)
+    rgb = shown.rgb
+    green = (rgb.astype(int) - (0, 160, 60)).max(axis=1) < 60
+    assert green.sum() > 0.9 * (rgb != 150).any(axis=1).sum() > 500  # most points are on their objects
     studio.control("Picture").check()
     studio.until(lambda: "/capture/picture" in studio.server.window.canvas.nodes, "the picture")
     studio.control("Cloud").uncheck()
@@ -149,6 +186,13 @@ def test_the_background_is_dragged_and_aligned_by_pairs(desk: Path, open_studio:
     studio.until(lambda: studio.server.window.selection == "background")
     studio.press("+x")
     studio.until(lambda: "xyz: [-0.999, -0.5, -0.8]" in studio.text, "the step")
+    stepped = studio.text
+    drag_arrow(studio, background_pose(studio), (40.0, 0.0))
+    studio.until(lambda: studio.text != stepped, "the drag")
+    (line,) = [line for line in studio.text.splitlines() if line not in stepped.splitlines()]
+    assert line.startswith("  pose: {xyz: [") and line.endswith("yaw_deg: 10}")
+    studio.press("Undo")
+    studio.until(lambda: studio.text == stepped, "undoing the drag")
     studio.press("larger")
     studio.until(lambda: "scale: 0.505  # a guess" in studio.text, "the scale")
     panel = studio.server.window.panel(_background())
@@ -162,6 +206,52 @@ def test_the_background_is_dragged_and_aligned_by_pairs(desk: Path, open_studio:
         studio.press("Undo")
     studio.until(lambda: studio.text == SCENE + BACKGROUND, "undoing")
     assert studio.problems == []
+
+
+def background_pose(studio: StudioPage) -> Pose:
+    """The pose of the background in the world."""
+    assert studio.server.session.scene is not None
+    return background_similarity(studio.server.session.scene).X_AB
+
+
+def test_a_splat_is_aligned_by_pairs_of_points_that_are_clicked(desk: Path, open_studio: OpenStudio) -> None:
+    desk.with_name("floor.ply").write_bytes(floor_splat())
+    text = SCENE + BACKGROUND.replace("mesh: room.obj", "splat: floor.ply")
+    desk.write_text(text)
+    studio = open_studio(desk)
+    studio.page.set_default_timeout(PATIENCE_MS)
+    studio.until(lambda: "/background" in studio.server.window.canvas.nodes, "the splat")
+    client = next(iter(studio.server.viser.get_clients().values()))
+    client.camera.position, client.camera.look_at = (0.3, -0.6, 2.4), (0.3, 0.1, -0.4)
+    studio.until(lambda: np.allclose(client.camera.position, (0.3, -0.6, 2.4), atol=1e-3), "the view from above")
+    studio.tab("Capture")
+    studio.control("Pick pairs").check()
+    panel = studio.server.window.panel(_background())
+    scene = studio.server.session.scene
+    assert scene is not None
+    here = background_similarity(scene).apply(np.array([[0.4, 2.0, 0.0], [0.4, 2.72, 0.0], [1.0, 2.72, 0.0]]))
+    there = here + np.array([0.5, -0.55, 0.8])  # on the desk
+    for k in range(3):
+        studio.page.mouse.click(*studio.screen_point(tuple(here[k].tolist())))
+        studio.until(lambda: panel._half is not None, "the point on the splat")
+        studio.page.mouse.click(*studio.screen_point(tuple(there[k].tolist())))
+        studio.until(partial(_has_pairs, panel, k + 1), "the point on the desk")
+    found = np.array(panel.pairs)
+    assert np.abs(found[:, 0] - here).max() < 0.025 and np.abs(found[:, 1] - there).max() < 0.01
+    studio.control("Pick pairs").uncheck()
+    studio.press("align")
+    studio.until(lambda: studio.text != text, "the alignment")
+    scene = studio.server.session.scene
+    assert scene is not None
+    aligned = background_similarity(scene).apply(np.array([0.4, 2.0, 0.0]))
+    np.testing.assert_allclose(aligned, there[0], atol=0.03)
+    studio.press("Undo")
+    studio.until(lambda: studio.text == text, "undoing")
+    assert studio.problems == []
+
+
+def _has_pairs(panel: Any, count: int) -> bool:
+    return len(panel.pairs) == count
 
 
 def _background() -> type:

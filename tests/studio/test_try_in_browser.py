@@ -136,21 +136,18 @@ def test_a_click_pokes_an_object_and_a_handle_pulls_it(desk: Path, open_studio: 
     assert isinstance(trial, PhysicsTrial)
     studio.until(lambda: trial.elapsed > 0.1, "physics to run")
     away = next(np.array(client.camera.position) for client in studio.server.viser.get_clients().values())
-    start = shown("ball")
+    start = shown("mug")
     studio.page.mouse.click(*studio.screen_point((start[0], start[1], start[2])))
-    studio.until(lambda: np.linalg.norm(np.subtract(shown("ball"), start)) > 0.02, "the ball to roll")
-    moved = np.subtract(shown("ball"), start)[:2]
+    studio.until(lambda: np.linalg.norm(np.subtract(shown("mug"), start)) > 0.003, "the mug to be poked")
+    moved = np.subtract(shown("mug"), start)[:2]
     assert moved @ (np.array(start) - away)[:2] > 0  # along the line of sight, away from the eye
-    assert window.selected_object == "ball"
-
-    window.select("objects.mug")
-    studio.until(lambda: window.pull._name == "mug", "the handle")
-    studio.page.wait_for_timeout(500)
+    studio.until(lambda: window.selected_object == window.pull._name == "mug", "the handle")
+    studio.page.wait_for_timeout(1000)
     start = shown("mug")
     tip = studio.screen_point((start[0] + 0.1, start[1], start[2]))  # on the red arrow
-    end = studio.screen_point((start[0] + 0.3, start[1], start[2]))
+    end = studio.screen_point((start[0] - 0.1, start[1], start[2]))
     studio.drag(tip, end, steps=30, release=False)
-    studio.until(lambda: shown("mug")[0] > start[0] + 0.05, "the mug to follow")
+    studio.until(lambda: shown("mug")[0] < start[0] - 0.05, "the mug to follow")
     studio.page.mouse.up()
     studio.until(lambda: window.pull._target is None, "the handle to be let go")
     assert studio.text == SCENE == studio.file_text and not studio.server.session.is_modified
