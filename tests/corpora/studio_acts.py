@@ -38,6 +38,7 @@ from simfoundry.studio.acts.names import RenameSymbol
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.acts.regions import RemoveRegion, SetRegion
 from simfoundry.studio.acts.remove import RemoveObject
+from simfoundry.studio.acts.resize import ResizeObject, shape_lengths
 from simfoundry.studio.reading import StudioScene
 from simfoundry.studio.session import StudioSession
 from tests.conftest import REPOSITORY
@@ -71,6 +72,7 @@ class Actor:
         kinds: list[tuple[int, Callable[[StudioScene, str], Act]]] = [
             (8, self._move), (2, self._set), (2, self._rename), (1, self._add), (1, self._duplicate), (1, self._remove),
             (1, self._relation), (1, self._goal), (1, self._region), (1, self._camera), (1, self._joint),
+            (1, self._resize),
         ]  # fmt: skip
         (chosen,) = self.random.choices([kind for _, kind in kinds], [weight for weight, _ in kinds])
         return chosen(scene, self.random.choice([*scene.objects, "nothing"]))
@@ -138,6 +140,12 @@ class Actor:
         joints = [(n, j.name) for n in scene.objects for j in movable_joints(scene, n)]
         owner, joint = self.random.choice(joints) if joints else (name, "hinge")
         return SetJoint(owner, joint, self.random.uniform(-1, 2))
+
+    def _resize(self, scene: StudioScene, name: str) -> Act:
+        document = scene.loaded.document
+        data = document.data["objects"].get(name, {}) if document is not None else {}
+        lengths = shape_lengths(data.get("shape") or {})
+        return ResizeObject(name, {k: round(v * self.random.uniform(0.5, 1.6), 4) for k, v in lengths.items()})
 
 
 def comments_beside_objects(text: str) -> dict[str, str]:

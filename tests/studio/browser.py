@@ -77,7 +77,8 @@ class StudioPage:
         """Wait until a condition holds, and return its value."""
         end = time.monotonic() + PATIENCE
         while not (found := condition()):
-            assert time.monotonic() < end, f"{what or condition} did not happen:\n{self.text[:MAX_TEXT]}"
+            text = self.text[:MAX_TEXT] if self.server is not None else ""
+            assert time.monotonic() < end, f"{what or condition} did not happen:\n{text}"
             self.page.wait_for_timeout(30)  # which also handles the events of the page
         return found
 
@@ -94,6 +95,11 @@ class StudioPage:
         row = f'//label[text()="{label}"]/ancestor::div[contains(@class, "mantine-Flex-root")][1]'
         return self.page.locator(f"xpath={row}//*[self::input or self::textarea]").first
 
+    def increase(self, label: str) -> None:
+        """Press the button that increases the number with a label by one step."""
+        row = f'//label[text()="{label}"]/ancestor::div[contains(@class, "mantine-Flex-root")][1]'
+        self.page.locator(f'xpath={row}//button[@data-direction="up"]').first.click()
+
     def enter(self, label: str, value: str) -> None:
         """Write into the control with a label."""
         self.control(label).fill(value)
@@ -109,11 +115,11 @@ class StudioPage:
         from viser import transforms
 
         client = self.until(lambda: next(iter(self.server.viser.get_clients().values()), None))
-        size = self.page.viewport_size
+        width, height = client.camera.image_width, client.camera.image_height
         R = transforms.SO3(client.camera.wxyz).as_matrix()
         x, y, z = R.T @ (np.array(point) - client.camera.position)
-        scale = size["height"] / 2 / np.tan(client.camera.fov / 2)
-        return float(size["width"] / 2 + scale * x / z), float(size["height"] / 2 + scale * y / z)
+        scale = height / 2 / np.tan(client.camera.fov / 2)
+        return float(width / 2 + scale * x / z), float(height / 2 + scale * y / z)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 12, release: bool = True) -> None:
         """Drag with the mouse from one point of the screen to another [px], as slowly as a person."""

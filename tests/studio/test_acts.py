@@ -20,6 +20,7 @@ from simfoundry.studio.acts.joints import SetJoint
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.acts.regions import RemoveRegion, SetRegion
 from simfoundry.studio.acts.remove import RemoveObject
+from simfoundry.studio.acts.resize import ResizeObject
 from simfoundry.studio.session import StudioSession
 from tests.conftest import REPOSITORY
 from tests.studio.conftest import SCENE, TASK
@@ -237,3 +238,28 @@ def test_cameras_are_added_and_removed(desk: Path) -> None:
     assert "-cameras:" in changes(desk, RemoveCamera("front"))
     with pytest.raises(ActError, match="no camera `left`"):
         changes(desk, RemoveCamera("left"))
+
+
+@pytest.mark.parametrize(
+    ("name", "lengths", "old", "new"),
+    [
+        ("mug", {"radius": 0.05, "height": 0.1}, "{radius: 0.04, height: 0.1}", "{radius: 0.05, height: 0.1}"),
+        ("tray", {"x": 0.4, "y": 0.2, "z": 0.05, "wall": 0.01}, "size: [0.3, 0.2", "size: [0.4, 0.2"),
+        ("tray", {"x": 0.3, "y": 0.2, "z": 0.05, "wall": 0.02}, "wall: 0.01", "wall: 0.02"),
+        ("ball", {"radius": 0.03}, "sphere: 0.02", "sphere: 0.03"),
+        ("desk", {"x": 1.2, "y": 0.8, "z": 0.06}, "box: [1.2, 0.8, 0.04]", "box: [1.2, 0.8, 0.06]"),
+    ],
+)
+def test_a_shape_is_resized_upward(desk: Path, name: str, lengths: dict[str, float], old: str, new: str) -> None:
+    session = StudioSession(desk)
+    session.apply(ResizeObject(name, lengths))
+    expected = SCENE.replace(old, new)
+    expected = expected.replace("0.0201]", "0.0301]") if name == "ball" else expected
+    expected = expected.replace("xyz: [0, 0, -0.02]", "xyz: [0, 0, -0.01]") if name == "desk" else expected
+    assert session.text == expected
+    session.undo()
+    assert session.text == SCENE
+    for wrong in ({"radius": -0.1}, {"depth": 1.0}, {}):
+        with pytest.raises(ActError):
+            session.apply(ResizeObject("ball", wrong))
+    assert session.text == SCENE

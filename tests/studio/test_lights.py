@@ -67,7 +67,10 @@ def test_a_panorama_lights_from_above_and_below_and_is_around_the_scene(desk: Pa
     scene = surroundings(desk, SCENE + dome)
     mean = 0.5 * (1 + ((85 / 255 + 0.055) / 1.055) ** 2.4) / 2
     assert dome_radiance(scene.lights[0]) == pytest.approx(np.array([[0, 0, mean], [mean, 0, 0]]), abs=1e-3)
-    assert content(scene, "sky").below == pytest.approx([mean, 0, 0], abs=1e-3)
+    assert content(scene, "sky").below == pytest.approx([mean / 2, 0, 0], abs=1e-3)
+    key = light_nodes(scene)["/lights/key"]
+    upward = key.X_PN.p[2] / np.linalg.norm(key.X_PN.p)  # a surface that faces up is as bright as before
+    assert content(scene, "key").rgb[2] * upward + content(scene, "sky").rgb[2] == pytest.approx(mean, abs=1e-3)
     sphere = panorama_nodes(scene)["/panorama"].content
     assert isinstance(sphere, SurfaceContent)
     ((mesh, _, _),) = sphere.pieces

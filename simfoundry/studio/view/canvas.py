@@ -13,6 +13,7 @@ from simfoundry.geometry.frames import Array, Pose, rotations
 from simfoundry.render.shading import encode_srgb
 from simfoundry.render.views import default_orbit, framing
 from simfoundry.scene.model import LightType
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.studio.view.contents import (
     CloudContent,
     FrameContent,
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 # Intensity of a light in the browser that fully lights a white surface, which reflects 1 / pi of what reaches it.
 FULLY_LIT = math.pi
+
+# Distance [m] of the grid below the lowest object, so that neither hides the other.
+GRID_BELOW_M = 0.001
 
 # Called with what a click selects, such as ``objects.mug``.
 Select = Callable[[str], None]
@@ -185,12 +189,17 @@ def _color(linear: Array) -> tuple[int, int, int]:
 
 
 def prepare_view(server: ViserServer, scene: Scene | None, has_robot: bool = False) -> None:
-    """Let z point up, draw a grid of 10 cm on the ground, and start with a view of all movable objects of a scene.
+    """Let z point up, draw a grid of 10 cm below all objects, and start with a view of all movable objects of a scene.
 
     A robot is looked at from its front, because it would hide the objects from its back.
     """
     server.scene.set_up_direction("+z")
-    server.scene.add_grid("/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0)
+    bounds = [] if scene is None else [world_bounds(item, item.X_WO) for item in scene.objects]
+    ground = min((float(low[2]) for low, _ in bounds), default=0.0)  # a table top at z = 0 would be covered by the grid
+    place = (0.0, 0.0, min(ground, 0.0) - GRID_BELOW_M)
+    server.scene.add_grid(
+        "/grid", infinite_grid=True, cell_size=0.1, section_size=1.0, fade_distance=10.0, position=place
+    )
     if scene is not None:
         center, radius = framing([scene])
         orbit = default_orbit(radius)

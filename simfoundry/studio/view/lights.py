@@ -10,13 +10,17 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
-from simfoundry.render.shading import FILL, GROUND, SKY, encode_srgb
+from simfoundry.render.shading import FILL, GROUND, KEY_DIRECTION, SKY, encode_srgb
 from simfoundry.scene.model import Light, LightType, Scene
 from simfoundry.studio.view.contents import LightContent, LinesContent, SurfaceContent
 from simfoundry.studio.view.nodes import Nodes, ViewNode
 
 # Number of lights that light the view: each one takes time for each pixel, and browsers refuse a few dozen.
 MAX_LIGHTS = 8
+
+# Share of the light of a dome that comes from one direction if a scene has no lamps: in an even light, the edges of
+# objects cannot be seen.
+KEY_SHARE = 0.5
 
 # Distance [m] of what is infinitely far away: distant lights, from the origin, and the panorama, which is farther away
 # than the corners of any room.
@@ -38,7 +42,8 @@ PANORAMA_SEGMENTS = 64
 def light_nodes(scene: Scene, casts_shadows: bool = False) -> Nodes:
     """Return what lights a scene: its own lights, up to :data:`MAX_LIGHTS`, or nothing if it has none.
 
-    A scene without a dome gets the ambient light that pictures of it have, too.
+    A scene without a dome gets the ambient light that pictures of it have, too. In a scene without lamps, some of the
+    light of the dome comes from one direction, which leaves surfaces that face up as bright as they are.
     """
     if not scene.lights:
         return {}
@@ -53,6 +58,10 @@ def light_nodes(scene: Scene, casts_shadows: bool = False) -> Nodes:
     up, down = FILL * SKY, FILL * GROUND
     if domes:
         up, down = sum((dome_radiance(light) for light in domes), np.zeros((2, 3)))
+    if not lamps:
+        key = LightContent(LightType.DISTANT, _triple(KEY_SHARE * up / KEY_DIRECTION[2]), casts_shadows=casts_shadows)
+        nodes["/lights/key"] = ViewNode(key, Pose.of(KEY_DIRECTION * DISTANT_M))
+        up, down = (1 - KEY_SHARE) * up, (1 - KEY_SHARE) * down
     # The browser takes the direction of the position as that of the sky.
     nodes["/lights/sky"] = ViewNode(LightContent(LightType.DOME, _triple(up), _triple(down)), Pose.of((0, 0, 1)))
     return nodes

@@ -43,6 +43,7 @@ from simfoundry.studio.view.panels.recovery import RecoveryPanel
 from simfoundry.studio.view.panels.refine import RefinePanel
 from simfoundry.studio.view.panels.regions import RegionPanel
 from simfoundry.studio.view.panels.rollouts import PlayerPanel, RolloutPanel
+from simfoundry.studio.view.panels.shape import ShapePanel
 from simfoundry.studio.view.panels.task import TaskPanel
 from simfoundry.studio.view.panels.trial import TrialPanel
 from simfoundry.studio.view.panels.versions import VersionsPanel
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
 # The panels of each tab. Those without a tab are above all tabs.
 PANELS: dict[str, tuple[type[Panel], ...]] = {
     "": (DocumentPanel, RecoveryPanel),
-    "Edit": (ObjectPanel, JointPanel, RegionPanel, AddPanel, MovingPanel),
+    "Edit": (ObjectPanel, ShapePanel, JointPanel, RegionPanel, AddPanel, MovingPanel),
     "Check": (FindingsPanel,),
     "Goal": (ConditionsPanel, PredicatePanel, TaskPanel),
     "Show": (DisplayPanel, CameraPanel),
@@ -340,6 +341,7 @@ class StudioWindow:
         server = self.server
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         server.gui.set_panel_label("SimFoundry Studio")
+        server.gui.main_panel.dock_right()  # a floating panel would cover objects
         scene = self.session.scene
         if scene is None:
             prepare_view(server, None)

@@ -65,8 +65,12 @@ class AddPanel(Panel):
         scene = self.session.scene
         if scene is None or support not in scene.objects or not scene.objects[support].fixed:
             support = ""
-        self.window.submit(AddObject(name, fields, support), then=lambda: self.window.select(f"objects.{name}"))
-        set_value(self._name, "")
+
+        def added() -> None:
+            set_value(self._name, "")  # only now, so that a name that is not possible can be corrected
+            self.window.select(f"objects.{name}")
+
+        self.window.submit(AddObject(name, fields, support), then=added)
 
     def _free_name(self, kind: str) -> str:
         """Return a name for something of a kind, such as ``mug_2`` for ``assets/mug.asset.yaml``."""
