@@ -72,7 +72,8 @@ class ResizeObject:
         shape = data.get("shape", {})
         before = shape_lengths(shape) if isinstance(shape, Mapping) else {}
         if not before or before.keys() != self.lengths.keys():
-            raise ActError(f"the shape of `{self.name}` does not have the lengths {', '.join(self.lengths) or 'to set'}")
+            wanted = ", ".join(self.lengths) or "that can be set"
+            raise ActError(f"the shape of `{self.name}` does not have the lengths {wanted}")
         values = {
             ("objects", self.name, "shape", *path): value for path, value in _changes(shape, before, self.lengths)
         }
