@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from simfoundry.api.scenes import load as load
     from simfoundry.api.tasks import TaskDocument as TaskDocument
     from simfoundry.api.tasks import load_task as load_task
+    from simfoundry.api.teleoperation import teleoperate as teleoperate
     from simfoundry.api.training import Trained as Trained
     from simfoundry.api.training import train_policy as train_policy
     from simfoundry.errors import SimfoundryError as SimfoundryError
@@ -47,6 +48,7 @@ _MODULES = {
     "load": "api.scenes",
     "load_task": "api.tasks",
     "record": "api.demonstrations",
+    "teleoperate": "api.teleoperation",
     "train_policy": "api.training",
 }
 

@@ -51,6 +51,7 @@ COMMANDS = {
     "show": ("scenes", "Show a scene as a tree with sizes and masses."),
     "studio": ("studio", "Open a scene or task in the browser, and edit it there."),
     "synthesize": ("scenes", "Render a scene as a synthetic capture with sensor noise."),
+    "teleop": ("teleop", "Record demonstrations of a task that a person gives with a device."),
     "train": ("train", "Record demonstrations, train a small policy on them, and evaluate it."),
     "verify": ("verify", "Load builds in real simulators and compare them with the scene."),
 }

@@ -68,30 +68,50 @@ def carry_out(job: AttemptJob) -> Attempt | SimfoundryError:
     """
     at_worker_exit(close)
     try:
-        opened = _opened(job.document)
+        opened = open_task(job.document)
         start, policy = opened.start(job.seed, job.start), opened.policy(job.contender)
         done = rollout(opened.task, start, policy, opened.world, opened.judge)
-        about = {**_about(job, start, done), **_origin(policy)}
-        if not done.success:
-            return Attempt(about)
-        initial = state_to_json(start.state)
-        recorded = _Recorded(start.seed, start.index, initial, done.actions, str(policy.action_space), done.action_hz)
-        reply = _verifier().call(f"{__name__}:replay", job.document, recorded)
-    except WorkerError as error:
-        return SimfoundryError(f"the process that replays attempt {job.index} {error.how}")
+        return verified_attempt(job, start, done, policy.action_space, _origin(policy))
     except SimfoundryError as error:
         return error
+
+
+def verified_attempt(
+    job: AttemptJob, start: RolloutStart, done: Rollout, space: ActionSpace, more: Mapping[str, Any]
+) -> Attempt:
+    """Return the attempt that a rollout made. If the rollout succeeded, it is replayed in another process first.
+
+    Args:
+        job: The attempt.
+        start: The initial state of the rollout.
+        done: The rollout.
+        space: The meaning of its actions.
+        more: Further facts about the attempt.
+
+    Raises:
+        SimfoundryError: If the rollout cannot be replayed.
+    """
+    about = {**attempt_facts(job, start, done), **more}
+    if not done.success:
+        return Attempt(about)
+    initial = state_to_json(start.state)
+    recorded = _Recorded(start.seed, start.index, initial, done.actions, str(space), done.action_hz)
+    try:
+        reply = _verifier().call(f"{__name__}:replay", job.document, recorded)
+    except WorkerError as error:
+        raise SimfoundryError(f"the process that replays attempt {job.index} {error.how}") from None
     if isinstance(reply, SimfoundryError):
-        return reply
+        raise reply
     digest, steps, arrays = reply
     if (digest, steps) != (done.digest, done.steps):
         reason = f"the replay reached {digest} after {steps} steps, but the rollout {done.digest} after {done.steps}"
         return Attempt({**about, "success": False, "kept": False, "end": NOT_REPRODUCED, "reason": reason})
-    space = {"action_space": recorded.action_space, "action_hz": recorded.action_hz}
-    return Attempt({**about, "kept": True, **space, "initial": initial}, {"actions": done.actions, **arrays})
+    facts = {"action_space": recorded.action_space, "action_hz": recorded.action_hz}
+    return Attempt({**about, "kept": True, **facts, "initial": initial}, {"actions": done.actions, **arrays})
 
 
-def _about(job: AttemptJob, start: RolloutStart, done: Rollout) -> dict[str, Any]:
+def attempt_facts(job: AttemptJob, start: RolloutStart, done: Rollout) -> dict[str, Any]:
+    """Return the entry in ``shard.json`` of an attempt that was not kept."""
     return {
         "index": job.index,
         **({"document": job.name} if job.name else {}),
@@ -133,7 +153,7 @@ def replay(document: Path, recorded: _Recorded) -> tuple[str, int, dict[str, Arr
     """
     at_worker_exit(close)
     try:
-        opened = _opened(document)
+        opened = open_task(document)
         space = ActionSpace.parse(recorded.action_space)
         policy = ReplayPolicy(recorded.actions, space, "replay", recorded.action_hz)
         start = RolloutStart(recorded.index, recorded.seed, {}, state_from_json(recorded.initial))
@@ -163,7 +183,7 @@ def state_arrays(trace: tuple[tuple[SceneState, Mapping[str, RobotReading]], ...
     return found
 
 
-class _Opened:
+class OpenTask:
     """A task with its world, its judge and the initial states that were found so far."""
 
     def __init__(self, document: Path) -> None:
@@ -186,15 +206,16 @@ class _Opened:
 class _Process:
     """State that a process keeps between attempts: the open task, the policies, and the process that replays."""
 
-    opened: tuple[Path, _Opened] | None = None
+    opened: tuple[Path, OpenTask] | None = None
     policies = OpenPolicies()
     verifier: Worker | None = None
 
 
-def _opened(document: Path) -> _Opened:
+def open_task(document: Path) -> OpenTask:
+    """Return the task that this process keeps open; another one is closed."""
     if _Process.opened is None or _Process.opened[0] != document:
         _close_task()
-        _Process.opened = document, _Opened(document)
+        _Process.opened = document, OpenTask(document)
     return _Process.opened[1]
 
 

@@ -24,6 +24,20 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 
+@dataclass(frozen=True)
+class SubtaskMark:
+    """A moment that a person marked as the end of a sub-task.
+
+    Attributes:
+        name: The name of the sub-task. The marks of an attempt stand for the sub-tasks of the task in their order; the
+            name is empty if there are more marks than sub-tasks.
+        step: The number of control steps before the mark.
+    """
+
+    name: str
+    step: int
+
+
 @dataclass(frozen=True, eq=False)
 class Demonstration:
     """A successful rollout.
@@ -45,6 +59,8 @@ class Demonstration:
         trajectory: The digest of the trajectory, which a replay reproduces.
         origin: Where the actions come from, such as the demonstration of each segment of an augmented one; empty if the
             policy does not state it.
+        device: The device of the person who gave the demonstration, or an empty string for a policy.
+        marks: The sub-tasks that the person marked, in order.
     """
 
     index: int
@@ -60,6 +76,8 @@ class Demonstration:
     subtasks: Mapping[str, int | None]
     trajectory: str
     origin: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    device: str = ""
+    marks: tuple[SubtaskMark, ...] = ()
 
     @classmethod
     def of(cls, attempt: Attempt, folder: Path, tasks: Sequence[Mapping[str, Any]]) -> Demonstration:
@@ -90,6 +108,8 @@ class Demonstration:
             subtasks=dict(said["subtasks"]),
             trajectory=str(said["trajectory"]),
             origin=dict(said.get("origin", {})),
+            device=str(said.get("device", "")),
+            marks=tuple(SubtaskMark(str(mark["name"]), int(mark["step"])) for mark in said.get("marks", ())),
         )
         _check(made)
         return made

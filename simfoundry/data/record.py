@@ -44,7 +44,7 @@ def record(
     """
     if isinstance(plan.contender.choice(), ExpertChoice):
         need_extra("expert", "policy `expert`")
-    with _writing(plan.folder):
+    with recording_folder(plan.folder):
         store = AttemptStore(plan)
         if store.next(set()) is not None:
             executor = open_executor(machines, workers, LIMITS, plan.contender.is_foreign)
@@ -73,7 +73,7 @@ def _collect(store: AttemptStore, attempts: Iterator[Attempt], seen: Seen) -> No
 
 
 @contextmanager
-def _writing(folder: Path) -> Iterator[None]:
+def recording_folder(folder: Path) -> Iterator[None]:
     """Lock a folder in which only this recording may write."""
     folder.mkdir(parents=True, exist_ok=True)
     with locked_folder(folder, "is being written by another recording; wait for it, or choose another folder"):

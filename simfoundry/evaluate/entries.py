@@ -72,6 +72,8 @@ def parse_policy(text: str) -> Choice:
     if text in ("random", "expert"):
         return RandomChoice() if text == "random" else ExpertChoice()
     kind, _, rest = text.partition(":")
+    if kind == "teleop":
+        raise PolicyError("people act only in `simfoundry teleop`, which records demonstrations")
     if kind == "replay":
         if not rest:
             raise PolicyError("`replay` requires a recording, such as `replay:rollout.npz`")

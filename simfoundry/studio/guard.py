@@ -77,14 +77,25 @@ def _given(path: str, headers: Any) -> Iterator[bytes]:
         yield cookies[COOKIE].value.encode()
 
 
+# Receives the handler of connections and the options of the server that viser starts, which it may change, and returns
+# the handler to use.
+Extend = Callable[[Any, dict[str, Any]], Any]
+
+
 @contextmanager
-def guarded(guard: ConnectionGuard) -> Iterator[None]:
-    """Let the guard decide about all connections to the server that is started in this block."""
+def guarded(guard: ConnectionGuard, extend: Extend = lambda handler, options: handler) -> Iterator[None]:
+    """Let the guard decide about all connections to the server that is started in this block.
+
+    Args:
+        guard: The rules.
+        extend: Function that adds answers to the server. The guard decides before any of them.
+    """
     from websockets.asyncio import server
 
     original = server.serve
 
     def serve(handler: Any, host: Any, port: Any, **options: Any) -> Any:
+        handler = extend(handler, options)
         options["process_request"] = _checked(guard, options["process_request"])
         return original(handler, host, port, **options)
 
