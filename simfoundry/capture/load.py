@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
-from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
+from simfoundry.spec.load import load_capture
 from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
 # Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
@@ -28,7 +29,23 @@ CLOSEST_MEDIAN = 0.15  # Minimum median depth of a table [m]; below this, the un
 
 CHECK_INVALID = "check `invalid`, and make sure that the sensor returned depth"
 
+EXAMPLE = (
+    "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
+    "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all keys"
+)
+
 T = TypeVar("T")
+
+
+def open_capture(path: Path) -> Loaded:
+    """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder."""
+    if not path.is_dir():
+        return load_capture(path)
+    file = path / "capture.yaml"
+    if not file.exists():
+        message = "the folder has no capture.yaml, which describes the files in the capture"
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
+    return load_capture(file)
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:

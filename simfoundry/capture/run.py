@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.load import load_frame, open_capture
 from simfoundry.capture.overlay import SEGMENTS, segment_image
 from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
@@ -20,20 +20,15 @@ from simfoundry.runtime.files import ensure_folder_replaceable, file_digests, st
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
-from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import load_capture, load_scene
+from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
-
-EXAMPLE = (
-    "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
-    "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all keys"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ def run_capture(
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
-    loaded = _document(path)
+    loaded = open_capture(path)
     folder = out.resolve()
     _ensure_replaceable(folder, loaded.path, force)
     assert isinstance(loaded.spec, CaptureSpec)
@@ -91,17 +86,6 @@ def run_capture(
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
     return CaptureRun(loaded, out / scene_name, built, settled, report)
-
-
-def _document(path: Path) -> Loaded:
-    """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder."""
-    if not path.is_dir():
-        return load_capture(path)
-    file = path / "capture.yaml"
-    if not file.exists():
-        message = "the folder has no capture.yaml, which describes the files in the capture"
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
-    return load_capture(file)
 
 
 def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:

@@ -336,3 +336,4 @@ class WorkerPool:
             except WorkerError as error:
                 if attempt == attempts - 1 or self._closed:
                     return error
+                worker.close()  # a fresh process has all of its memory; this one may be short of it

@@ -151,6 +151,17 @@ def crash_once(mark: str) -> int:
     return 7
 
 
+_called: list[int] = []
+
+
+def fail_unless_fresh() -> int:
+    """Fail in a process that has been used before, as if it were short of memory."""
+    _called.append(1)
+    if len(_called) > 1:
+        raise ValueError("could not allocate memory")
+    return os.getpid()
+
+
 def test_a_pool_outlives_crashes_and_repeats_what_it_is_asked_to() -> None:
     pool = WorkerPool(2, Limits(30.0, 4 * 2**30))
     try:
@@ -172,6 +183,17 @@ def test_a_failed_call_is_made_again_if_asked(tmp_path: Path) -> None:
     finally:
         pool.close()
     assert isinstance(results["once"], WorkerError) and results["twice"] == 7
+
+
+def test_a_failed_call_is_made_again_in_a_fresh_process() -> None:
+    pool = WorkerPool(1, Limits(30.0, 4 * 2**30))
+    try:
+        for k in range(3):
+            pool.submit(k, f"{HERE}:fail_unless_fresh", attempts=2)
+        results = dict(pool.next() for _ in range(3))
+    finally:
+        pool.close()
+    assert len(set(results.values())) == 3 and all(isinstance(each, int) for each in results.values())
 
 
 def test_a_process_that_starts_while_its_pool_closes_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

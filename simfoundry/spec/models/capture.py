@@ -101,6 +101,11 @@ class Shot(Model):
     color: FileName = Field(description="Color image, relative to this document.")
     depth: DepthImage
     camera: Intrinsics = Field(description="The color camera.")
+    pose: PoseSpec | None = Field(
+        None,
+        description="Pose of the color camera (x right, y down, z forward) in a frame in which the scene does not "
+        "move, such as that of a tracker; `simfoundry articulate` relates two captures by it.",
+    )
     masks: Masks | None = Field(None, description="Instance masks.")
     decomposition: Decomposition | None = Field(
         None, description="Constraints on the division of the image into objects."

@@ -1,0 +1,1 @@
+"""Joints of objects from two captures, in which one part has moved."""

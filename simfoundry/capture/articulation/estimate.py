@@ -1,0 +1,201 @@
+"""The joint of an object, from two views in which one of its parts has moved.
+
+The views show free space, so that they tell which surface is gone, which is new, and which is only hidden. A motion
+must bring surface that is not there any more to where surface is new, and must not bring any to where the second view
+sees free space. Among motions that explain the views about equally well, a translation is preferred to a rotation, and
+then the smaller motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from simfoundry.capture.articulation.evidence import Evidence, pixels_of, surface
+from simfoundry.capture.articulation.motions import QUANTILES, THICKNESS, Motion, Patch, candidate_motions, patches
+from simfoundry.capture.articulation.views import Mask, PosedView, Sight
+from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Array, cross
+from simfoundry.scene.model import JointType
+
+# Number of candidates to refine, one for each axis, number of those to refine again, and evaluations for each. A
+# simplex search stops early where few points decide.
+FINALISTS, REPEATED, EVALUATIONS = 6, 3, 160
+
+# Distance between two hinges that are different ones [m].
+APART = 0.05
+
+# Edges of the initial simplex: amount of motion [m, rad], pivot [m], and tilt of the axis [rad].
+SLIDE_STEP, TURN_STEP, PIVOT_STEP, TILT_STEP = 0.02, 0.08, 0.015, 0.06
+
+# Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
+DRIFT = 2.0
+
+# Smallest amount of motion [m, rad].
+LEAST = 1e-3
+
+# Smallest sine of the angle between two normals of a box.
+SQUARE = 0.9
+
+# Margin of a part's outline, and how far handles stand off it [m].
+OUTLINE, PROUD = 0.004, 0.1
+
+# Width of the border of an image, and the fewest new points there that mean that the part is cut off [px].
+BORDER, LEAST_CUT = 3, 10
+
+# Largest angle between an axis and one of the object's box for which they are taken as the same [rad]: noise turns axes
+# by about as much.
+SNAP = math.radians(8.0)
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """The joint of a part that moved.
+
+    Attributes:
+        motion: The motion from the first view to the second.
+        front: The flat surface of the part in the first view.
+        part: The pixels of the first view that show the part, shape (h, w).
+        explained: The share of the new surface that the motion explains, from 0 to 1.
+        contradicted: The share of the gone surface that the motion brings to free space, from 0 to 1.
+        is_snapped: True if the axis is one of the object's box instead of the one that fits best.
+        runner_up: The score of the best motion of another type, or about another hinge, relative to this one.
+        is_cut: True if the border of the second image cuts off the part.
+    """
+
+    motion: Motion
+    front: Patch
+    part: Mask
+    explained: float
+    contradicted: float
+    is_snapped: bool
+    runner_up: float
+    is_cut: bool
+
+
+def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointEstimate:
+    """Estimate the joint of a part that moved between two views.
+
+    Raises:
+        SimfoundryError: If nothing moved, or the part shows no flat surface.
+    """
+    rng = np.random.default_rng(seed)
+    evidence = Evidence.of(first, second, rng)
+    fronts = patches(evidence.moved.points, evidence.moved.normals, rng)
+    axes = _box_axes([*patches(evidence.still.points, evidence.still.normals, rng), *fronts])
+    coarse = evidence.coarse()
+    best_of_axes = [max(group, key=coarse.score) for group in candidate_motions(fronts, axes)]
+    if not best_of_axes:
+        raise SimfoundryError(
+            "the part that moved has no flat surface, so that its motion cannot be found; capture it from where its "
+            "front is visible, or state the joint in the asset document"
+        )
+    found = sorted(best_of_axes, key=coarse.score, reverse=True)[:FINALISTS]
+    refined = [_refined(motion, evidence) for motion in found]
+    refined = [_refined(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]]
+    best = max(refined, key=evidence.score)
+    snapped = _snapped(best, evidence, axes)
+    final = snapped or best
+    explained, contradicted = evidence.judge(final)
+    front = max(fronts, key=lambda patch: _kept(final, patch, second))
+    others = [evidence.score(motion) for motion in refined if _differs(motion, final)]
+    return JointEstimate(
+        final,
+        front,
+        _part(final, front, first, second),
+        explained,
+        contradicted,
+        snapped is not None,
+        max([0.0, *others]) / max(1e-9, evidence.score(final)),
+        _is_cut(first, second),
+    )
+
+
+def _refined(motion: Motion, evidence: Evidence, may_tilt: bool = True) -> Motion:
+    """Return the motion near a candidate that scores best."""
+    from scipy.optimize import minimize
+
+    side = cross(motion.axis, np.eye(3)[int(np.argmin(np.abs(motion.axis)))])
+    side /= np.linalg.norm(side)
+    other = cross(motion.axis, side)
+    is_turn = motion.kind is JointType.REVOLUTE
+    steps = [TURN_STEP if is_turn else SLIDE_STEP]
+    steps += [PIVOT_STEP] * 2 * is_turn + [TILT_STEP] * 2 * may_tilt
+
+    def at(x: Array) -> Motion:
+        shift = x[1:3] if is_turn else np.zeros(2)
+        tilt = x[-2:] if may_tilt else np.zeros(2)
+        axis = motion.axis + tilt[0] * side + tilt[1] * other
+        pivot = motion.pivot + shift[0] * side + shift[1] * other
+        return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=max(LEAST, float(motion.q + x[0])))
+
+    def cost(x: Array) -> float:
+        return DRIFT * float(np.linalg.norm(x[1:3])) * is_turn - evidence.score(at(x))
+
+    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
+    options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
+    return at(minimize(cost, np.zeros(len(steps)), method="Nelder-Mead", options=options).x)
+
+
+def _differs(motion: Motion, other: Motion) -> bool:
+    """Return True if two motions are of different types, or about different hinges."""
+    if motion.kind is not other.kind or abs(float(motion.axis @ other.axis)) < math.cos(SNAP):
+        return True
+    is_turn = motion.kind is JointType.REVOLUTE
+    return is_turn and float(np.linalg.norm(cross(motion.pivot - other.pivot, other.axis))) > APART
+
+
+def _box_axes(flat: Sequence[Patch]) -> list[Array]:
+    """Return the directions of an object's box: the vertical, the normals of its patches, and those square to two."""
+    axes = [np.array([0.0, 0.0, 1.0]), *(patch.normal for patch in flat)]
+    crossed = [cross(a, b) for a, b in combinations(axes, 2)]
+    return [*axes, *(c / np.linalg.norm(c) for c in crossed if np.linalg.norm(c) > SQUARE)]
+
+
+def _snapped(motion: Motion, evidence: Evidence, axes: Sequence[Array]) -> Motion | None:
+    """Return the motion with the axis of the object's box that is close to its own, or None."""
+    near = max(axes, key=lambda axis: abs(float(axis @ motion.axis)))
+    cosine = float(near @ motion.axis)
+    if abs(cosine) < math.cos(SNAP):
+        return None
+    return _refined(replace(motion, axis=near * math.copysign(1.0, cosine)), evidence, may_tilt=False)
+
+
+def _is_cut(first: PosedView, second: PosedView) -> bool:
+    """Return True if new surface reaches the border of the second image."""
+    index, new = pixels_of(second), surface(second, first).is_gone
+    rows, columns = np.divmod(index[new], second.depth.shape[1])
+    h, w = second.depth.shape
+    at_border = (rows < BORDER) | (columns < BORDER) | (rows >= h - BORDER) | (columns >= w - BORDER)
+    return int(at_border.sum()) > LEAST_CUT
+
+
+def _kept(motion: Motion, front: Patch, second: PosedView) -> int:
+    """Return how many points of a front a motion does not bring into free space, less those that it does."""
+    sight = second.sight(motion.moved(front.points - motion.back * front.normal))
+    return int((sight != Sight.FREE).sum()) - int((sight == Sight.FREE).sum())
+
+
+def _part(motion: Motion, front: Patch, first: PosedView, second: PosedView) -> Mask:
+    """Return the pixels of the first view that show the part: what lies in the outline of its front, or stands off it.
+
+    The outline is that of the points that are gone, or that the motion brings onto surface of the second view.
+    """
+    index, whole = pixels_of(first), surface(first, second)
+    is_still = second.sight(whole.points) == Sight.SEEN
+    arrived = second.sight(motion.moved(whole.points - motion.back * whole.normals)) == Sight.SEEN
+    height = (whole.points - front.center) @ front.normal
+    certain = (whole.is_gone | arrived) & ~is_still & (np.abs(height) < THICKNESS)
+    u = cross(front.normal, np.eye(3)[int(np.argmin(np.abs(front.normal)))])
+    u /= np.linalg.norm(u)
+    flat = (whole.points - front.center) @ np.column_stack([u, cross(front.normal, u)])
+    mask = np.zeros(first.depth.size, np.bool_)
+    if certain.any():
+        low, high = np.quantile(flat[certain], QUANTILES, axis=0)
+        inside = ((flat > low - OUTLINE) & (flat < high + OUTLINE)).all(axis=1)
+        mask[index[inside & (height > -THICKNESS) & (height < PROUD) & ~is_still]] = True
+    return mask.reshape(first.depth.shape)

@@ -1,0 +1,249 @@
+"""``simfoundry articulate``: an asset with a joint from two captures of an object, shut and open."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.capture.articulation.asset import ArticulatedParts, articulated_parts
+from simfoundry.capture.articulation.estimate import JointEstimate, estimate_joint
+from simfoundry.capture.articulation.evidence import FEWEST
+from simfoundry.capture.articulation.views import PosedView, Sight
+from simfoundry.capture.frame import CaptureError, Frame
+from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.errors import SimfoundryError
+from simfoundry.frontends.names import plain_name
+from simfoundry.geometry.frames import Pose
+from simfoundry.runtime.files import MARK, write_atomically
+from simfoundry.scene.lower import pose
+from simfoundry.scene.model import JointType
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.capture import CaptureSpec, Shot
+from simfoundry.spec.yaml.write import to_yaml
+
+# Lowest height of an object's points above its support [m]: three standard deviations of depth at 1 m.
+ABOVE = 0.01
+
+# Distance from what changed within which points belong to the object [m].
+AROUND = 0.35
+
+# Smallest share of the support that both views must see at the same place, so that the camera can have stayed.
+STAYED = 0.5
+
+# Every how manieth point of the support is checked.
+STRIDE = 7
+
+# Color of the part in the picture, which is rare on tables.
+TINT = np.array([255.0, 40.0, 200.0])
+
+# The `note` of an asset.
+ASSUMED = "assumed: wood, walls, panels and the inside; the range is what was seen, from shut to open"
+
+# Share of new surface that a door explains if it is seen as a whole. The tray of a drawer looks like a flap that
+# explains less, if the front of the drawer is out of sight.
+WHOLE = 0.7
+
+# Confidence is doubtful below this share of explained surface, or if another type of joint explains nearly as much.
+DOUBTFUL, CLOSE = 0.25, 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Articulated:
+    """The result of two captures.
+
+    Attributes:
+        path: The asset document.
+        estimate: The joint.
+        parts: The asset and its pose in the first capture.
+        X_WC: The pose of the first camera in a world frame on the support.
+        doubt: The reason to look at the picture before trusting the joint, or an empty string.
+    """
+
+    path: Path
+    estimate: JointEstimate
+    parts: ArticulatedParts
+    X_WC: Pose
+    doubt: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as data for JSON."""
+        joint = next(iter(self.parts.data["joints"].values()))
+        return {
+            "asset": str(self.path),
+            "picture": str(picture_of(self.path)),
+            "type": joint["type"],
+            "axis": joint["axis"],
+            "pivot": joint["pose"]["xyz"],
+            "range": joint.get("limits") or joint["limits_deg"],
+            "explained": self.estimate.explained,
+            "snapped": self.estimate.is_snapped,
+            "runner_up": self.estimate.runner_up,
+            "X_WA": {"xyz": self.parts.X_WA.p.tolist(), "quat": self.parts.X_WA.q.tolist()},
+            "doubt": self.doubt,
+        }
+
+    def summary(self) -> str:
+        """Return the result in a few lines."""
+        data = self.to_json()
+        unit = "deg" if data["type"] == "revolute" else "m"
+        axis = ", ".join(f"{value:.3f}" for value in data["axis"])
+        kind = f"{data['type']} joint, {data['range'][1]:.3g} {unit}, axis [{axis}]"
+        snap = " (an axis of its box)" if data["snapped"] else ""
+        lines = [
+            f"{self.path}  {kind}{snap}",
+            f"explains {data['explained']:.0%} of what is new; see {data['picture']}",
+        ]
+        return "\n".join([*lines, *([f"doubtful: {self.doubt}"] if self.doubt else [])])
+
+
+def articulate(
+    shut: Path, opened: Path, out: Path, frame: str | None = None, progress: Callable[[str, float], None] | None = None
+) -> Articulated:
+    """Estimate the joint of an object from two captures, and write it as an asset, with a picture beside it.
+
+    Args:
+        shut: The capture in which the joint is at its zero position.
+        opened: The capture in which the part has moved.
+        out: The asset document to write.
+        frame: The name of the frame in both captures; by default, the first.
+        progress: A callback that receives a description and the fraction that is done.
+
+    Raises:
+        SpecError: If a capture has errors.
+        SimfoundryError: If the views do not belong together, or nothing moved.
+    """
+    show = progress or (lambda text, share: None)
+    show("reading the captures", 0.0)
+    loaded = [open_capture(path) for path in (shut, opened)]
+    frames = [load_frame(each, frame) for each in loaded]
+    try:
+        X_WC = find_support(frames[0]).X_WC
+    except CaptureError as error:
+        raise SpecError([loaded[0].finding(error.code, ("frames",), error.message, error.hint)]) from None
+    poses = (X_WC, X_WC @ _between(loaded[0], loaded[1], frame))
+    views = [_above_support(PosedView.of(each, X)) for each, X in zip(frames, poses, strict=True)]
+    _check_place(views[0], views[1])
+    show("finding the joint", 0.2)
+    first, second = _near_the_change(views[0], views[1])
+    estimate = estimate_joint(first, second)
+    if not estimate.part.any():
+        raise SimfoundryError(
+            "the part that moved cannot be told from the rest of the object; capture it from where its front is visible"
+        )
+    show("writing the asset", 0.9)
+    name = plain_name(out.name.split(".")[0])
+    origin = {
+        "capture": f"{shut.resolve().name}, {opened.resolve().name}",
+        "confidence": estimate.explained,
+        "note": ASSUMED,
+    }
+    parts = articulated_parts(estimate, first.points[first.mask], first.points[estimate.part], name, origin)
+    text = to_yaml(AssetSpec.model_validate(parts.data), comment=MARK)
+    write_atomically(out, text.encode())
+    write_atomically(picture_of(out), _picture(frames, estimate, (first, second)))
+    return Articulated(out, estimate, parts, X_WC, _doubt(estimate))
+
+
+def picture_of(asset: Path) -> Path:
+    """Return the path of the picture beside an asset."""
+    return asset.with_name(f"{asset.name.removesuffix('.yaml').removesuffix('.asset')}.png")
+
+
+def _between(loaded: Loaded, other: Loaded, frame: str | None) -> Pose:
+    """Return the pose of the second camera in the frame of the first. Without poses, the camera stayed where it was."""
+    shots = [_shot(each, frame) for each in (loaded, other)]
+    poses = [None if shot.pose is None else pose(shot.pose) for shot in shots]
+    if poses[0] is None or poses[1] is None:
+        if poses[0] is not poses[1]:
+            raise SimfoundryError(
+                "one capture states the `pose` of its camera and the other does not; state both or none"
+            )
+        return Pose.of()
+    return poses[0].inverse() @ poses[1]
+
+
+def _shot(loaded: Loaded, frame: str | None) -> Shot:
+    assert isinstance(loaded.spec, CaptureSpec)
+    return loaded.spec.frames[frame or next(iter(loaded.spec.frames))]
+
+
+def _above_support(view: PosedView) -> PosedView:
+    """Return a view in which only what stands on the support, the plane z = 0, may belong to the object."""
+    with np.errstate(invalid="ignore"):
+        return replace(view, mask=view.mask & (view.points[:, :, 2] > ABOVE))
+
+
+def _check_place(first: PosedView, second: PosedView) -> None:
+    """Check that the support is at the same place in both views."""
+    flat = np.isfinite(first.depth) & (np.abs(first.points[:, :, 2]) < ABOVE)
+    sight = second.sight(first.points[flat][::STRIDE])
+    known = sight[sight != Sight.HIDDEN]
+    if len(known) < FEWEST or (known == Sight.SEEN).mean() < STAYED:
+        raise SimfoundryError(
+            "the second capture does not show the support where the first one shows it: leave the camera where it is "
+            "between the captures, or state its `pose` in both, in a frame that does not move"
+        )
+
+
+def _near_the_change(first: PosedView, second: PosedView) -> tuple[PosedView, PosedView]:
+    """Return views in which only what is around the change may belong to the object."""
+    changed = [
+        one.points[one.mask][other.sight(one.points[one.mask]) == Sight.FREE]
+        for one, other in ((first, second), (second, first))
+    ]
+    points = np.concatenate(changed)
+    if len(points) < FEWEST:
+        return first, second  # the estimate says that nothing moved
+    low, high = np.quantile(points, (0.02, 0.98), axis=0)
+    found = []
+    for view in (first, second):
+        with np.errstate(invalid="ignore"):
+            near = ((view.points > low - AROUND) & (view.points < high + AROUND)).all(axis=2)
+        found.append(replace(view, mask=view.mask & near))
+    return found[0], found[1]
+
+
+def _doubt(estimate: JointEstimate) -> str:
+    """Return why a person should look at the result, or an empty string."""
+    is_turn = estimate.motion.kind is JointType.REVOLUTE
+    if is_turn and estimate.is_cut and estimate.explained < WHOLE:
+        return "the part reaches the border of the second image, so that its front may be out of sight"
+    if estimate.explained < DOUBTFUL:
+        return f"the joint explains only {estimate.explained:.0%} of the surface that is new in the second capture"
+    if estimate.runner_up > CLOSE:
+        return "a joint of another type, or another hinge, explains the captures nearly as well"
+    return ""
+
+
+def _picture(frames: list[Frame], estimate: JointEstimate, views: tuple[PosedView, PosedView]) -> bytes:
+    """Return a PNG of both color images with the part in them, where it was and where the joint brings it."""
+    from PIL import Image
+
+    first, second = views
+    usable = estimate.part & np.isfinite(first.normals).all(axis=2)
+    start = first.points[usable] - estimate.motion.back * first.normals[usable]
+    shown = []
+    for frame, view, points in (
+        (frames[0], first, first.points[estimate.part]),
+        (frames[1], second, estimate.motion.moved(start)),
+    ):
+        image = frame.color.astype(np.float64)
+        u, v = view.pixels(points)
+        inside = (u >= 0) & (v >= 0) & (u < image.shape[1]) & (v < image.shape[0])
+        mask = np.zeros(image.shape[:2], np.bool_)
+        mask[v[inside], u[inside]] = True
+        image[mask] = 0.4 * image[mask] + 0.6 * TINT
+        shown.append(image)
+    height = max(image.shape[0] for image in shown)
+    padded = [np.pad(image, ((0, height - image.shape[0]), (0, 0), (0, 0))) for image in shown]
+    stream = io.BytesIO()
+    Image.fromarray(np.hstack(padded).round().astype(np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
