@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from simfoundry.capture.articulation.evidence import Evidence, pixels_of, surface
+from simfoundry.capture.articulation.evidence import MotionEvidence, pixels_of, surface
 from simfoundry.capture.articulation.motions import QUANTILES, THICKNESS, Motion, Patch, candidate_motions, patches
 from simfoundry.capture.articulation.views import Mask, PosedView, Sight
 from simfoundry.errors import SimfoundryError
@@ -84,7 +84,7 @@ def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointE
         SimfoundryError: If nothing moved, or the part shows no flat surface.
     """
     rng = np.random.default_rng(seed)
-    evidence = Evidence.of(first, second, rng)
+    evidence = MotionEvidence.of(first, second, rng)
     fronts = patches(evidence.moved.points, evidence.moved.normals, rng)
     axes = _box_axes([*patches(evidence.still.points, evidence.still.normals, rng), *fronts])
     coarse = evidence.coarse()
@@ -115,7 +115,7 @@ def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointE
     )
 
 
-def _refined(motion: Motion, evidence: Evidence, may_tilt: bool = True) -> Motion:
+def _refined(motion: Motion, evidence: MotionEvidence, may_tilt: bool = True) -> Motion:
     """Return the motion near a candidate that scores best."""
     from scipy.optimize import minimize
 
@@ -156,7 +156,7 @@ def _box_axes(flat: Sequence[Patch]) -> list[Array]:
     return [*axes, *(c / np.linalg.norm(c) for c in crossed if np.linalg.norm(c) > SQUARE)]
 
 
-def _snapped(motion: Motion, evidence: Evidence, axes: Sequence[Array]) -> Motion | None:
+def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) -> Motion | None:
     """Return the motion with the axis of the object's box that is close to its own, or None."""
     near = max(axes, key=lambda axis: abs(float(axis @ motion.axis)))
     cosine = float(near @ motion.axis)

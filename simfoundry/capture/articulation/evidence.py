@@ -57,7 +57,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class MotionEvidence:
     """The surfaces by which motions are judged.
 
     Attributes:
@@ -75,7 +75,7 @@ class Evidence:
     reach: float = REACH
 
     @staticmethod
-    def of(first: PosedView, second: PosedView, rng: np.random.Generator) -> Evidence:
+    def of(first: PosedView, second: PosedView, rng: np.random.Generator) -> MotionEvidence:
         """Gather the evidence of two views.
 
         Raises:
@@ -88,14 +88,14 @@ class Evidence:
                 "the other sees free space; open the part farther, and capture it again"
             )
         is_still = second.sight(before.points) == Sight.SEEN
-        return Evidence(
+        return MotionEvidence(
             second,
             before.at(~is_still).sampled(rng),
             after.at(after.is_gone).sampled(rng),
             before.at(is_still).sampled(rng),
         )
 
-    def coarse(self) -> Evidence:
+    def coarse(self) -> MotionEvidence:
         """Return fewer points with a larger reach, to judge many motions."""
         moved, new = (each.at(slice(None, None, max(1, len(each.points) // COARSE))) for each in (self.moved, self.new))
         return replace(self, moved=moved, new=new, reach=COARSE_REACH)

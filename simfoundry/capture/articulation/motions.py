@@ -75,7 +75,7 @@ class Patch:
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class FrontOutline:
     """The rectangle around a front.
 
     Attributes:
@@ -134,17 +134,17 @@ def candidate_motions(fronts: Sequence[Patch], axes: Sequence[Array]) -> Iterato
             yield [Motion(JointType.REVOLUTE, axis, pivot, q, back) for q in TURNS]
 
 
-def _outline(front: Patch, axes: Sequence[Array]) -> Outline:
+def _outline(front: Patch, axes: Sequence[Array]) -> FrontOutline:
     """Return the rectangle around a front whose edges are along the object's box."""
     flat = [axis - (axis @ front.normal) * front.normal for axis in axes]
     along = max(flat, key=lambda axis: float(np.linalg.norm(axis)))
     along = along / np.linalg.norm(along)
     basis = np.column_stack([along, cross(front.normal, along)])
     low, high = np.quantile((front.points - front.center) @ basis, QUANTILES, axis=0)
-    return Outline(front.center, basis, np.asarray(low), np.asarray(high))
+    return FrontOutline(front.center, basis, np.asarray(low), np.asarray(high))
 
 
-def _edges(front: Patch, outline: Outline) -> Iterator[tuple[Array, Array]]:
+def _edges(front: Patch, outline: FrontOutline) -> Iterator[tuple[Array, Array]]:
     """Yield a point on each edge of a front [m], and the direction about which the front opens there."""
     inside = front.center - TYPICAL_BACK / 2 * front.normal  # hinges are rather in the panel than on its surface
     for k in (0, 1):
