@@ -1,4 +1,4 @@
-"""HTTP requests to model servers, with limits on time and size. Every failure is reported as a one-sentence error."""
+"""Doors to two servers that do not speak ``bundle/1``: OpenAI's image editing, and Hunyuan3D's mesh generation."""
 
 from __future__ import annotations
 
@@ -9,53 +9,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.errors import SimfoundryError
-
-TIMEOUT_S = 300.0  # Response timeout [s]; mesh generators take a minute or two
-
-MAX_BYTES = 256 * 2**20  # Maximum response size [bytes]; no usable image or mesh is larger
-
-MAX_QUOTE = 300  # Maximum length of a quoted server error [characters], enough for the first sentences
+from simfoundry.models.contract import ModelError
+from simfoundry.models.transports.http import TIMEOUT_S, refused, request_bytes
 
 
-class ModelError(SimfoundryError):
-    """Raised if a model returns no usable response. The message states the model, the reason, and the remedy."""
-
-
-def post(url: str, server: str, timeout_s: float = TIMEOUT_S, max_bytes: int = MAX_BYTES, **request: Any) -> bytes:
-    """Send a POST request and return the response body.
-
-    Args:
-        url: URL of the server, which must use HTTP or HTTPS.
-        server: Name of the server for error messages, such as `the image model`.
-        timeout_s: Time limit for the response [s].
-        max_bytes: Maximum size of the response [bytes].
-        **request: Content of the request, as accepted by ``httpx.stream``: ``json``, ``data``, ``files``, ``headers``.
+def post(url: str, server: str, timeout_s: float = TIMEOUT_S, **content: Any) -> bytes:
+    """Send a POST request and return the body of a successful response.
 
     Raises:
-        ModelError: If the URL is invalid, if the server does not respond in time or returns an error status, or if the
-            response is too large.
+        ModelError: If the server does not respond, or responds with an error status.
     """
-    import httpx
-
-    if not url.startswith(("http://", "https://")):
-        raise ModelError(f"the URL of {server} must start with http:// or https://, not `{url}`")
-    try:
-        with httpx.stream("POST", url, timeout=timeout_s, follow_redirects=True, **request) as answer:
-            data = b""
-            for chunk in answer.iter_bytes():
-                data += chunk
-                if len(data) > max_bytes:
-                    raise ModelError(f"{server} at {url} returned more than {max_bytes // 2**20} MiB")
-    except (httpx.HTTPError, httpx.InvalidURL) as error:
-        reason = str(error) or type(error).__name__
-        raise ModelError(
-            f"{server} at {url} did not respond ({reason}); is it running, and is the URL correct?"
-        ) from None
-    if not answer.is_success:
-        quote = " ".join(data[:MAX_QUOTE].decode(errors="replace").split())
-        raise ModelError(f"{server} at {url} returned {answer.status_code} {answer.reason_phrase}: {quote}")
-    return data
+    response = request_bytes("POST", url, server, timeout_s, **content)
+    if not 200 <= response.status < 300:
+        raise refused(response, server, url)
+    return response.body
 
 
 # First bytes of the image formats that servers may return.
@@ -138,6 +105,13 @@ GLB = b"glTF"  # first bytes of a binary glTF file
 SEEDS = 2**32  # Exclusive upper bound on the seeds that servers accept
 
 
+# Both versions report every failure, such as exhausted memory, with status 404.
+TEXTURE_HINT = (
+    "its log states the reason (Hunyuan3D-2 makes textures only if it was started with --enable_tex; Hunyuan3D-2.1 has "
+    "no such option and always can); to do without textures, set `texture: false` in the recipe's `models`"
+)
+
+
 @dataclass(frozen=True)
 class HttpMeshes:
     """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``, where ``POST {url}/generate`` returns a GLB file.
@@ -145,9 +119,9 @@ class HttpMeshes:
     The API is defined in https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py for Hunyuan3D-2 and in
     https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py for Hunyuan3D-2.1. The fields are ``image``
     in base64, ``seed`` below 2^32, ``texture`` and, only with texture, ``face_count`` from 1,000 to 100,000. Only
-    Hunyuan3D-2 accepts ``type``, but both versions return a GLB file by default. Texturing requires a server that was
-    started with ``--enable_tex``. All failures are reported with status 404. ``faces`` is the number of triangles to
-    keep.
+    Hunyuan3D-2 accepts ``type``, but both versions return a GLB file by default. Hunyuan3D-2 makes textures only if it
+    was started with ``--enable_tex``; Hunyuan3D-2.1 has no such option. All failures are reported with status 404.
+    ``faces`` is the number of triangles to keep.
     """
 
     url: str
@@ -177,8 +151,7 @@ class HttpMeshes:
             data = post(url, "the mesh model", self.timeout_s, json=fields)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
-                hint = "; was it started with --enable_tex? If not, set `texture: false` in the recipe's `models`"
-                raise ModelError(f"{error}{hint}") from None
+                raise ModelError(f"{error}; {TEXTURE_HINT}") from None
             raise
         if not data.startswith(GLB):
             raise ModelError(f"the mesh model at {self.url} returned data that is not a GLB")

@@ -22,8 +22,8 @@ from simfoundry.models.generators import (
     ModelError,
     images_from_environment,
     meshes_from_environment,
-    post,
 )
+from simfoundry.models.transports.http import request_bytes
 
 PICTURE = b"\x89PNG\r\n\x1a\nedited"
 MESH = b"glTF\x02\x00\x00\x00made"
@@ -89,7 +89,7 @@ def test_a_mesh_is_made(server: tuple[str, type[Handler]]) -> None:
     HttpMeshes(url).make(PICTURE, 2**40 + 3)
     assert json.loads(handler.seen[1][2])["seed"] == 3, "servers refuse seeds of 2^32 and more"
     handler.answer = 404, b'{"text": "NETWORK ERROR", "error_code": 1}'
-    with pytest.raises(ModelError, match=r"404 Not Found.*--enable_tex.*texture: false"):
+    with pytest.raises(ModelError, match=r"404 Not Found.*Hunyuan3D-2\.1 has no such option.*texture: false"):
         HttpMeshes(url).make(PICTURE, 7)
     with pytest.raises(ModelError, match=r"404 Not Found") as plain:
         HttpMeshes(url, texture=False).make(PICTURE, 7)
@@ -122,7 +122,7 @@ def test_what_is_no_mesh_and_what_is_too_large_is_refused(server: tuple[str, typ
         HttpMeshes(url).make(PICTURE, 0)
     handler.answer = 200, b"x" * 2000
     with pytest.raises(ModelError, match="more than 0 MiB"):
-        post(url, "the mesh model", json={}, max_bytes=1000)
+        request_bytes("POST", url, "the mesh model", max_bytes=1000, json={})
 
 
 def test_nobody_there_and_nothing_set_up() -> None:

@@ -1,0 +1,1 @@
+"""Ways to reach models: HTTP, a process in another environment, and recorded answers."""
