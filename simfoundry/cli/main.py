@@ -42,6 +42,7 @@ COMMANDS = {
     "lsp": ("lsp", "Run the language server for editors."),
     "merge": ("changes", "Merge two edited versions of a document semantically, or resolve conflicts."),
     "migrate": ("documents", "Update documents that were written for older versions."),
+    "models": ("models", "Show the foundation models that are configured, and their licences."),
     "new": ("language", "Create a document of any kind, with comments that explain its keys."),
     "propose": ("cousins", "Propose tasks for a scene, each verified to be feasible."),
     "record": ("data", "Record demonstrations of a task."),

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from pydantic import BaseModel
 
-from simfoundry.models.contract import ConventionError, ModelError, ModelTask, check_answer, check_request
+from simfoundry.models.contract import ConventionError, ModelError, ModelTask, check_answer, check_request, plain
 from simfoundry.models.provenance import ModelIdentity, read_identity, require_commercial
 from simfoundry.models.transports.recorded import read_recording, recording
 from simfoundry.models.wire import ANSWER, REQUEST, VERSION, Bundle, BundleError, Content, read_bundle, write_bundle
@@ -139,10 +139,10 @@ class ModelClient:
             self._judge(made_by)
         confidence, warnings = answer.head.get("confidence"), answer.head.get("warnings", [])
         if confidence is not None and not (_is_number(confidence) and 0 <= confidence <= 1):
-            raise ModelError(f"{subject} has a `confidence` of {str(confidence)[:40]}; it must be between 0 and 1")
+            raise ModelError(f"{subject} has a `confidence` of {plain(confidence, 40)}; it must be between 0 and 1")
         if not isinstance(warnings, list):
             raise ModelError(f"{subject} has `warnings` that are not a list of sentences")
-        remarks = tuple(" ".join(str(one).split())[:200] for one in warnings[:20])
+        remarks = tuple(plain(one) for one in warnings[:20])
         return ModelAnswer(answer, made_by, None if confidence is None else float(confidence), remarks)
 
 
@@ -165,7 +165,7 @@ def identities(description: Mapping[str, Any], task: str) -> tuple[ModelIdentity
     listed = description.get("tasks")
     entry = listed.get(task) if isinstance(listed, Mapping) else None
     if not isinstance(entry, Mapping):
-        known = ", ".join(sorted(map(str, listed))[:20]) if isinstance(listed, Mapping) and listed else "no task"
+        known = plain(", ".join(sorted(map(str, listed)))) if isinstance(listed, Mapping) and listed else "no task"
         raise ModelError(f"the server does not solve `{task}`; it solves {known}")
     try:
         return (read_identity(entry.get("model")),)

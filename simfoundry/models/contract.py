@@ -28,6 +28,12 @@ class ModelError(SimfoundryError):
     """Raised if a model returns no usable response. The message states the model, the reason, and the remedy."""
 
 
+def plain(text: object, limit: int = 300) -> str:
+    """Return text from elsewhere as one printable line of limited length, safe to show in a terminal."""
+    line = "".join(c if c.isprintable() else " " for c in str(text)[: 20 * limit])
+    return " ".join(line.split())[:limit]
+
+
 class ConventionError(ValueError):
     """Raised for an answer that breaks the contract of its task. The message continues a sentence about the answer."""
 

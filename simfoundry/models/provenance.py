@@ -6,14 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from simfoundry.models.contract import ModelError
 
 # Permission for commercial use: a condition must be read and accepted first, and an unknown licence permits nothing.
-Commercial = Literal["yes", "no", "conditional", "unknown"]
+Commercial = Literal["allowed", "forbidden", "conditional", "unknown"]
+
+
+# Words that are shown in a terminal and written to documents.
+Words = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]+$")]
 
 
 class ModelIdentity(BaseModel):
@@ -22,11 +26,11 @@ class ModelIdentity(BaseModel):
     Servers state ``commercial`` as true or false; :func:`judged` compares it with the table of licences.
     """
 
-    model_config = ConfigDict(frozen=True, extra="ignore", str_max_length=200)
+    model_config = ConfigDict(frozen=True, extra="ignore")
 
-    name: str = Field(min_length=1)
-    version: str = Field(min_length=1)
-    licence: str = Field(min_length=1)
+    name: Words
+    version: Words
+    licence: Words
     commercial: bool | None = None
     weights_sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$")
 
@@ -68,9 +72,14 @@ def licences() -> Mapping[str, LicenceEntry]:
 
 
 def find_licence(name: str) -> LicenceEntry | None:
-    """Return the entry of a model, ignoring upper case, the owner before a slash, and the version after an at sign."""
+    """Return the entry of a model, or of the model of which it is a version or size.
+
+    Upper case, the owner before a slash and the version after an at sign are ignored. ``DA3NESTED-GIANT-LARGE-1.1`` is
+    found as `da3nested-giant-large`, and ``sam3.1`` as `sam3`.
+    """
     wanted = _key(name.rpartition("/")[2].partition("@")[0])
-    return next((entry for known, entry in licences().items() if _key(known) == wanted), None)
+    fitting = [k for k in licences() if wanted == k or wanted.startswith((f"{k}-", f"{k}."))]
+    return licences()[max(fitting, key=len)] if fitting else None
 
 
 def _key(name: str) -> str:
@@ -94,14 +103,14 @@ def read_identity(data: Any) -> ModelIdentity:
 def judged(identity: ModelIdentity) -> tuple[Commercial, str]:
     """Return the permission for commercial use and its reason.
 
-    The table of licences decides for the models in it, whatever a server states. For others, the server's word counts.
+    The table of licences decides for the models in it, but a server may forbid more. For others, its word counts.
     """
     entry = find_licence(identity.name)
-    if entry is not None:
+    if entry is not None and not (entry.commercial == "allowed" and identity.commercial is False):
         return entry.commercial, entry.condition or f"licence {entry.weights}"
     if identity.commercial is None:
         return "unknown", f"its server does not state whether {identity.licence} permits commercial use"
-    return ("yes" if identity.commercial else "no"), f"its server states so ({identity.licence})"
+    return ("allowed" if identity.commercial else "forbidden"), f"its server states so ({identity.licence})"
 
 
 def require_commercial(identity: ModelIdentity, accepted: tuple[str, ...] = ()) -> None:
@@ -115,12 +124,12 @@ def require_commercial(identity: ModelIdentity, accepted: tuple[str, ...] = ()) 
         ModelError: If the model may not be used, or only under a condition that was not accepted.
     """
     permission, reason = judged(identity)
-    if permission == "yes" or (permission == "conditional" and _key(identity.name) in map(_key, accepted)):
+    if permission == "allowed" or (permission == "conditional" and _key(identity.name) in map(_key, accepted)):
         return
     if permission == "conditional":
         raise ModelError(
             f"{identity.name} may be used commercially only under a condition: {reason}; if you meet it, add "
             f"`{identity.name}` to `accepted` under `models` in simfoundry.yaml"
         )
-    what = "may not be used commercially" if permission == "no" else "has no known licence for commercial use"
+    what = "may not be used commercially" if permission == "forbidden" else "has no known licence for commercial use"
     raise ModelError(f"{identity.name} {what}: {reason}; configure another model, or omit --commercial-only")

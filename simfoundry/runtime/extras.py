@@ -53,6 +53,7 @@ EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
     Extra("gymnasium", "tasks as Gymnasium environments", {"gymnasium": "gymnasium"}),
     Extra("editor", "the language server (`lsp`)", {"pygls": "pygls", "lsprotocol": "lsprotocol"}),
     Extra("studio", "the editor in the browser (`studio`, `show --web`, `show --html`)", {"viser": "viser"}),
+    Extra("onnx", "models that run on a CPU from ONNX files (`models`)", {"onnxruntime": "onnxruntime"}),
     Extra("vlm", "vision-language models that propose tasks and variants", {"pydantic-ai-slim": "pydantic_ai"}),
     Extra("ray", "batch commands on a cluster (`--on ray`)", {"ray": "ray"}),
     Extra("drake", "verification of builds in Drake (`verify`)", {"drake": "pydrake"}),

@@ -18,6 +18,7 @@ from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.models.model_sources import ProjectModels
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
@@ -38,6 +39,9 @@ class ProjectSpec(Model):
         description="Files and folders that commands on folders skip, relative to this file; "
         "`*` stands for any part of a name, `**` for any number of folders.",
     )
+    models: ProjectModels = Field(
+        ProjectModels.model_construct(), description="Foundation models, by the tasks that they solve."
+    )
 
 
 @dataclass(frozen=True)
@@ -57,24 +61,33 @@ class Project:
         return self.marker.exists() or (self.root / ".git").exists()
 
     @cached_property
+    def spec(self) -> ProjectSpec:
+        """Return the content of the marker file, or the defaults if there is none.
+
+        Raises:
+            SpecError: If the marker file cannot be read.
+        """
+        if not self.marker.is_file():
+            return ProjectSpec.model_construct()
+        try:
+            document = read(self.marker)
+        except YamlError as error:
+            raise SpecError([error.diagnostic(str(self.marker))]) from None
+        if document.data is None:
+            return ProjectSpec.model_construct()
+        spec, findings = validate(ProjectSpec, document)
+        if spec is None:
+            raise SpecError(findings)
+        return spec
+
+    @property
     def exclude(self) -> tuple[str, ...]:
         """Return the patterns for files and folders that are skipped by commands on folders.
 
         Raises:
             SpecError: If the marker file cannot be read.
         """
-        if not self.marker.is_file():
-            return ()
-        try:
-            document = read(self.marker)
-        except YamlError as error:
-            raise SpecError([error.diagnostic(str(self.marker))]) from None
-        if document.data is None:
-            return ()
-        spec, findings = validate(ProjectSpec, document)
-        if spec is None:
-            raise SpecError(findings)
-        return spec.exclude
+        return self.spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
         """Return True if a command that is run on the folder ``named`` skips ``path``.

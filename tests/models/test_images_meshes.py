@@ -16,10 +16,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
+from simfoundry.models.contract import ModelError
 from simfoundry.models.generators import (
     HttpImages,
     HttpMeshes,
-    ModelError,
     images_from_environment,
     meshes_from_environment,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scaffold import Model, Result
 
 from simfoundry.models.client import ModelClient
 from simfoundry.models.contract import ModelError
@@ -28,7 +30,8 @@ from simfoundry.models.transports.recorded import RecordedTransport
 from simfoundry.models.wire import BundleFile, BundleImage
 from tests.conftest import REPOSITORY
 from tests.models import truth
-from tests.models.truth import HEIGHT, MASK, WIDTH, K, Model, Result
+from tests.models.conftest import SERVERS
+from tests.models.truth import HEIGHT, MASK, WIDTH, K
 
 Call = Callable[[ModelClient], Any]
 FRAMES = [truth.view()[0]] * 3
@@ -126,7 +129,7 @@ def test_answers_over_http_and_a_process_and_from_records_are_equal(task: str, u
 
 
 def test_a_server_answers_on_its_standard_output(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(REPOSITORY), str(SERVERS)]))
     process = ProcessTransport((sys.executable, "-m", "tests.models.truth"))
     found = CALLS["depth"](ModelClient(process))
     assert _equal(found, CALLS["depth"](ModelClient(Direct(truth.TRUTH))))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scaffold import Model, Result
 
 from simfoundry.models.client import ModelClient
 from simfoundry.models.contract import ModelError
@@ -24,7 +25,6 @@ from simfoundry.models.transports.recorded import RecordedTransport
 from simfoundry.models.wire import ANSWER, Bundle, read_bundle, write_bundle
 from tests.models import truth
 from tests.models.test_tasks import CALLS, Direct, serving
-from tests.models.truth import Model, Result
 
 Reply = Callable[[socket.socket], None]
 

@@ -9,19 +9,13 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scaffold import Model, Result, run
 
 from simfoundry.models.contract import CAMERA, MESH
 from simfoundry.models.wire import Bundle, BundleFile, BundleImage
-
-SERVERS = Path(__file__).parents[2] / "examples" / "servers"
-sys.path.insert(0, str(SERVERS))  # servers lie in one folder, as in a model's environment
-import scaffold  # noqa: E402
-
-Model, Result, run = scaffold.Model, scaffold.Result, scaffold.run
 
 WIDTH, HEIGHT = 64, 48
 K = np.array([[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]])

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from simfoundry.models.contract import ModelError
+from simfoundry.models.contract import ModelError, plain
 from simfoundry.models.wire import MAX_BUNDLE_BYTES, MAX_JSON_BYTES, BundleError, read_json
 
 TIMEOUT_S = 300.0  # Response timeout [s]; mesh generators take a minute or two
@@ -22,7 +22,7 @@ CONNECT_S = 10.0  # Time limit for a connection [s], after which a server counts
 
 DESCRIBE_S = 10.0  # Time limit for a server's description [s], which needs no model
 
-MAX_QUOTE = 300  # Maximum length of a quoted server error [characters], enough for the first sentences
+MAX_QUOTE_BYTES = 10_000  # Bytes of an error that are looked at; of these, the first sentences are quoted
 
 # Requests are repeated after these pauses [s]. Since they carry an `Idempotency-Key`, this is safe.
 PAUSES_S = (0.5, 2.0)
@@ -88,7 +88,7 @@ def request_bytes(
             raise _absent(server, url, "the connection timed out") from None
         raise ModelError(f"{server} at {url} did not respond within {timeout_s:.3g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:
-        raise _absent(server, url, " ".join(str(error).split())[:MAX_QUOTE] or type(error).__name__) from None
+        raise _absent(server, url, plain(error) or type(error).__name__) from None
     return Response(answer.status_code, answer.reason_phrase, bytes(data))
 
 
@@ -106,17 +106,16 @@ def _absent(server: str, url: str, reason: str) -> AbsentServerError:
 
 def refused(response: Response, server: str, url: str) -> ModelError:
     """Return an error that quotes the server's own words."""
-    text = response.body[: 20 * MAX_QUOTE].decode(errors="replace")
+    text = response.body[:MAX_QUOTE_BYTES].decode(errors="replace")
     try:
         problem = json.loads(response.body[:MAX_JSON_BYTES])
         text = str(problem.get("detail") or problem.get("title") or text)
     except (ValueError, AttributeError, RecursionError):
         pass
-    where = f"{server} at {url} returned {response.status} {response.reason}"
+    where = f"{server} at {url} returned {response.status} {plain(response.reason)}"
     if 300 <= response.status < 400:
         return ModelError(f"{where}, but redirections are not followed; configure the final URL")
-    quote = " ".join(text.split())[:MAX_QUOTE]
-    return ModelError(f"{where}: {quote or 'no explanation'}")
+    return ModelError(f"{where}: {plain(text) or 'no explanation'}")
 
 
 @dataclass(frozen=True)

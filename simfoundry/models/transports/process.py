@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.models.contract import ModelError
+from simfoundry.models.contract import ModelError, plain
 from simfoundry.models.transports.http import TIMEOUT_S
 from simfoundry.models.wire import MAX_BUNDLE_BYTES, MAX_JSON_BYTES, BundleError, read_json
 
@@ -130,5 +130,5 @@ def _end(process: subprocess.Popen[bytes], wait_s: float) -> int:
 
 def _last_line(log: Any) -> str:
     log.seek(max(0, log.seek(0, os.SEEK_END) - 10_000))
-    lines = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
-    return f"; its last output was: {lines[-1][:200]}" if lines else ""
+    lines = [line for line in map(plain, log.read().decode(errors="replace").splitlines()) if line]
+    return f"; its last output was: {lines[-1]}" if lines else ""

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Fix, nearest, similar_fixes
-from simfoundry.spec.models.base import PATTERNS, VARY_PATH, WIRE_KEY, Model
+from simfoundry.spec.models.base import DIGEST, PATTERNS, TOKEN_VARIABLE, URL, VARY_PATH, WIRE_KEY, Model
 from simfoundry.spec.models.shapes import SHAPE_KEYS
 from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
@@ -135,6 +135,8 @@ def _words(
         return f"{found} is not a key", PATTERNS[WIRE_KEY].rule, Mark()
     if context.get("pattern") == VARY_PATH:
         return f"{bare} is not a path", PATTERNS[VARY_PATH].rule, Mark()
+    if context.get("pattern") in (DIGEST, URL, TOKEN_VARIABLE):
+        return f"{bare} is not valid here", PATTERNS[context["pattern"]].rule, Mark()
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
         rule = "a name consists of lower-case letters, digits and `_`, and starts with a letter"
         name = re.sub("[^a-z0-9_]", "_", str(given).strip().lower()).strip("_")

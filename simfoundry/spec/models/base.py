@@ -32,6 +32,10 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 FORMAT_NAME = "^[a-z][a-z0-9_.-]*$"
 # Names and keys separated by dots, in which `*` stands for any characters of a name.
 VARY_PATH = r"^[a-z*][a-z0-9_*]*(\.[A-Za-z0-9_*]+)*$"
+URL = "^https?://[^ ]+$"
+DIGEST = "^[0-9a-f]{64}$"
+# Only variables with this beginning are sent to model servers, so that a project cannot read others.
+TOKEN_VARIABLE = "^SIMFOUNDRY_[A-Z0-9_]+$"
 # Hexadecimal sRGB color, as in CSS: red, green, blue and optionally opacity, with two digits each.
 HEX_COLOR = "^#([0-9A-Fa-f]{6}|[0-9A-Fa-f]{8})$"
 
@@ -63,6 +67,13 @@ PATTERNS = {
         "light.*.intensity",
         "path",
         "a path consists of names and keys separated by dots, such as `light.*.intensity` or `cabinet.drawer`",
+    ),
+    URL: PatternText("http://host:8301", "URL", "a URL starts with `http://` or `https://`"),
+    DIGEST: PatternText("e3b0c44…", "SHA-256 digest", "a SHA-256 digest has 64 hexadecimal digits, in lower case"),
+    TOKEN_VARIABLE: PatternText(
+        "SIMFOUNDRY_TOKEN",
+        "environment variable",
+        "the name of an environment variable that starts with `SIMFOUNDRY_`, such as `SIMFOUNDRY_GPU_TOKEN`",
     ),
     HEX_COLOR: PatternText(
         "#c8a070",
@@ -295,6 +306,25 @@ class CousinOf(Model):
     generator: Agent = Field("simfoundry", description="The program that generated the cousin.")
 
 
+# Words about a model: its name, version, licence.
+ModelWords = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class ModelUse(Model):
+    """A foundation model that contributed to a description."""
+
+    task: ModelWords = Field(description="Task that it solved, such as `mesh`.")
+    name: ModelWords = Field(description="Name of the model.")
+    version: ModelWords = Field(description="Version of the model.")
+    licence: ModelWords = Field(description="Licence of its weights.")
+    commercial: Literal["allowed", "forbidden", "conditional", "unknown"] = Field(
+        description="Permission for commercial use; a condition is stated by `simfoundry models --licences`."
+    )
+    weights_sha256: Annotated[str, StringConstraints(pattern=DIGEST)] | None = Field(
+        None, description="SHA-256 digest of its weights."
+    )
+
+
 class Origin(Model):
     """The source of a description and how well it fits the observations."""
 
@@ -308,6 +338,7 @@ class Origin(Model):
     )
     note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
     cousin: CousinOf | None = Field(None, description="Recipe, seed and index of a cousin.")
+    models: tuple[ModelUse, ...] = Field((), max_length=32, description="Foundation models that contributed.")
 
 
 class Material(Model):

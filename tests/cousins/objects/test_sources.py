@@ -31,7 +31,7 @@ from simfoundry.cousins.objects.retrieval import VariantLibrary, likeness
 from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.shapes import Capsule, tessellate
-from simfoundry.models.generators import ModelError
+from simfoundry.models.contract import ModelError
 from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
