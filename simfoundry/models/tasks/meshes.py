@@ -84,7 +84,7 @@ class PartModel(Protocol):
         """
 
 
-class JointEstimate(BaseModel):
+class PredictedJoint(BaseModel):
     """A joint between two parts of a mesh, in the frame of the mesh.
 
     Attributes:
@@ -117,14 +117,14 @@ class JointValues(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    joints: tuple[JointEstimate, ...] = Field(max_length=256)
+    joints: tuple[PredictedJoint, ...] = Field(max_length=256)
 
 
 @dataclass(frozen=True, eq=False)
 class ArticulationEstimate:
     """The joints between the parts of a mesh."""
 
-    joints: tuple[JointEstimate, ...]
+    joints: tuple[PredictedJoint, ...]
     made_by: ModelIdentity
 
 
