@@ -97,9 +97,27 @@ class SegmentChooser:
         """Return True if there are segments for a sub-goal."""
         return bool(self._candidates[k])
 
+    def chained(self, k: int, demonstration: int) -> set[int]:
+        """Return the later sub-goals that must use the same demonstration as a sub-goal.
+
+        They are those whose segments are joined to its segment, and the others on which these depend.
+        """
+        found, team = set[int](), set(self.teams[k])
+        for j in range(k + 1, len(self.subgoals)):
+            segments = [self.library.segments[n] for n in self._candidates[j]]
+            segment = next((one for one in segments if one.demonstration == demonstration), None)
+            if segment is not None and set(segment.robots) & team:
+                if segment.is_joined:
+                    found |= {j, *(i for i in range(k + 1, j) if set(self.teams[i]) & set(segment.robots))}
+                    team |= set(segment.robots)
+                else:
+                    team -= set(segment.robots)
+        return found
+
     def choose(
         self, k: int, state: SceneState, hands: Mapping[str, Pose], now: Present, used: Mapping[str, int],
         rng: np.random.Generator,
+        only: int | None = None,
     ) -> ChosenSegment:  # fmt: skip
         """Return the first segment for a sub-goal that can be carried out.
 
@@ -110,6 +128,7 @@ class SegmentChooser:
             now: The situation of the arms.
             used: The demonstration of the last segment of each robot.
             rng: The source of randomness.
+            only: The demonstration to use, or None for any.
 
         Raises:
             NoSegmentError: If none can be carried out.
@@ -118,6 +137,8 @@ class SegmentChooser:
         kinds = Counter[str]()
         for number, adaptation in self._ordered(k, state, hands, used, rng):
             segment = self.library.segments[number]
+            if only is not None and segment.demonstration != only:
+                continue
             try:
                 plan = plan_segment(segment, adaptation, subgoal, now, self._options.bridge)
                 return ChosenSegment(segment, adaptation, plan)

@@ -118,21 +118,56 @@ def plan_segment(
     Raises:
         ObstacleError: If the arms cannot follow it.
     """
+    if len(segment.robots) > 1 and target.held:
+        return _carried_together(segment, adaptation, now)
     bridges, targets = {}, {}
     for name, motion in segment.motions.items():
         change = adaptation.changes[name]
         poses = transformed(segment, name, change)
         if segment.is_joined or bridge is Bridge.WARPED:
             lead, poses = _warped(segment, motion, poses, now, name, change)
-            joints = _followed(now.planners[name].arm, [*lead, *poses], now.q[name])
-            count = len(lead)
-            grippers = _grippers(segment, now, name)
-            bridges[name] = ArmTargets(joints[:count], np.full(count, grippers[0]))
-            targets[name] = ArmTargets(joints[count:], grippers)
+            bridges[name], targets[name] = _commands(segment, now, name, lead, poses)
         else:
             targets[name] = _checked(segment, target, now, name, poses)
             bridges[name] = _planned(now, name, targets[name].joints[0], float(targets[name].grippers[0]))
     return SegmentPlan(bridges, targets)
+
+
+def _commands(
+    segment: SourceSegment, now: Present, robot: str, lead: Sequence[Pose], poses: Sequence[Pose]
+) -> tuple[ArmTargets, ArmTargets]:
+    """Return the commands that move a hand along the poses of a lead-in and of a segment proper."""
+    joints, count = _followed(now.planners[robot].arm, [*lead, *poses], now.q[robot]), len(lead)
+    grippers = _grippers(segment, now, robot)
+    return ArmTargets(joints[:count], np.full(count, grippers[0])), ArmTargets(joints[count:], grippers)
+
+
+def _carried_together(segment: SourceSegment, adaptation: Adaptation, now: Present) -> SegmentPlan:
+    """Return the commands of hands that hold the same object, whose poses relative to each other must not change.
+
+    The first hand follows the bent lead-in, and the others keep their poses relative to it.
+    """
+    first, *others = segment.robots
+    goals = {name: transformed(segment, name, adaptation.changes[name]) for name in segment.robots}
+    leads = {}
+    leads[first], goals[first] = _warped(
+        segment, segment.motions[first], goals[first], now, first, adaptation.changes[first]
+    )
+    hands = {name: now.planners[name].arm.hand(now.q[name]) for name in segment.robots}
+    bent = max(0, segment.moment - segment.begin) if segment.lead == 0 else 0
+    for name in others:
+        before = hands[first].inverse() @ hands[name]
+        leads[name] = _beside(leads[first], before, goals[first][0].inverse() @ goals[name][0])
+        if bent:  # without a lead-in, the part up to the sub-goal is bent
+            after = goals[first][bent - 1].inverse() @ goals[name][bent - 1]
+            goals[name][:bent] = _beside(goals[first][:bent], before, after)
+    found = {name: _commands(segment, now, name, leads[name], goals[name]) for name in segment.robots}
+    return SegmentPlan({name: one[0] for name, one in found.items()}, {name: one[1] for name, one in found.items()})
+
+
+def _beside(poses: Sequence[Pose], before: Pose, after: Pose) -> list[Pose]:
+    """Return the poses of a hand beside another one, whose relative pose changes from ``before`` to ``after``."""
+    return [pose @ blend(before, after, _smooth((k + 1) / len(poses))) for k, pose in enumerate(poses)]
 
 
 def transformed(segment: SourceSegment, robot: str, change: FrameChange) -> list[Pose]:

@@ -80,6 +80,7 @@ class AugmentPolicy(Policy):
         self._held: dict[str, Held] = {}
         self._changes: dict[str, FrameChange] = {}
         self._used: dict[str, int] = {}  # the demonstration of the last segment of each robot
+        self._chained: dict[int, int] = {}  # the demonstration that a sub-goal must use
         self._retreats: dict[str, Array] = {}  # the last motion of each hand [m per action]
         count = len(self._chooser.subgoals)
         self._scripts: dict[int, Script] = {k: self._work(k) for k in range(count)} | {count: self._finish()}
@@ -147,11 +148,15 @@ class AugmentPolicy(Policy):
 
     def _choose(self, k: int) -> ChosenSegment:
         hands = {name: self._now.robots[name].X_WH for name in self._arms}
+        now, only = self._present(), self._chained.get(k)
         try:
-            return self._chooser.choose(k, self._now.state, hands, self._present(), self._used, self._rng)
+            chosen = self._chooser.choose(k, self._now.state, hands, now, self._used, self._rng, only)
         except NoSegmentError as error:
             name = self._chooser.subgoals[k].name
             self._give_up(f"{name}: {error.kind}", f"{name}: {error}")
+        source = chosen.segment.demonstration
+        self._chained |= dict.fromkeys(self._chooser.chained(k, source), source)
+        return chosen
 
     def _give_up(self, kind: str, text: str) -> NoReturn:
         """Note the kind of a failure, and give up."""

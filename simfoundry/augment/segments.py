@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.augment.subgoals import Subgoal, reference_pose, subgoals
+from simfoundry.augment.subgoals import Subgoal, reference_pose, required_calls, subgoals
 from simfoundry.data.action_conversion import ActionConverter
 from simfoundry.data.demonstrations import Demonstration
-from simfoundry.data.trajectory import Trajectory, TrajectorySampler
+from simfoundry.data.trajectory import Trajectory, TrajectorySampler, frame_count
 from simfoundry.evaluate.expert.motion import PlanningScene
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Pose
@@ -116,14 +116,14 @@ class SegmentReader:
         self._task, self._sampler = task, sampler
         self._judge, self._cell = Judge(task.scene), PlanningScene(task.scene)
         self._converter = ActionConverter(sampler, ActionSpace.JOINT_POSITION)
-        self._subgoals = subgoals(task)
+        self._subgoals, self._goal = subgoals(task), required_calls(task.goal)
         self._rows = {name: mjcf_rows(task.scene.robot(name)) for name in task.robots}
 
     def read(self, demonstration: Demonstration) -> list[SourceSegment]:
         """Return the segments of a demonstration, in the order of the sub-goals. Those that were not achieved lack."""
         trajectory = self._sampler.sample(demonstration, demonstration.action_hz)
         states = self._states(trajectory)
-        spans = self._spans(trajectory, states)
+        spans = self._spans(demonstration, trajectory, states)
         poses = self._converter.hand_targets(trajectory)
         borders = self._borders(trajectory, states, spans)
         return [
@@ -149,7 +149,7 @@ class SegmentReader:
             found.append(SceneState.of(poses, joints, motions, robots, speeds))
         return found
 
-    def _spans(self, trajectory: Trajectory, states: Sequence[SceneState]) -> list[_Span]:
+    def _spans(self, demonstration: Demonstration, trajectory: Trajectory, states: Sequence[SceneState]) -> list[_Span]:
         """Return the sub-goals that were achieved, with the moments at which they became true."""
         batch = StateBatch.of(self._task.scene, states)
         holds = self._judge.holds({str(k): one.condition for k, one in enumerate(self._subgoals)}, batch)
@@ -157,10 +157,17 @@ class SegmentReader:
         for k, subgoal in enumerate(self._subgoals):
             candidates = self._robots(subgoal, batch, found)
             before = max((one.moment for one in found if set(one.robots) & set(candidates)), default=0)
-            moment = _first_time(holds[str(k)], before)
+            moment = self._recorded(subgoal, demonstration, trajectory.hz) or _first_time(holds[str(k)], before)
+            if moment is None and subgoal.call in self._goal:
+                moment = trajectory.length  # the goal holds at the end, even if objects were still moving before
             if moment is not None and moment > before:
                 found.append(_Span(k, self._acting(subgoal, candidates, trajectory, states, moment), moment))
         return found
+
+    def _recorded(self, subgoal: Subgoal, demonstration: Demonstration, hz: float) -> int | None:
+        """Return the moment at which the recording noted a sub-task as completed, or None."""
+        step = demonstration.subtasks.get(subgoal.name)
+        return None if step is None else frame_count(step, self._task.control_hz, hz)
 
     def _robots(self, subgoal: Subgoal, batch: StateBatch, found: Sequence[_Span]) -> tuple[str, ...]:
         """Return the robots that may achieve a sub-goal: those that it names, or those that hold its object."""

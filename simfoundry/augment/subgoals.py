@@ -70,7 +70,7 @@ def subgoals(task: Task) -> tuple[Subgoal, ...]:
         if effect is Effect.PLACE:
             held = first
         reference = _reference(task.scene, call)
-        robots = tuple(dict.fromkeys(a for c in _calls(condition) for a in c.args if a in task.robots))
+        robots = tuple(dict.fromkeys(a for c in required_calls(condition) for a in c.args if a in task.robots))
         carries = effect is Effect.JOINT or (held == first and call.predicate != "Grasped")
         carried = held if carries else ""
         found.append(Subgoal(name, condition, call, reference, carried, robots))
@@ -92,7 +92,7 @@ def _grasped_when_placed(found: list[Subgoal]) -> list[Subgoal]:
         if _effect(place.call) is not Effect.PLACE:
             continue
         before = ordered[: ordered.index(place)]
-        mine = [one for one in before if one.reference == place.held and not one.held]
+        mine = [one for one in before if one.reference == place.held]
         last = max((before.index(one) for one in mine), default=-1)
         others = [one for one in before[last + 1 :] if _effect(one.call) is Effect.GRASP]
         if mine and others:
@@ -105,24 +105,24 @@ def _conditions(task: Task) -> Iterator[tuple[str, Condition]]:
     """Yield the name and the condition of each sub-task, and of each part of the goal that is not a sub-task."""
     stated = set()
     for name, subtask in task.subtasks.items():
-        stated |= {str(call) for call in _calls(subtask.goal)}
+        stated |= {str(call) for call in required_calls(subtask.goal)}
         yield name, subtask.goal
-    for call in _calls(task.goal):
+    for call in required_calls(task.goal):
         if str(call) not in stated and _effect(call) is not Effect.NONE:
             yield str(call), str(call)
 
 
-def _calls(condition: Condition) -> list[Call]:
+def required_calls(condition: Condition) -> list[Call]:
     """Return the predicates that must hold: all of ``all``, and the first of ``any``."""
     kind, below = parts(condition)
     if kind == "text":
         return [parse_call(str(condition))]
-    return [call for one in {"all": below, "any": below[:1]}.get(kind, ()) for call in _calls(one)]
+    return [call for one in {"all": below, "any": below[:1]}.get(kind, ()) for call in required_calls(one)]
 
 
 def _leading(condition: Condition) -> Call | None:
     """Return the predicate that determines the reference, or None if there is none."""
-    calls = [call for call in _calls(condition) if call.predicate != "Released"]
+    calls = [call for call in required_calls(condition) if call.predicate != "Released"]
     return min(calls, key=lambda call: PRIORITY.index(_effect(call)), default=None)
 
 

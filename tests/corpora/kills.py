@@ -3,8 +3,8 @@
 Each command that writes is ended by kill -9 at N moments (84 by default), half of them spread over the whole run, half
 from when it starts to write. After each kill no file may be torn or lost: every input is as it was, and every output is
 as it was before or as an undisturbed run leaves it; `compile` and `capture` replace their folder as a whole. Then the
-same command runs again and must leave exactly what an undisturbed run leaves, and `eval`, `cousins` and `record` must
-keep every rollout, cousin and attempt that they had finished.
+same command runs again and must leave exactly what an undisturbed run leaves, and `eval`, `cousins`, `record` and
+`augment` must keep every rollout, cousin and attempt that they had finished.
 
 Prints a line for each command; exit code 1 if anything was torn or lost.
 """
@@ -59,7 +59,7 @@ class Case:
     ``whole`` is the folder that is replaced as a whole, if any. ``growing`` matches the files that grow during the run
     or exist only then, ``clocks`` matches the times on a clock, which no two runs share, and ``kept`` matches the files
     that the next run must not write again. ``done`` returns the numbers of the jobs that a killed run has finished, and
-    the next run must not add them to the log ``started``.
+    the next run must not add them to the log ``started``. ``before`` is Python code that runs before the command.
     """
 
     name: str
@@ -71,6 +71,7 @@ class Case:
     kept: str = r"(?!)"
     done: Callable[[Path], set[int]] = lambda root: set()
     started: str = ""
+    before: str = ""
 
 
 def scene(height: float = 0.1, y: float = 0.1, z: float = 0.05) -> str:
@@ -126,6 +127,28 @@ def pushes(root: Path) -> None:
     (root / "started.log").write_text("")
 
 
+LOGGED_SEGMENTS = """
+from simfoundry.augment.policy import AugmentPolicy
+
+def reset(self, instruction, seed, plain=AugmentPolicy.reset):
+    if seed >= 1000:
+        with open("started.log", "a") as log:
+            log.write(f"{seed - 1000}\\n")
+    plain(self, instruction, seed)
+
+AugmentPolicy.reset = reset
+"""
+
+
+def demonstrations(root: Path) -> None:
+    """Demonstrations of a task for an arm without a gripper, and a log of where their augmentation starts."""
+    write_bench(root)
+    (root / "pushing.py").write_text(POLICY)
+    command = ("record", "push.task.yaml", "-p", "python:pushing.py:Push", "-n", "2", "-o", "demos")
+    subprocess.run([sys.executable, "-c", MAIN, *command], cwd=root, check=True, capture_output=True)
+    (root / "started.log").write_text("")
+
+
 def attempts(root: Path) -> set[int]:
     """The attempts that a recording has finished."""
     return {attempt.index for path in root.glob("out/*/*.npz") for attempt in read_shard(path)}
@@ -158,6 +181,15 @@ CASES = (
         growing=(r"out/unfinished/\d+\.npz",),
         done=attempts,
         started="started.log",
+    ),
+    Case(
+        "augment",
+        ("augment", "demos", "-n", "4", "-o", "out"),
+        demonstrations,
+        growing=(r"out/unfinished/\d+\.npz",),
+        done=attempts,
+        started="started.log",
+        before=LOGGED_SEGMENTS,
     ),
 )
 
@@ -198,7 +230,7 @@ class Run:
         shutil.copytree(self.pristine, self.root)
 
     def start(self) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-c", MAIN, *self.case.arguments]
+        command = [sys.executable, "-c", self.case.before + MAIN, *self.case.arguments]
         quiet = subprocess.DEVNULL
         return subprocess.Popen(
             command, cwd=self.root, env=self.environment, stdout=quiet, stderr=quiet, start_new_session=True
