@@ -39,11 +39,16 @@ class DiskFile:
         """Read a file.
 
         Raises:
-            SimfoundryError: If the file is too large for a document.
+            SimfoundryError: If it cannot be read, is not a regular file, or is too large for a document.
         """
         stamp = file_stamp(path)  # before the content, so that a change meanwhile is noticed
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+        try:
+            if not path.is_file():  # a folder, or a pipe, which nobody may ever write to
+                raise SimfoundryError(f"{path} is not a file")
+            with path.open("rb") as stream:
+                data = stream.read(MAX_BYTES + 1)
+        except OSError as error:
+            raise SimfoundryError(f"{path} could not be read: {error.strerror or error}") from None
         if len(data) > MAX_BYTES:
             raise SimfoundryError(f"{path} is larger than {MAX_BYTES >> 20} MiB, the limit for documents")
         return cls(path, data, stamp)
@@ -116,7 +121,13 @@ def taken_in(
     """Take in the changes of all files; the arguments are the present state, as in :class:`DiskChanges`."""
     new_files, new_texts, new_held = dict(files), dict(texts), dict(held)
     for path, before in files.items():
-        file = DiskFile.read(path) if before.has_changed() else before
+        try:
+            file = DiskFile.read(path) if before.has_changed() else before
+        except SimfoundryError as error:
+            new_held[path] = Diagnostic(
+                "SF002", Severity.ERROR, f"the change on disk cannot be shown: {error}", str(path)
+            )
+            continue
         if file.data != before.data:
             try:
                 new_texts[path], asked = merged_with_disk(path, before.text, texts[path], file.text)

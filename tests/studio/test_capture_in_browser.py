@@ -92,17 +92,27 @@ def test_a_gizmo_drag_on_the_cloud_refines_the_pose_with_its_fit(scene: Path, op
     assert studio.problems == []
 
 
+def look(studio: StudioPage, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
+    """Look from one point [m] at another."""
+    (client,) = studio.server.viser.get_clients().values()
+    client.camera.position, client.camera.look_at = eye, target
+    studio.page.wait_for_timeout(2000)
+    studio.until(lambda: np.allclose(client.camera.position, eye, atol=1e-3), "the view")
+
+
+def cloud(studio: StudioPage) -> CloudContent | None:
+    """The cloud that is shown, or None while it is replaced."""
+    node = studio.server.window.canvas.nodes.get("/capture/cloud")
+    return node.content if node is not None and isinstance(node.content, CloudContent) else None
+
+
 def test_the_cloud_follows_its_switches(scene: Path, open_studio: OpenStudio) -> None:
     studio = opened(open_studio, scene)
-    nodes = studio.server.window.canvas.nodes["/capture/cloud"]
+    photo = cloud(studio)
     studio.choose("Colors", "objects")
-    studio.until(lambda: studio.server.window.canvas.nodes["/capture/cloud"].content != nodes.content)
-    objects = studio.server.window.canvas.nodes["/capture/cloud"]
+    objects = studio.until(lambda: (shown := cloud(studio)) != photo and shown, "the colors of objects")
     studio.choose("Colors", "fit error")
-    studio.until(lambda: studio.server.window.canvas.nodes["/capture/cloud"].content != objects.content)
-    shown = studio.server.window.canvas.nodes["/capture/cloud"].content
-    assert isinstance(shown, CloudContent)
-    rgb = shown.rgb
+    rgb = studio.until(lambda: (shown := cloud(studio)) != objects and shown, "the colors of errors").rgb
     green = (rgb.astype(int) - (0, 160, 60)).max(axis=1) < 60
     assert green.sum() > 0.9 * (rgb != 150).any(axis=1).sum() > 500  # most points are on their objects
     studio.control("Picture").check()
@@ -187,6 +197,7 @@ def test_the_background_is_dragged_and_aligned_by_pairs(desk: Path, open_studio:
     studio.press("+x")
     studio.until(lambda: "xyz: [-0.999, -0.5, -0.8]" in studio.text, "the step")
     stepped = studio.text
+    look(studio, (-0.6, -2.2, 0.8), (-0.8, -0.5, -0.7))
     drag_arrow(studio, background_pose(studio), (40.0, 0.0))
     studio.until(lambda: studio.text != stepped, "the drag")
     (line,) = [line for line in studio.text.splitlines() if line not in stepped.splitlines()]
@@ -221,11 +232,10 @@ def test_a_splat_is_aligned_by_pairs_of_points_that_are_clicked(desk: Path, open
     studio = open_studio(desk)
     studio.page.set_default_timeout(PATIENCE_MS)
     studio.until(lambda: "/background" in studio.server.window.canvas.nodes, "the splat")
-    client = next(iter(studio.server.viser.get_clients().values()))
-    client.camera.position, client.camera.look_at = (0.3, -0.6, 2.4), (0.3, 0.1, -0.4)
-    studio.until(lambda: np.allclose(client.camera.position, (0.3, -0.6, 2.4), atol=1e-3), "the view from above")
+    look(studio, (0.3, -0.6, 2.4), (0.3, 0.1, -0.4))
     studio.tab("Capture")
     studio.control("Pick pairs").check()
+    studio.page.get_by_text("Click on the background").first.wait_for()  # then the browser reports clicks
     panel = studio.server.window.panel(_background())
     scene = studio.server.session.scene
     assert scene is not None
@@ -269,10 +279,9 @@ def test_an_object_is_split_at_points_that_are_clicked(scene: Path, open_studio:
     studio.press("Look through the camera")
     client = next(iter(studio.server.viser.get_clients().values()))
     studio.until(lambda: np.allclose(client.camera.position, overlay.X_WC.p, atol=1e-4), "the view of the camera")
-    studio.server.window.is_editable = False  # without the arrows, which would take the clicks
-    studio.server.window.request_refresh()
-    studio.until(lambda: studio.server.window.gizmo.size == 0.0, "no arrows")
     studio.control("Mark by clicks").check()
+    studio.until(lambda: studio.server.window.gizmo.size == 0.0, "no arrows, which would take the clicks")
+    studio.page.wait_for_timeout(1000)
     panel = studio.server.window.panel(_pieces())
     rows, columns = np.nonzero(overlay.labels == 1)
     wanted = {}

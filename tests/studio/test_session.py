@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose
+from simfoundry.spec.yaml.text import MAX_BYTES
 from simfoundry.studio.acts.act import ActError
 from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.acts.names import RenameSymbol
@@ -182,6 +184,31 @@ def test_a_file_that_cannot_be_merged_is_reported_until_it_can_be(desk: Path) ->
     desk.write_text(SCENE)
     session.poll()
     assert session.findings == () and session.text == edited
+    session.save()
+    assert desk.read_text() == edited
+
+
+def test_what_is_no_document_file_any_more_is_a_finding_and_nothing_is_lost(desk: Path) -> None:
+    session = StudioSession(desk)
+    session.apply(SetProperties("mug", {"mass": 0.4}))
+    edited = session.text
+
+    def as_pipe() -> None:
+        os.mkfifo(desk)
+
+    def too_large() -> None:
+        desk.write_text(SCENE + "#" * MAX_BYTES)
+
+    for replace, said in ((desk.mkdir, "is not a file"), (as_pipe, "is not a file"), (too_large, "the limit")):
+        desk.unlink()
+        replace()
+        assert session.poll() and session.text == edited and not session.poll()
+        assert said in session.findings[0].message and session.scene is not None
+        with pytest.raises(SimfoundryError, match="was not saved"):
+            session.save()
+        desk.rmdir() if desk.is_dir() else desk.unlink()
+        desk.write_text(SCENE)
+        assert session.poll() and session.findings == () and session.text == edited
     session.save()
     assert desk.read_text() == edited
 

@@ -63,7 +63,7 @@ class SelectionGizmo:
 
     def refresh(self) -> None:
         """Put the gizmo where the selection is, or remove it. Nothing happens while it is dragged."""
-        target = self._target() if self._window.is_editable else None
+        target = self._target() if self._window.is_editable and not self._window.is_picking else None
         if self.dragged_by is not None and target is not None and target.node == self._shown[0]:
             return
         self.dragged_by = None

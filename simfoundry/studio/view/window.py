@@ -80,6 +80,7 @@ class StudioWindow:
         options: What is shown besides the objects.
         state: The state that is shown, or None for the initial state of the document.
         is_editable: Whether objects can be moved. It is False while physics runs.
+        is_picking: Whether clicks mark points, so that they select nothing, and no arrows are in the way.
         drops: Whether moved objects fall onto what is beneath.
         snap: What moved objects snap to.
         hidden: Names of objects that are not shown.
@@ -105,6 +106,7 @@ class StudioWindow:
         self.selection = ""
         self.options = DisplayOptions()
         self.state: SceneState | None = None
+        self.is_picking = False
         self.drops = True
         self.snap = Snap()
         marks = read_marks(session.path) if journal is not None else ObjectMarks()
@@ -112,7 +114,7 @@ class StudioWindow:
         self.move_act: Callable[[str, Pose], Act] = self._plain_move
         self.previews: list[Callable[[str, Pose], None]] = []
         self.capture = CaptureLink(self, capture)
-        self.canvas = Canvas(server.scene, self.select, self._poke)
+        self.canvas = Canvas(server.scene, self._select_by_click, self._poke)
         self.gizmo = SelectionGizmo(self)
         self._dirty, self._is_moved_only, self._stopped = Event(), False, False
         self.stage = TrialStage(self)
@@ -317,6 +319,10 @@ class StudioWindow:
             self._pictured = scene.scene
             self.options = replace(self.options, pictures=pictures)
             self.request_refresh()
+
+    def _select_by_click(self, name: str) -> None:
+        if not self.is_picking:
+            self.select(name)
 
     def _poke(self, node: str, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
         self.pull.poke(node, origin, direction)

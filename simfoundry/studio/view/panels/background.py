@@ -69,18 +69,20 @@ class BackgroundPanel(Panel):
         if visible and scene is not None and scene.spec.background is not None:
             power = math.log10(scene.spec.background.scale)
             set_value(self.scale, round(min(max(power, -DECADES), DECADES), 3))
-        half = " One more click, on the scene." if self._half is not None else ""
-        set_value(self._pairs, f"{len(self.pairs)} pairs; three are needed.{half}")
+        step = ""
+        if self.picking.value:
+            step = " Click on the background." if self._half is None else " Now click on the same point of the scene."
+        set_value(self._pairs, f"{len(self.pairs)} pairs; three are needed.{step}")
 
     def nodes(self) -> Nodes:
         """Return the background and the points of the pairs."""
         surroundings = self._surroundings
         nodes = background_nodes(surroundings) if surroundings is not None and self.shown.value else {}
         for k, (here, there) in enumerate(self.pairs):
-            nodes[f"/pair_{k}_here"] = ViewNode(LabelContent(f"{k + 1} background"), Pose.of(here))
-            nodes[f"/pair_{k}_there"] = ViewNode(LabelContent(f"{k + 1} scene"), Pose.of(there))
+            nodes[f"/pair_{k}_here"] = ViewNode(LabelContent(f"{k + 1}"), Pose.of(here))
+            nodes[f"/pair_{k}_there"] = ViewNode(LabelContent(f"{k + 1}"), Pose.of(there))
         if self._half is not None:
-            nodes["/pair_half"] = ViewNode(LabelContent("background"), Pose.of(self._half))
+            nodes["/pair_half"] = ViewNode(LabelContent(f"{len(self.pairs) + 1}"), Pose.of(self._half))
         return nodes
 
     def _scale(self, power: float) -> None:
@@ -107,12 +109,13 @@ class BackgroundPanel(Panel):
 
     def _listen(self, on: bool) -> None:
         self._half = None
+        self.window.is_picking = on
+        self.window.request_refresh()
         scene = self.window.server.scene
         if on:
             scene.on_click()(self._click)
         else:
             scene.remove_click_callback(self._click)
-        self.window.request_refresh()
 
     def _click(self, event: Any) -> None:
         """Take the point under a click: first on the background, then on the scene."""

@@ -159,6 +159,8 @@ class PiecesPanel(Panel):
         return [name, *islice(free, len(PARTS) - 1)]
 
     def _listen(self, on: bool) -> None:
+        self.window.is_picking = on
+        self.window.request_refresh()
         scene = self.window.server.scene
         if on:
             scene.on_click()(self._click)
