@@ -19,6 +19,7 @@ from simfoundry.evaluate.policies.base import PolicyError
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import Judge
+from simfoundry.runtime.workers import report_progress
 from simfoundry.scene.state import SceneState
 
 # Maximum number of transformed segments to try for a sub-goal; all of ten demonstrations usually are fewer.
@@ -139,6 +140,7 @@ class SegmentChooser:
             segment = self.library.segments[number]
             if only is not None and segment.demonstration != only:
                 continue
+            report_progress(f"{subgoal.name}: trying demonstration {segment.demonstration}")
             try:
                 plan = plan_segment(segment, adaptation, subgoal, now, self._options.bridge)
                 return ChosenSegment(segment, adaptation, plan)

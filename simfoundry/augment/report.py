@@ -68,7 +68,7 @@ def augment_report(folder: Path) -> AugmentReport:
         is_kept, segments = bool(about["kept"]), _segments(about)
         by_task.append((str(tasks[int(about["index"]) % len(tasks)]["document"]), is_kept))
         by_source += [(index, is_kept) for index in sorted({int(one["demonstration"]) for one in segments})]
-        by_subgoal += [(str(one["subgoal"]), bool(one["achieved"]) or is_kept) for one in segments]
+        by_subgoal += [(str(one["subgoal"]), bool(one.get("achieved")) or is_kept) for one in segments]
         if not is_kept:
             failures[f"{about['end']}: {_kind(about)}"] += 1
     rates = _rates(by_source)
@@ -83,7 +83,9 @@ def augment_report(folder: Path) -> AugmentReport:
 
 def _segments(about: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     origin = about.get("origin", {})
-    return list(origin.get("segments", [])) if isinstance(origin, Mapping) else []
+    found = origin.get("segments", []) if isinstance(origin, Mapping) else []
+    known = [one for one in found if isinstance(one, Mapping)] if isinstance(found, list) else []
+    return [one for one in known if isinstance(one.get("demonstration"), int) and "subgoal" in one]
 
 
 def _kind(about: Mapping[str, Any]) -> str:

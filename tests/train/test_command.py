@@ -64,6 +64,30 @@ def test_demonstrations_can_be_learned_directly(demos: Path, here: Path, monkeyp
     assert not (here / "direct" / "demonstrations").exists()
 
 
+@pytest.mark.slow  # 10 s: it records, generates, trains and evaluates
+def test_demonstrations_are_generated_between_recording_and_training(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(here)
+    options = ("-p", "python:pushing.py:Push", "-n", "2", "--augment", "3", "--steps", "20", "--rollouts", "1")
+    done = run("train", "push.task.yaml", "-o", "more", *options, "--no-video", "--json")
+    assert done.code == 0, done.err
+    made, (policy,) = done.json["augmentation"], done.json["policies"].values()
+    assert (made["folder"], made["demonstrations"], policy["demonstrations"]) == ("augmented", 3, 3)
+    assert made["success"]["successes"] == 3 and {one["demonstration"] for one in made["sources"]} <= {0, 1}
+    assert len(sf.demonstrations(here / "more" / "demonstrations")) == 2
+    assert len(sf.demonstrations(here / "more" / "augmented")) == 3
+    assert "generated from" in (here / "more" / "report.html").read_text()
+    before = files_of(here / "more")
+    again = run("train", "push.task.yaml", "-o", "more", *options, "--no-video")
+    assert again.code == 0 and "3 demonstrations generated in" in again.out
+    assert {name: data for name, (_, data) in files_of(here / "more").items()} == {
+        name: data for name, (_, data) in before.items()
+    }
+    both = run("train", "more/demonstrations", "more/augmented", "--augment", "3", "-o", "both", "--steps", "20")
+    assert both.code == 2 and "several folders of demonstrations cannot be augmented together" in both.err
+
+
 def test_names_cannot_inject_markup() -> None:
     from simfoundry.reports.training import training_page
 
