@@ -45,8 +45,8 @@ class ReplayChoice:
 # A selected policy that has not been created yet.
 Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | CheckpointChoice | PythonClass
 
-# A folder of each kind of policy that is stored in one, for messages.
-_FOLDERS = {"augment": "demos", "baseline": "build/train/policy"}
+# The content of the folder of each kind of policy that is stored in one, and a name of such a folder, for messages.
+_FOLDERS = {"augment": ("demonstrations", "demos"), "baseline": ("a trained policy", "build/train/policy")}
 
 # Policies that are created separately for each task.
 TASK_CHOICES = (ExpertChoice, CheckpointChoice)
@@ -80,7 +80,8 @@ def parse_policy(text: str) -> Choice:
         return ReplayChoice(Path(rest))
     if kind in LOADERS:
         if not rest:
-            raise PolicyError(f"`{kind}` requires a folder, such as `{kind}:{_FOLDERS[kind]}`")
+            content, example = _FOLDERS[kind]
+            raise PolicyError(f"`{kind}` requires the folder of {content}, such as `{kind}:{example}`")
         return _checkpoint(kind, rest)
     if kind == "python":
         return _python(rest)

@@ -56,6 +56,13 @@ class Case:
 CASES = (
     Case("record", ("record", "stacks", "-n", "16", "-o", "out"), "out/*/*.npz", 16),
     Case(
+        "augment",
+        ("augment", "demos", "-n", "16", "-o", "out"),
+        "out/*/*.npz",
+        16,
+        before=("record", "stacks", "-n", "4", "-j", "2", "-o", "demos"),
+    ),
+    Case(
         "eval", ("eval", "stacks", "-p", "expert", "-n", "8", "--no-video", "-o", "out"), "out/rollouts/**/*.json", 16
     ),
     Case(
