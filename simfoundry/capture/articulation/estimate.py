@@ -33,7 +33,7 @@ APART = 0.05
 SLIDE_STEP, TURN_STEP, PIVOT_STEP, TILT_STEP = 0.02, 0.08, 0.015, 0.06
 
 # Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
-DRIFT = 2.0
+DRIFT = 5.0
 
 # Smallest amount of motion [m, rad].
 LEAST = 1e-3

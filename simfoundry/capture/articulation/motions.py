@@ -25,6 +25,9 @@ TYPICAL_BACK = 0.015
 # Maximum number of planes in a set of points, and the fewest points of one.
 PLANES, FEWEST = 5, 60
 
+# Width of the rim of a patch in which normals are blurred [m]: six pixels of 640 at 1 m, and noise.
+RIM = 0.015
+
 # Points of a front outside of these quantiles are taken for noise.
 QUANTILES = (0.01, 0.99)
 
@@ -109,8 +112,11 @@ def patches(points: Array, normals: Array, rng: np.random.Generator) -> list[Pat
             fitted = np.linalg.svd(points[on] - center, full_matrices=False)[2][2]
             normal = fitted * math.copysign(1.0, float(fitted @ normal))
             offset = float(normal @ center)
-        found.append(Patch(normal, center, points[on]))
-        points, normals = points[~on], normals[~on]
+        # Normals near the edge of a patch are blurred, so that its points there are known by their place only.
+        around = ((points > points[on].min(axis=0) - RIM) & (points < points[on].max(axis=0) + RIM)).all(axis=1)
+        whole = around & (np.abs(points @ normal - offset) < THICKNESS)
+        found.append(Patch(normal, center, points[whole]))
+        points, normals = points[~(on | whole)], normals[~(on | whole)]
     return found
 
 
