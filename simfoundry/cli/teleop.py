@@ -28,7 +28,7 @@ DEVICES = ("keyboard", "gizmo", "spacemouse", "joints", "vr")
 @click.option("-n", "--count", type=click.IntRange(*RANGES["count"]),
               help="Number of demonstrations in OUT. Default: until the person ends the session.")  # fmt: skip
 @option("--seed", type=click.IntRange(*RANGES["seed"]), default=0, help="Seed for the initial states.")
-@click.option("--hz", type=click.FloatRange(1, 1000), metavar="HZ",
+@click.option("--hz", type=click.FloatRange(1, 200), metavar="HZ",
               help="Actions per second. Default: the least multiple of the task's rate from 30 on.")  # fmt: skip
 @option("--speed", type=click.FloatRange(0, 1, min_open=True), default=0.2,
         help="Speed of the hand [m/s] with keys, or at full deflection.")  # fmt: skip

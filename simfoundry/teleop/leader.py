@@ -116,12 +116,28 @@ def load_leader(path: Path, joints: Mapping[str, int]) -> LeaderSpec:
         raise SimfoundryError(f"{path} does not describe leader arms: {f'`{at}`: ' if at else ''}{text}") from None
     except (OSError, ValueError, YamlError) as error:
         raise SimfoundryError(f"{path} does not describe leader arms: {error}") from None
+    check_leader(spec, joints, str(path))
+    return spec
+
+
+def check_leader(spec: LeaderSpec, joints: Mapping[str, int], where: str) -> None:
+    """Check that leader arms fit the robots of a task.
+
+    Args:
+        spec: The leader arms.
+        joints: The number of joints of each robot of the task.
+        where: The file that describes them.
+
+    Raises:
+        SimfoundryError: If they do not fit.
+    """
     servos = [servo for arm in spec.arms.values() for servo in arm.servos]
     if len(set(servos)) < len(servos):
-        raise SimfoundryError(f"{path} lists a servo for two arms; servos on one line must have different numbers")
+        raise SimfoundryError(f"{where} lists a servo for two arms; servos on one line must have different numbers")
     for robot, arm in spec.arms.items():
         if robot not in joints:
-            raise SimfoundryError(f"{path} describes a leader of `{robot}`; the task has {', '.join(joints)}")
+            raise SimfoundryError(f"{where} describes a leader of `{robot}`; the task has {', '.join(joints)}")
         if len(arm.ids) != joints[robot]:
-            raise SimfoundryError(f"{path} lists {len(arm.ids)} servos for `{robot}`, which has {joints[robot]} joints")
-    return spec
+            raise SimfoundryError(
+                f"{where} lists {len(arm.ids)} servos for `{robot}`, which has {joints[robot]} joints"
+            )

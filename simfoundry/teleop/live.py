@@ -12,7 +12,6 @@ from urllib.parse import urlsplit
 
 from simfoundry.data.attempt import OpenTask
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.rollouts.execution import check_rate
 from simfoundry.runtime.extras import need_extra
 from simfoundry.teleop.device import TeleopDevice
 from simfoundry.teleop.devices.dynamixel import DynamixelLeader
@@ -29,7 +28,7 @@ from simfoundry.teleop.run import (
 from simfoundry.teleop.session import TeleopSession
 from simfoundry.teleop.settings import DeviceOptions, TeleopSettings, action_hz, joint_counts
 from simfoundry.teleop.sources import LiveSource
-from simfoundry.teleop.stream import StreamWriter
+from simfoundry.teleop.stream import MAX_HZ, MIN_HZ, StreamWriter
 from simfoundry.teleop.teleoperator import Teleoperator
 
 if TYPE_CHECKING:
@@ -134,7 +133,8 @@ def run_live(
     from simfoundry.teleop.page.window import TeleopWindow
 
     need_extra("studio", "the page of a teleoperation")
-    check_rate(plan.control_hz, "the option --hz")
+    if plan.control_hz is not None and not MIN_HZ <= plan.control_hz <= MAX_HZ:
+        raise SimfoundryError(f"the number of actions per second must be between {MIN_HZ:g} and {MAX_HZ:g}")
     token = page_token(plan.host, plan.token)
     _check_address(plan)
     with ExitStack() as stack:

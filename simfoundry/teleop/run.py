@@ -62,7 +62,7 @@ class TeleopReport:
 
 def teleop_plan(document: Path, out: Path, count: int, seed: int) -> RecordPlan:
     """Return the plan of a recording by a person."""
-    return RecordPlan(out, (document,), TeleopContender(), count, MAX_ATTEMPTS, seed)
+    return RecordPlan(out, (document.resolve(),), TeleopContender(), count, MAX_ATTEMPTS, seed)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.teleop.device import TeleopDevice
-from simfoundry.teleop.leader import LeaderSpec
+from simfoundry.teleop.leader import LeaderSpec, check_leader
 from simfoundry.worlds.base import World
 
 # The devices, with a few words about each.
@@ -119,6 +119,7 @@ def create_device(name: str, options: DeviceOptions, joints: Mapping[str, int]) 
         case "joints" if options.leader is not None:
             from simfoundry.teleop.devices.dynamixel import DynamixelLeader
 
+            check_leader(options.leader, joints, "the description of the leader arms")
             return DynamixelLeader(joints, options.leader.arms)
         case "joints":
             from simfoundry.teleop.devices.joints import JsonLeader

@@ -35,10 +35,17 @@ PAUSED_LOOK_S = 0.05
 
 @dataclass(frozen=True)
 class EventBatch:
-    """Events that arrived, and whether an action begins after them."""
+    """Events that arrived.
+
+    Attributes:
+        events: The events.
+        is_tick: Whether an action begins after them.
+        is_last: Whether a recorded session ended with them.
+    """
 
     events: tuple[InputEvent, ...]
     is_tick: bool
+    is_last: bool = False
 
 
 class EventSource(ABC):
@@ -250,11 +257,11 @@ class ReplaySource(EventSource):
     def take(self, is_paused: bool) -> EventBatch:
         """Return the events until the next action."""
         if self._is_ticked:
-            return EventBatch(self._until_tick(), True)
+            return self._until_tick()
         if is_paused:
             event = self._events.popleft() if self._events else None
             self._time = None
-            return EventBatch((event,) if isinstance(event, InputEvent) else (), event is None)
+            return EventBatch((event,) if isinstance(event, InputEvent) else (), False, event is None)
         return EventBatch(self._due(), True)
 
     def _until_start(self) -> tuple[InputEvent, ...]:
@@ -266,16 +273,16 @@ class ReplaySource(EventSource):
                 found.append(event)
         return tuple(found)
 
-    def _until_tick(self) -> tuple[InputEvent, ...]:
+    def _until_tick(self) -> EventBatch:
         """Remove and return the events before the next action of the same attempt."""
         found: list[InputEvent] = []
         while self._events and not isinstance(self._events[0], StartEvent):
             event = self._events.popleft()
             if isinstance(event, TickEvent):
-                break
+                return EventBatch(tuple(found), True)
             if isinstance(event, InputEvent):
                 found.append(event)
-        return tuple(found)
+        return EventBatch(tuple(found), False, True)
 
     def _due(self) -> tuple[InputEvent, ...]:
         """Return the events until the next action by their times. Silence, in which a session pauses, takes no time."""

@@ -29,7 +29,6 @@ from types import TracebackType
 from typing import IO, Any, Self
 
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.evaluate.rollouts.execution import MAX_RATE
 from simfoundry.teleop.commands import Control
 
 FORMAT = "teleop_stream/1"
@@ -39,6 +38,13 @@ MAX_STREAM_BYTES = 2**28
 
 # Largest line of a stream [bytes]: a packet in hexadecimal digits, and what is around it.
 MAX_LINE = 2**14
+
+# Fewest and most actions per second [Hz]. People react within 0.2 s, and devices send at most 1000 packets per second.
+# An action takes at least one physics step, which is 2 ms, and 5 ms in coarse scenes.
+MIN_HZ, MAX_HZ = 1.0, 200.0
+
+# Largest seed of initial states, as on the command line.
+MAX_SEED = 2**31
 
 # Number of decimals of times: microseconds, which keep the order of packets and replay exactly.
 TIME_DECIMALS = 6
@@ -188,8 +194,8 @@ def _header(line: str) -> StreamHeader:
         raise ValueError(f"its first line does not state the format {FORMAT}")
     match found:
         case {"device": str(device), "task": str(task), "seed": int(seed), "control_hz": hz, "options": dict(options)}:
-            is_rate = isinstance(hz, int | float) and not isinstance(hz, bool) and 0 < hz <= MAX_RATE
-            if is_rate and not isinstance(seed, bool) and seed >= 0:
+            is_rate = isinstance(hz, int | float) and not isinstance(hz, bool) and MIN_HZ <= hz <= MAX_HZ
+            if is_rate and not isinstance(seed, bool) and 0 <= seed <= MAX_SEED:
                 return StreamHeader(device, task, seed, float(hz), options)
     raise ValueError("its first line does not state the device, the task, the seed, the frequency and the options")
 

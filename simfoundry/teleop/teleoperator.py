@@ -159,8 +159,8 @@ class Teleoperator(Policy):
             if batch.is_tick and not self.status.is_waiting:
                 break
             self._arrivals.clear()  # a command waits for the end of a pause, which says nothing about the reaction
-            if batch.is_tick and not batch.events and not isinstance(self.source, LiveSource):
-                raise SimfoundryError("the stream ends while the session is paused, so the attempt cannot go on")
+            if batch.is_last:
+                raise AttemptEndedError(Control.QUIT)
         if isinstance(self.source, LiveSource):
             self.source.tick()
             now = self.source.now

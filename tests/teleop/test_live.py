@@ -300,7 +300,7 @@ def test_the_last_window_drives_until_another_one_takes_over(session: RunningSes
         ({"device": "spacemouse", "at": DeviceAddress.parse("udp://a:1")}, "can be at `file` addresses"),
         ({"device": "vr", "at": DeviceAddress.parse("udp://0.0.0.0:0")}, "everybody can send packets to 0.0.0.0"),
         ({"device": "keyboard", "token": "short"}, "a token consists of at least 16"),
-        ({"device": "keyboard", "control_hz": -1.0}, "the option --hz has `control_hz` -1.0"),
+        ({"device": "keyboard", "control_hz": -1.0}, "the number of actions per second must be between 1 and 200"),
     ],
 )
 def test_what_cannot_work_is_refused_in_a_sentence(

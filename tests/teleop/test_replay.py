@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +12,10 @@ import pytest
 
 import simfoundry as sf
 from simfoundry.errors import SimfoundryError
-from simfoundry.teleop.commands import Control
+from simfoundry.teleop.commands import Control, ControlPress, JointTargets, TrackedPose
+from simfoundry.teleop.devices.joints import JsonLeader
+from simfoundry.teleop.devices.vr import VrDevice
+from simfoundry.teleop.leader import load_leader
 from simfoundry.teleop.run import TeleopReport, replay_session
 from simfoundry.teleop.settings import DeviceOptions
 from simfoundry.teleop.stream import (
@@ -23,8 +28,9 @@ from simfoundry.teleop.stream import (
     write_stream,
 )
 from tests.cli.command import run
+from tests.conftest import REPOSITORY
 from tests.teleop import streams
-from tests.teleop.streams import FOLDER, STREAMS, stream_file
+from tests.teleop.streams import FOLDER, LEADER, STREAMS, stream_file
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -148,6 +154,8 @@ def test_several_devices_fill_one_folder(touch: Path, tmp_path: Path) -> None:
     ("lines", "reason"),
     [
         ("", "Expecting value"),
+        ('{"simfoundry": "teleop_stream/1", "device": "vr"}', "its first line does not state the device, the task"),
+        ("FAST\n", "its first line does not state the device, the task, the seed, the frequency"),
         ("{}\n", "its first line does not state the format"),
         ('HEAD\n{"t": 1, "text": "x"}\n{"t": 0.5, "text": "x"}\n', "line 3 is not valid: its time is before"),
         ('HEAD\n{"t": NaN, "text": "x"}\n', "line 2 is not valid: `t` is not a time"),
@@ -163,7 +171,8 @@ def test_several_devices_fill_one_folder(touch: Path, tmp_path: Path) -> None:
 def test_files_that_are_no_streams_are_refused_in_a_sentence(lines: str, reason: str, tmp_path: Path) -> None:
     head = make(tmp_path / "head.jsonl", []).read_text().strip()
     path = tmp_path / "bad.jsonl"
-    path.write_bytes(lines.replace("HEAD", head).encode("latin-1"))
+    lines = lines.replace("HEAD", head).replace("FAST", head.replace("30.0", "1000"))
+    path.write_bytes(lines.encode("latin-1"))
     with pytest.raises(SimfoundryError, match=r"bad\.jsonl is not a stream") as caught:
         read_stream(path)
     assert reason in str(caught.value)
@@ -204,3 +213,84 @@ def test_the_command_replays_a_stream(touch: Path, tmp_path: Path) -> None:
     assert (done.json["device"], done.json["saved"], done.json["demonstrations"]) == ("keyboard", 1, 1)
     assert run("teleop", touch, *words, "--speed", "0.3").code == 2
     assert "has no effect with --replay-stream" in run("teleop", touch, *words, "--speed", "0.3").err
+
+
+# -- the examples of docs/teleoperation.md
+
+PAGE = (REPOSITORY / "docs" / "teleoperation.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_the_packets_on_the_page_are_valid() -> None:
+    leader, controller = (text.encode() for text in blocks("json"))
+    device = JsonLeader({"left": 7, "right": 7})
+    joints, _, press = device.feed(leader, 0.0)
+    assert isinstance(joints, JointTargets) and press == ControlPress(Control.MARK)
+    vr = VrDevice({"right": "arm"})
+    save, pose, _ = vr.feed(controller, 0.0)
+    assert save == ControlPress(Control.SAVE) and isinstance(pose, TrackedPose) and not vr.refused
+
+
+def test_the_leader_on_the_page_is_that_of_the_streams(tmp_path: Path) -> None:
+    path = tmp_path / "leader.yaml"
+    path.write_text(*blocks("yaml"))
+    spec = load_leader(path, {"arm": 7})
+    assert spec.arms["arm"].servos == LEADER.arms["arm"].servos
+    assert spec.arms["arm"].offsets == pytest.approx(LEADER.arms["arm"].offsets, abs=1e-4)
+
+
+def test_a_program_writes_a_stream_that_is_replayed(
+    touch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in touch.parent.glob("*.yaml"):
+        shutil.copy(path, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    write, read = blocks("python")
+    exec(write, {})
+    (line,) = re.findall(r"^simfoundry (teleop .*--replay-stream.*)$", PAGE, re.MULTILINE)
+    assert run(*line.split()).code == 0
+    exec(read, {})
+    assert capsys.readouterr().out.endswith("keyboard hand_delta:world 30.0 ()\n")
+    first, again = (Path(folder) / "shards/00000.npz" for folder in ("demos", "again"))
+    assert first.read_bytes() == again.read_bytes() and len(sf.demonstrations("again")) == 1
+
+
+def test_a_leader_that_does_not_fit_the_robot_is_refused(touch: Path, tmp_path: Path) -> None:
+    text = (stream_file(FOLDER, "dynamixel")).read_text()
+    for old, new, reason in (
+        ('"arms": {"arm"', '"arms": {"other"', "describes a leader of `other`; the task has arm"),
+        ('"ids": [1, 2, 3, 4, 5, 6, 7]', '"ids": [1, 2, 3, 4, 5, 6, 8]', "the numbers of servos must differ"),
+        ('"ids": [1, 2', '"ids": [0, 2', "lie between 1 and 252"),
+        ('"closed_deg": 158.0', '"closed_deg": 200.0', "`open_deg` and `closed_deg` must differ"),
+    ):
+        path = tmp_path / "bad.jsonl"
+        assert old in text
+        path.write_text(text.replace(old, new))
+        with pytest.raises(SimfoundryError, match=reason):
+            replay_session(touch, path, tmp_path / "demos", 1)
+
+
+@pytest.mark.parametrize("hz", [1, 7, 44, 200])
+def test_every_rate_of_actions_is_replayed(hz: int, touch: Path, tmp_path: Path) -> None:
+    events = [keys(k / 30, "KeyW") for k in range(100)]
+    path = tmp_path / "s.jsonl"
+    path.write_text(
+        make(tmp_path / "30.jsonl", list(events)).read_text().replace('"control_hz": 30.0', f'"control_hz": {hz}')
+    )
+    report = replay_session(touch, path, tmp_path / "demos", 1)
+    assert report.action_hz == hz and report.summary.attempts == 1
+    if report.summary.kept:
+        assert sf.demonstrations(tmp_path / "demos")[0].action_hz == hz
+
+
+def test_a_session_that_was_killed_ends_its_replay(touch: Path, tmp_path: Path) -> None:
+    events: list[StreamEvent] = []
+    for k in range(10):
+        events += [keys(k / 30, "KeyW"), TickEvent(k / 30)]
+    summary = replayed(touch, tmp_path / "a", events).summary
+    assert summary.was_ended and summary.attempts == 0 and summary.digests == ()
+    paused = replayed(touch, tmp_path / "b", [*events, PressEvent(1.0, Control.PAUSE)]).summary
+    assert paused.was_ended and paused.attempts == 0
