@@ -3,9 +3,9 @@
 Copy this file, `simfoundry/models/wire.py` and one of the servers beside it into the environment of the model, which
 needs numpy and Pillow but not SimFoundry. Then:
 
-    python sam3.py --port 8301                 # HTTP; SIMFOUNDRY_SERVER_TOKEN sets a bearer token
-    python sam3.py < request.zip > answer.zip  # one request
-    python sam3.py --describe                  # tasks, model and licence
+    python serve_sam3.py --port 8301                 # HTTP; SIMFOUNDRY_SERVER_TOKEN sets a bearer token
+    python serve_sam3.py < request.zip > answer.zip  # one request
+    python serve_sam3.py --describe                  # tasks, model and licence
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ try:
         VERSION,
         Bundle,
         BundleError,
+        BundleFile,
+        BundleImage,
         Content,
         read_bundle,
         write_bundle,
@@ -48,10 +50,14 @@ except ImportError:  # in the environment of a model, where wire.py lies beside 
         VERSION,
         Bundle,
         BundleError,
+        BundleFile,
+        BundleImage,
         Content,
         read_bundle,
         write_bundle,
     )
+
+__all__ = ["BundleFile", "BundleImage", "Model", "RefusedError", "Result", "run", "serve"]
 
 KEPT = 16  # Number of finished jobs whose answers are kept, so that a repeated request costs nothing
 
