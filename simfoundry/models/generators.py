@@ -6,10 +6,14 @@ import base64
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from simfoundry.models.contract import ModelError
+from simfoundry.models.contract import ConventionError, ModelError
+from simfoundry.models.provenance import ModelIdentity, find_licence
+from simfoundry.models.tasks.depth import Pixels
+from simfoundry.models.tasks.images import ImageEstimate, decoded_image, encoded_image
+from simfoundry.models.tasks.meshes import MeshEstimate, parse_glb
 from simfoundry.models.transports.http import TIMEOUT_S, refused, request_bytes
 
 
@@ -49,6 +53,16 @@ class HttpImages:
     key: str = ""
     timeout_s: float = TIMEOUT_S
 
+    @property
+    def identity(self) -> ModelIdentity:
+        """The model, as far as it is known: the API does not state a version or a licence."""
+        return _identity(self.model)
+
+    def edit_image(self, prompt: str, images: Sequence[Pixels], seed: int = 0) -> ImageEstimate:
+        """Edit an image; see :class:`ImageEditingModel`. The API takes no seed."""
+        made = self.edit(prompt, [encoded_image(image) for image in images])
+        return ImageEstimate(decoded_image(made), self.identity)
+
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
         """Edit the first of ``pictures`` (PNG or JPEG), and return the result with a transparent background.
 
@@ -77,6 +91,11 @@ def images_from_environment(environment: Mapping[str, str] | None = None, model:
         message = f"no image model is configured: set {' and '.join(missing)}, and {IMAGES_KEY} if a key is required"
         raise ModelError(message)
     return HttpImages(env[IMAGES_URL], model or env[IMAGES_MODEL], env.get(IMAGES_KEY, ""))
+
+
+def _identity(name: str) -> ModelIdentity:
+    entry = find_licence(name)
+    return ModelIdentity(name=name, version="unknown", licence="unknown" if entry is None else entry.weights)
 
 
 def _form_file(k: int, data: bytes) -> tuple[str, bytes, str]:
@@ -128,6 +147,19 @@ class HttpMeshes:
     texture: bool = True
     faces: int = 20_000
     timeout_s: float = TIMEOUT_S
+
+    @property
+    def identity(self) -> ModelIdentity:
+        """The model, as far as it is known: the API does not state its version, 2 or 2.1."""
+        return _identity("hunyuan3d-2")
+
+    def make_mesh(self, image: Pixels, texture: bool = True, faces: int = 20_000, seed: int = 0) -> MeshEstimate:
+        """Reconstruct an object; see :class:`MeshModel`."""
+        glb = replace(self, texture=texture, faces=faces).make(encoded_image(image), seed)
+        try:
+            return MeshEstimate(glb, parse_glb(glb), self.identity)
+        except ConventionError as error:
+            raise ModelError(f"the answer of the mesh model at {self.url} {error}") from None
 
     def make(self, picture: bytes, seed: int) -> bytes:
         """Generate a mesh from a PNG with a transparent background.

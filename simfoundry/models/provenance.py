@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from simfoundry.models.contract import ModelError
+from simfoundry.spec.models.base import ModelUse
 
 # Permission for commercial use: a condition must be read and accepted first, and an unknown licence permits nothing.
 Commercial = Literal["allowed", "forbidden", "conditional", "unknown"]
@@ -37,6 +38,18 @@ class ModelIdentity(BaseModel):
     def to_json(self) -> dict[str, Any]:
         """Return the identity as plain data for a document's `origin`."""
         return self.model_dump(exclude_none=True)
+
+
+def model_use(task: str, identity: ModelIdentity) -> ModelUse:
+    """Return the entry of a document's `origin` that states which model solved a task."""
+    return ModelUse(
+        task=task,
+        name=identity.name,
+        version=identity.version,
+        licence=identity.licence,
+        commercial=judged(identity)[0],
+        weights_sha256=identity.weights_sha256,
+    )
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ from tests.models.conftest import SERVERS
 from tests.models.test_tasks import CALLS, FRAMES, Direct
 from tests.models.truth import MASK, K
 
+pytestmark = pytest.mark.usefixtures("packages")
+
 Z = truth.view()[1]
 
 SCRIPTS = {
@@ -69,7 +71,7 @@ def _more(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def test_sam3_and_sam2(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sam3_and_sam2(monkeypatch: pytest.MonkeyPatch) -> None:
     model = BundleMasks(server("sam3", monkeypatch))
     found = model.segment(FRAMES[0], SegmentationPrompt(phrases=("box", "unicorn")))
     assert (found.masks[0] == MASK).all() and found.prompts.tolist() == [0] and found.scores[0] == pytest.approx(0.9)
@@ -81,7 +83,7 @@ def test_sam3_and_sam2(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all((tracked[t, 0] == np.roll(MASK, abs(t - 1), axis=1)).all() for t in range(3))
 
 
-def test_models_of_depth_in_meters_at_the_size_of_the_image(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_of_depth_in_meters_at_the_size_of_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
     metric = CALLS["depth"](server("da3", monkeypatch, "depth"))
     np.testing.assert_allclose(metric.depth, Z, rtol=1e-5)
     views = CALLS["multiview"](server("da3", monkeypatch, "multiview"))
@@ -98,7 +100,7 @@ def test_models_of_depth_in_meters_at_the_size_of_the_image(packages: Path, monk
     np.testing.assert_allclose(completed.depth, Z)
 
 
-def test_stereo_of_research_and_for_commercial_use(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stereo_of_research_and_for_commercial_use(monkeypatch: pytest.MonkeyPatch) -> None:
     research = CALLS["stereo"](server("foundation_stereo", monkeypatch))
     np.testing.assert_allclose(research.depth[research.valid], Z[research.valid], rtol=1e-5)
     assert not research.valid[:, 0].any(), "the right camera does not see the left edge"
@@ -110,14 +112,14 @@ def test_stereo_of_research_and_for_commercial_use(packages: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("name", ["hunyuan3d_2_1", "trellis2", "sam3d_objects"])
-def test_models_of_meshes(name: str, packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_of_meshes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = CALLS["mesh"](server(name, monkeypatch))
     assert np.ptp(made.parts[0].vertices, axis=0) == pytest.approx((0.2, 0.3, 0.1))
     entry = find_licence(made.made_by.name)
     assert entry is not None and "mesh" in entry.task
 
 
-def test_foundation_pose(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_foundation_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     client = server("foundation_pose", monkeypatch)
     found = CALLS["pose"](client)
     np.testing.assert_allclose(found.object_to_camera[0] @ Z_UP, truth.OBJECT_TO_CAMERA)
@@ -129,12 +131,12 @@ def test_foundation_pose(packages: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize(
     ("which", "labels"), [("p3sam", [0, -1, 1, 1]), ("samesh", [0, 1, 0, 1]), ("partfield", [1, 0, 1, 0])]
 )
-def test_models_of_parts(which: str, labels: list[int], packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_of_parts(which: str, labels: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     _more(monkeypatch)
     assert CALLS["parts"](server("mesh_parts", monkeypatch, which)).labels.tolist() == labels
 
 
-def test_void_and_an_image_editor(packages: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_void_and_an_image_editor(monkeypatch: pytest.MonkeyPatch) -> None:
     _more(monkeypatch)
     cleaned = CALLS["inpaint_video"](server("void", monkeypatch))
     assert len(cleaned.frames) == 3 and (cleaned.frames[2][~MASK] == FRAMES[2][~MASK]).all()

@@ -53,6 +53,7 @@ def moved(dx: float, degrees: float) -> Any:
     return np.linalg.inv(X)
 
 
+FRAME = BundleImage(view()[0])
 POSES = np.stack([np.eye(4), moved(0.25, -14.0), moved(0.45, -26.0)])
 MASK = np.zeros((HEIGHT, WIDTH), bool)
 MASK[BOX[1] : BOX[3], BOX[0] : BOX[2]] = True

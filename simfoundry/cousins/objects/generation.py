@@ -13,14 +13,14 @@ from importlib.resources import files
 from itertools import chain, zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.mesh import read_parts
 from simfoundry.cousins.objects.item import ObjectAsset, alone, item_of_mesh
 from simfoundry.cousins.objects.meshes import joined, mesh_files
 from simfoundry.cousins.objects.procedural import Draft
@@ -31,12 +31,17 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.generators import HttpImages, HttpMeshes, images_from_environment, meshes_from_environment
+from simfoundry.models.open import open_model
+from simfoundry.models.provenance import ModelIdentity, model_use, require_commercial
+from simfoundry.models.setup import ModelSetup, load_setup
+from simfoundry.models.tasks.images import ImageEditingModel, decoded_image, encoded_image, with_alpha
+from simfoundry.models.tasks.meshes import MeshEstimate, MeshModel
 from simfoundry.models.vlm import Vlm
 from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import install_line
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.object_shapes import bounds
-from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.base import Material, ModelUse
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 
 # Names used in recipes for the paper's dimensions.
@@ -50,6 +55,9 @@ ATTEMPTS = 3
 
 # Width and height of the images sent to models [px].
 SIDE = 512
+
+
+Door = TypeVar("Door", HttpImages, HttpMeshes)
 
 
 class VariationProposal(NamedTuple):
@@ -74,14 +82,16 @@ class Generation:
         meshes: Mesh model.
         scene: Image of the scene.
         picture: Image of the object, or None to render one.
+        texture: Whether to generate textures.
         counts: Numbers of proposals per component for geometry, topology and appearance.
     """
 
     vlm: Vlm
-    images: HttpImages
-    meshes: HttpMeshes
+    images: ImageEditingModel
+    meshes: MeshModel
     scene: bytes
     picture: bytes | None = None
+    texture: bool = True
     counts: tuple[int, int, int] = (2, 2, 2)
     _proposals: dict[str, list[VariationProposal]] = field(default_factory=dict)
     _pictures: dict[str, bytes] = field(default_factory=dict)
@@ -110,10 +120,12 @@ class Generation:
         if place >= len(proposals):
             text = f"the model proposed only {len(proposals)} changes, but proposal {place + 1} was requested"
             return Reason("proposals", text, {"proposals": float(len(proposals)), "place": float(place)})
-        picture = self._edited(self._pictures[item.name], proposals[place])
+        picture = self._edited(self._pictures[item.name], proposals[place], seed + k)
         if isinstance(picture, Reason):
             return picture
-        return built(item, self.meshes.make(picture, seed + k), proposals[place])
+        pixels, painter = picture
+        mesh = self.meshes.make_mesh(with_alpha(pixels), self.texture, seed=seed + k)
+        return built(item, mesh, proposals[place], (model_use("edit", painter), model_use("mesh", mesh.made_by)))
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
         """Run prompts A, B and C, and yield the proposals, cycling through the components."""
@@ -136,26 +148,31 @@ class Generation:
             queues.append(queue)
         yield from filter(None, chain.from_iterable(zip_longest(*queues)))
 
-    def _edited(self, picture: bytes, proposal: VariationProposal) -> bytes | Reason:
+    def _edited(
+        self, picture: bytes, proposal: VariationProposal, seed: int
+    ) -> tuple[NDArray[np.uint8], ModelIdentity] | Reason:
         """Run prompts D and E to create an image.
 
         Returns:
-            An image that the VLM considered reasonable, or the reason for the failure.
+            An image that the VLM considered reasonable and the model that drew it, or the reason for the failure.
         """
         component, dimension, words = proposal
         asked = prompt("d_edit", component=component, dimension=dimension, variation_description=words)
         why = ""
-        for _ in range(ATTEMPTS):
-            made = self.images.edit(asked, [picture, self.scene])
-            verdict = self.vlm.ask(prompt("e_verify"), [self.scene, made], PictureVerdict)
+        shown = [decoded_image(data) for data in (picture, self.scene)]
+        for attempt in range(ATTEMPTS):
+            made = self.images.edit_image(asked, shown, seed + attempt)
+            verdict = self.vlm.ask(prompt("e_verify"), [self.scene, encoded_image(made.image)], PictureVerdict)
             if verdict.real_world_reasonable and verdict.scene_reasonable:
-                return made
+                return made.image, made.made_by
             why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
         text = f"{component}, {words}: none of {ATTEMPTS} images was judged reasonable: {why}"
         return Reason("picture", text, {"attempts": float(ATTEMPTS)})
 
 
-def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
+def built(
+    item: ObjectAsset, mesh: MeshEstimate, proposal: VariationProposal, models: tuple[ModelUse, ...] = ()
+) -> Draft:
     """Convert a generated mesh to a draft.
 
     The mesh is scaled to the size of the twin's object and aligned with its base. Its material is that of the twin's
@@ -163,16 +180,15 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
 
     Args:
         item: The twin's object.
-        glb: The generated mesh as GLB data.
+        mesh: The generated mesh.
         proposal: The variation from which the mesh was generated.
+        models: Models that contributed.
 
     Raises:
         MeshError: The mesh cannot be read or has several textures.
     """
     with TemporaryDirectory(prefix="simfoundry-made-") as scratch:
-        path = Path(scratch) / "made.glb"
-        path.write_bytes(glb)
-        read = joined(read_parts(path), "the generated mesh")
+        read = joined(mesh.parts, "the generated mesh")
         vertices = fitted(read.vertices, *bounds(alone(item)))
         first, written = mesh_files(Mesh(frozen_array(vertices), read.faces, read.uv, read.texture))
         kept = Path(scratch) / Path(first).name
@@ -189,7 +205,7 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
         update={"mesh": first, "color": None if read.texture is not None or read.rgba is None else read.rgba[:3]}
     )
     spec = made.spec.model_copy(update={"links": {"body": link.model_copy(update={"parts": {"mesh": part}})}})
-    return Draft(spec, (f"{proposal.component}, {proposal.dimension}: {proposal.words}",), written)
+    return Draft(spec, (f"{proposal.component}, {proposal.dimension}: {proposal.words}",), written, models=models)
 
 
 def fitted(vertices: Array, low: Array, high: Array) -> Array:
@@ -314,12 +330,13 @@ def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     models = axis.models
     named = models.vlm or given.vlm
     lacks = [] if named else ["no vision-language model: specify --vlm, or `vlm` in the recipe's `models`"]
+    setup = load_setup(given.scene)
     try:
-        images = images_from_environment(model=models.images)
+        images = image_model(setup, models.images)
     except SimfoundryError as error:
         lacks.append(str(error))
     try:
-        meshes = meshes_from_environment(texture=models.texture)
+        meshes = mesh_model(setup)
     except SimfoundryError as error:
         lacks.append(str(error))
     if lacks:
@@ -329,7 +346,36 @@ def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     picture = draw(given.scene)
     if picture is None:
         raise _lacking(name, "model", "a camera in the scene, because models judge variants in its image")
-    return Generation(Vlm(named), images, meshes, picture)
+    return Generation(Vlm(named), images, meshes, picture, texture=models.texture)
+
+
+def image_model(setup: ModelSetup, name: str | None = None) -> ImageEditingModel:
+    """Return the image model that is configured for `edit`, or else a server with OpenAI's API (called ``name``).
+
+    Raises:
+        ModelError: If there is none, or if it may not be used commercially although this is required.
+    """
+    if setup.source("edit") is not None:
+        return open_model(setup, "edit")
+    door = images_from_environment(setup.environment, name)
+    return _permitted(setup, door)
+
+
+def mesh_model(setup: ModelSetup) -> MeshModel:
+    """Return the mesh model that is configured for `mesh`, or else a server with Hunyuan3D's API.
+
+    Raises:
+        ModelError: If there is none, or if it may not be used commercially although this is required.
+    """
+    if setup.source("mesh") is not None:
+        return open_model(setup, "mesh")
+    return _permitted(setup, meshes_from_environment(setup.environment))
+
+
+def _permitted(setup: ModelSetup, door: Door) -> Door:
+    if setup.commercial_only:
+        require_commercial(door.identity, setup.accepted)
+    return door
 
 
 def _lacking(name: str, source: str, need: str) -> ImpossibleError:

@@ -18,6 +18,7 @@ from simfoundry.cousins.objects.profiles import Rng
 from simfoundry.cousins.objects.skins import skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY
 from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import ModelUse
 
 Rule = Callable[[AssetSpec, Component, Rng], Edit | None]
 
@@ -57,12 +58,14 @@ class Draft:
         changed: Human-readable list of changes.
         files: Contents of new files, keyed by the names used in the document.
         kept: Paths of the twin's files that the document still uses.
+        models: Foundation models that contributed.
     """
 
     spec: AssetSpec
     changed: tuple[str, ...]
     files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
     kept: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+    models: tuple[ModelUse, ...] = ()
 
 
 def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:

@@ -276,7 +276,7 @@ def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str,
     head = f"{source} variant {k} of {item.source}, seed {seed}: "
     words = "; ".join(made.changed)
     note = head + (words if len(head + words) <= NOTE else f"{words[: NOTE - len(head) - 1]}…")
-    return plain.model_copy(update={"name": name, "origin": Origin(note=note[:NOTE])})
+    return plain.model_copy(update={"name": name, "origin": Origin(note=note[:NOTE], models=made.models)})
 
 
 def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:

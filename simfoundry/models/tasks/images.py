@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,10 +11,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from simfoundry.models.client import Members, ModelClient
-from simfoundry.models.contract import ConventionError, Member, ModelTask
+from simfoundry.models.contract import ConventionError, Member, ModelError, ModelTask, plain
 from simfoundry.models.provenance import ModelIdentity
 from simfoundry.models.tasks.depth import IMAGE, Mask, Pixels
-from simfoundry.models.wire import Bundle, BundleImage
+from simfoundry.models.wire import MAX_PIXELS, Bundle, BundleImage
 
 # Largest median difference of pixels that were to be kept [gray levels of 0 to 255]. Generative models change colors by
 # a few levels; another image, or another order of the channels, differs by more.
@@ -126,6 +127,35 @@ EDIT = ModelTask(
     (Member("image", "rgba", "edited image, with a transparent background", ("A", "B")),),
     parameters=ImagePrompt,
 )  # fmt: skip
+
+
+def decoded_image(data: bytes) -> Pixels:
+    """Return a PNG or JPEG as RGB, shape (H, W, 3), or as RGBA, shape (H, W, 4), if it has transparent pixels.
+
+    Raises:
+        ModelError: If it cannot be decoded or has too many pixels.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise ModelError(f"an image of {image.width} x {image.height} pixels is too large")
+            is_transparent = image.has_transparency_data
+            return np.asarray(image.convert("RGBA" if is_transparent else "RGB"), dtype=np.uint8)
+    except ModelError:
+        raise
+    except Exception as error:  # Pillow's parsers raise many kinds
+        raise ModelError(f"an image cannot be decoded: {plain(error)}") from None
+
+
+def encoded_image(image: Pixels) -> bytes:
+    """Return an RGB or RGBA image as PNG."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, format="PNG")
+    return stream.getvalue()
 
 
 def with_alpha(image: Pixels) -> Pixels:

@@ -32,6 +32,9 @@ from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.shapes import Capsule, tessellate
 from simfoundry.models.contract import ModelError
+from simfoundry.models.provenance import ModelIdentity
+from simfoundry.models.tasks.images import ImageEstimate
+from simfoundry.models.tasks.meshes import MeshEstimate, parse_glb
 from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
@@ -163,23 +166,23 @@ class Painter:
     def __init__(self) -> None:
         self.prompts: list[str] = []
 
-    def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
+    def edit_image(self, prompt: str, images: Sequence[Any], seed: int = 0) -> ImageEstimate:
         self.prompts.append(prompt)
-        assert len(pictures) == 2
-        return pictures[0]
+        assert len(images) == 2
+        return ImageEstimate(images[0], ModelIdentity(name="qwen-image-edit", version="1", licence="Apache-2.0"))
 
 
 class Sculptor:
     """Makes a mesh of a cylinder-like capsule in units of its own, y up, as GLB files are."""
 
-    def make(self, picture: bytes, seed: int) -> bytes:
+    def make_mesh(self, image: Any, texture: bool = True, faces: int = 20_000, seed: int = 0) -> MeshEstimate:
         import trimesh
 
         mesh = trimesh.creation.cylinder(radius=0.4 + 0.02 * (seed % 5), height=1.0, sections=24)
         mesh.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
         data = mesh.export(file_type="glb")
-        assert isinstance(data, bytes)
-        return data
+        assert isinstance(data, bytes) and image.shape[2] == 4
+        return MeshEstimate(data, parse_glb(data), ModelIdentity(name="trellis.2-4b", version="2", licence="MIT"))
 
 
 def test_models_propose_edit_build_and_judge_as_the_paper_has_it() -> None:
@@ -200,6 +203,9 @@ def test_models_propose_edit_build_and_judge_as_the_paper_has_it() -> None:
     assert low[2] == pytest.approx(0, abs=1e-6)
     assert np.prod(high - low) == pytest.approx(np.prod(before_high - before_low), rel=0.02)
     assert first.spec.materials["stuff"].density == 950
+    assert first.spec.origin is not None
+    stated = [(use.task, use.name, use.version, use.commercial) for use in first.spec.origin.models]
+    assert stated == [("edit", "qwen-image-edit", "1", "allowed"), ("mesh", "trellis.2-4b", "2", "conditional")]
 
 
 def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
@@ -223,7 +229,7 @@ def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
 
 def test_a_model_that_fails_is_a_reason_and_no_crash() -> None:
     class Silent:
-        def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
+        def edit_image(self, prompt: str, images: Sequence[Any], seed: int = 0) -> ImageEstimate:
             raise ModelError("the image model at http://here does not answer")
 
     source = Generation(Told(), Silent(), Sculptor(), small(), small())  # type: ignore[arg-type]
