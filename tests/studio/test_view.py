@@ -24,6 +24,7 @@ from simfoundry.studio.view.canvas import Canvas
 from simfoundry.studio.view.contents import FrustumContent, SurfaceContent
 from simfoundry.studio.view.glb import glb_of
 from simfoundry.studio.view.nodes import DisplayOptions, scene_nodes
+from simfoundry.studio.view.panels.adding import AddPanel
 from tests.studio.conftest import SCENE
 
 viser = pytest.importorskip("viser")
@@ -126,3 +127,14 @@ def test_a_page_contains_everything_and_is_the_same_each_time(desk: Path) -> Non
     assert shown is not None and shown.startswith('<iframe srcdoc="&lt;!doctype html&gt;')
     document.objects["mug"].place = {"on": "desk", "xy": [9, 9]}
     assert document._repr_html_() is None  # it cannot be lowered
+
+
+def test_new_assets_are_offered_when_a_page_is_opened(desk: Path) -> None:
+    with StudioServer(desk, port=0) as server:
+        panel = server.window.panel(AddPanel)
+        assert "things/cup.obj" not in panel._kind.options
+        panel._kind.value = "cone"
+        (desk.parent / "things").mkdir()
+        (desk.parent / "things" / "cup.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        panel._search()
+        assert "things/cup.obj" in panel._kind.options and panel._kind.value == "cone"

@@ -41,9 +41,7 @@ class AddPanel(Panel):
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
         gui = window.gui
-        scene = self.session.scene
-        folder = (scene.loaded.path if scene is not None else self.session.path).resolve().parent
-        self._assets = project_assets(self.session.root, folder)
+        self._assets = self._found_assets()
         with gui.add_folder("Add"):
             self._kind = gui.add_dropdown("What", (*SHAPES, *self._assets), initial_value="box")
             self._name = gui.add_text("New name", "", hint="Default: the name of its shape or asset.")
@@ -54,6 +52,21 @@ class AddPanel(Panel):
             gui.add_button("Remove", color="red").on_click(lambda _: self._remove())
         gui.add_command("Duplicate", hotkey="D", modifier="cmd/ctrl+shift").on_trigger(lambda _: self._duplicate())
         gui.add_command("Remove", hotkey="delete").on_trigger(lambda _: self._remove())
+        window.server.on_client_connect(lambda _: window.stage.run(self._search))  # a reloaded page shows new files
+
+    def _found_assets(self) -> dict[str, str]:
+        scene = self.session.scene
+        folder = (scene.loaded.path if scene is not None else self.session.path).resolve().parent
+        return project_assets(self.session.root, folder)
+
+    def _search(self) -> None:
+        """Offer the assets that are in the project now."""
+        self._assets = self._found_assets()
+        options = (*SHAPES, *self._assets)
+        if self._kind.options != options:
+            value = self._kind.value
+            self._kind.options = options
+            set_value(self._kind, value if value in options else options[0])
 
     def _add(self) -> None:
         kind = self._kind.value

@@ -42,7 +42,7 @@ class FolderChoice:
         with gui.add_folder(f"{what.capitalize()} elsewhere", expand_by_default=False):
             self.text = gui.add_text("Folder", "")
             gui.add_button(f"Open {what}").on_click(lambda _: window.stage.run(lambda: self._open(self.text.value)))
-        window.stage.run(self.search)
+        window.server.on_client_connect(lambda _: window.stage.run(self.search))  # a reloaded page shows new folders
 
     def search(self) -> None:
         """List the folders of the project."""
