@@ -64,7 +64,7 @@ def inventory(setup: ModelSetup, check: bool = False) -> tuple[TaskModel, ...]:
     problems: dict[str, str] = {}
     for task in TASKS:
         source = setup.source(task)
-        if source is not None and not source.offline:
+        if source is not None and not source.offline and source.vlm is None:
             try:
                 clients[task] = setup.client(task)
             except (ModelError, MissingExtraError) as error:
@@ -103,6 +103,9 @@ def _row(
     where = setup.sources[name][1] if name in setup.sources else ""
     if name in problems:
         return TaskModel(*about, "fails", configured_in=where, problem=problems[name])
+    source = setup.source(name)
+    if source is not None and source.vlm is not None:
+        return TaskModel(*about, "configured", source.vlm, where)
     if name not in clients:
         if name not in OFFLINE:
             return TaskModel(*about, "none", configured_in=where)

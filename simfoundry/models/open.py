@@ -99,4 +99,11 @@ def open_model(setup: ModelSetup, task: str) -> Any:
             f"`{task}` needs a model: set {variable(task)} to the URL of a server, or add `{task}` under "
             f"`models: tasks:` in {MARKER}{advice}"
         )
+    if source.vlm is not None:
+        if task != "read_scene":
+            raise ModelError(f"`vlm` can be configured for `read_scene` only, not for `{task}`")
+        from simfoundry.models.vlm import Vlm
+        from simfoundry.models.vlm_scenes import VlmScenes
+
+        return VlmScenes(Vlm(source.vlm), setup.commercial_only, setup.accepted)
     return _CLIENTS[task](setup.client(task))

@@ -102,7 +102,8 @@ class ModelSetup:
             from simfoundry.models.onnx.adapters import open_network
 
             return open_network(task, source.adapter or "", self.path(source.weights))
-        raise ModelError(f"`{task}` is configured to use the offline method, which has no server")
+        kind = "a provider's model" if source.vlm is not None else "the offline method"
+        raise ModelError(f"`{task}` is configured to use {kind}, which is not reached by bundles")
 
     def _token(self, source: ModelSource) -> str:
         if source.token is None:

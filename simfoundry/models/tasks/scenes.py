@@ -68,7 +68,16 @@ def _check_reading(request: Bundle, answer: Bundle) -> None:
     picture = request.members["image"]
     assert isinstance(picture, BundleImage)
     height, width = picture.pixels.shape[:2]
-    for seen in SceneReading.model_validate(answer.head.get("values", {})).objects:
+    check_boxes(SceneReading.model_validate(answer.head.get("values", {})), width, height)
+
+
+def check_boxes(reading: SceneReading, width: int, height: int) -> None:
+    """Check that boxes are in pixels of an image of the given size.
+
+    Raises:
+        ConventionError: If a box follows another convention.
+    """
+    for seen in reading.objects:
         if seen.box is None:
             continue
         left, top, right, bottom = seen.box

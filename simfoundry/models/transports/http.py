@@ -72,12 +72,14 @@ def request_bytes(
         raise ModelError(f"the URL of {server} must start with http:// or https://, not `{url}`")
     deadline = time.monotonic() + timeout_s
     limits = httpx.Timeout(timeout_s, connect=min(CONNECT_S, timeout_s))
+    # Bundles and images are compressed already, and a compressed response could grow beyond any limit when it is read.
+    content["headers"] = {**content.get("headers", {}), "Accept-Encoding": "identity"}
     try:
         with httpx.stream(method, url, timeout=limits, follow_redirects=False, **content) as answer:
             if int(answer.headers.get("content-length", 0) or 0) > max_bytes:
                 raise _too_large(server, url, max_bytes)
             data = bytearray()
-            for chunk in answer.iter_bytes():
+            for chunk in answer.iter_raw():
                 data += chunk
                 if len(data) > max_bytes:
                     raise _too_large(server, url, max_bytes)

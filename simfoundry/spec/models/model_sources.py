@@ -54,6 +54,9 @@ class ModelSource(Model):
     adapter: Annotated[str, StringConstraints(pattern=FORMAT_NAME, max_length=64)] | None = Field(
         None, description="Name of the model in `weights`, as `simfoundry models` lists it."
     )
+    vlm: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = Field(
+        None, description="Vision-language model of a provider, such as `google:gemini-3-pro`; for `read_scene` only."
+    )
     offline: Literal[True] | None = Field(None, description="Use the method that needs no model.")
     record: RelativePath | None = Field(
         None, description="Folder, relative to this file, in which answers are recorded and looked up first."
@@ -62,7 +65,7 @@ class ModelSource(Model):
 
     @consistent
     def _one_source(self) -> None:
-        exclusive(self, "url", "command", "recorded", "weights", "offline", needed=True)
+        exclusive(self, "url", "command", "recorded", "weights", "vlm", "offline", needed=True)
 
 
 class ProjectModels(Model):
