@@ -107,6 +107,7 @@ def test_what_fails_is_kept_with_the_reason(tmp_path: Path) -> None:
     assert [(one["subgoal"], one["rate"]) for one in done.json["rates"]["subgoals"]] == [("Grasped(cube)", 1.0)]
 
 
+@pytest.mark.slow  # 3 s
 @pytest.mark.usefixtures("here")
 def test_other_objects_and_other_names_are_served_by_the_same_skills(tmp_path: Path) -> None:
     """A taller cube of another name on a wider crate."""
