@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+import numpy as np
+
 from simfoundry.data.attempt import OpenTask
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.extras import need_extra
 from simfoundry.teleop.device import TeleopDevice
 from simfoundry.teleop.devices.dynamixel import DynamixelLeader
@@ -148,6 +151,8 @@ def run_live(
             opened, settings, lambda device: LiveSource(device, settings.control_hz, writer),
             lambda: [refresh() for refresh in shown],
         )  # fmt: skip
+        if teleoperator.device.space.of_hand:
+            _warm_up(opened)
         source, device = teleoperator.source, teleoperator.device
         assert isinstance(source, LiveSource)
         socket = PageSocket(source, device.name, device.name == "vr" and not plan.at.kind)
@@ -161,6 +166,20 @@ def run_live(
         session = TeleopSession(store.plan, opened, teleoperator, source, window)
         summary = session.run(store)
     return session_report(teleoperator, summary)
+
+
+def _warm_up(opened: OpenTask) -> None:
+    """Solve inverse kinematics once, because importing its packages takes seconds, which would make an action late."""
+    from simfoundry.robots.arm import Arm
+
+    for name in opened.task.robots:
+        robot = opened.world.robot(name)
+        positions = robot.positions()
+        near = np.array([positions[joint] for joint in robot.joints])
+        shifted = Pose.of(
+            robot.frame("hand").p + np.array([0.0, 0.0, 0.01]), robot.frame("hand").q
+        )  # 1 cm, as a command does
+        Arm(opened.task.scene.robot(name)).approach(shifted, near)
 
 
 def _settings(plan: LivePlan, opened: OpenTask) -> TeleopSettings:

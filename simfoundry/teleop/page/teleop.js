@@ -32,7 +32,7 @@
   const showBanner = (isShown) => {
     if (banner !== null) banner.remove();
     banner = null;
-    if (!isShown) return;
+    if (!isShown || document.body === null) return;
     banner = document.createElement("button");
     banner.textContent = "Another window drives the robot. Click here to drive it from this one.";
     banner.style.cssText = "position:fixed;left:1em;bottom:1em;z-index:1000;padding:0.8em;background:#fd7;border:0";
