@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 from scaffold import Model
 
+from simfoundry.models import wire
 from simfoundry.models.client import ModelClient
 from simfoundry.models.provenance import find_licence, judged
 from simfoundry.models.tasks.depth import BundleDepth
 from simfoundry.models.tasks.masks import BundleMasks, SegmentationPrompt
 from simfoundry.models.tasks.poses import Z_UP, BundlePoses
+from simfoundry.models.transports.process import ProcessTransport
 from tests.models import stub_packages, truth
 from tests.models.conftest import SERVERS
 from tests.models.test_tasks import CALLS, FRAMES, Direct
@@ -160,3 +163,20 @@ def test_every_server_names_a_model_of_the_table() -> None:
             assert (entry.commercial == "allowed") == (said is True) and (entry.commercial == "forbidden") == (
                 said is False
             )
+
+
+def test_a_server_runs_where_simfoundry_is_not_installed(tmp_path: Path) -> None:
+    for file in (SERVERS / "scaffold.py", Path(wire.__file__)):
+        shutil.copy(file, tmp_path)
+    (tmp_path / "serve_toy.py").write_text(
+        "import sys\nsys.modules['simfoundry'] = None\nimport numpy as np\nfrom scaffold import Model, Result, run\n"
+        "def depth(request):\n"
+        "    print('a library prints')\n"
+        "    shape = request.members['image'].pixels.shape[:2]\n"
+        "    return Result({'depth': np.full(shape, 2.0, np.float32)}, {'depth': {'unit': 'm'}})\n"
+        "identity = {'name': 'toy', 'version': '1', 'licence': 'MIT', 'commercial': True}\n"
+        "sys.exit(run(Model(identity, {'depth': depth})))\n"
+    )
+    process = ProcessTransport((sys.executable, str(tmp_path / "serve_toy.py")))
+    found = BundleDepth(ModelClient(process)).estimate_depth(FRAMES[0])
+    assert (found.depth == 2).all() and found.made_by.name == "toy"
