@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from simfoundry.evaluate.expert.candidates import down, grasps
 from simfoundry.evaluate.expert.policy import Skill, steps
 from simfoundry.evaluate.expert.skills import until_height
 from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
 from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.robots.arm import Jaws
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.object_shapes import solid
@@ -43,6 +45,19 @@ def test_rays_meet_the_walls_of_a_cup_from_within_and_leave_by_its_mouth(scene: 
     cup = solid(scene.object("cup"), state)
     inside = state.poses["cup"].p + [0.0, 0.0, 0.05]
     assert met(cup, inside, np.array([X, -X, -Z, Z])).tolist() == [True, True, True, False]
+
+
+def test_a_round_cup_is_grasped_in_the_same_way_however_it_is_turned(scene: Scene) -> None:
+    jaws = Jaws(np.array([0.0, 1.0]), np.array([0.085, 0.0]), np.array([0.11, 0.11]), np.array([0.14, 0.14]))
+    start = Pose.of([0.3, 0.0, 0.4], quat_from_rpy(np.pi, 0.0, 0.0))
+    item, state = scene.object("cup"), SceneState.initial(scene)
+    found = []
+    for yaw in (0.0, 0.4, 1.3, 2.9):
+        turned = Pose.of(state.poses["cup"].p, quat_from_rpy(0.0, 0.0, yaw))
+        shape = solid(item, SceneState({**state.poses, "cup": turned}, state.joints, state.motions))
+        found.append(grasps(shape, turned.p, jaws, down(), start)[0].X_WH)
+    for X_WH in found[1:]:
+        assert X_WH.angle_to(found[0]) < np.radians(35) and np.abs(X_WH.p - found[0].p).max() < 0.01
 
 
 def test_a_path_is_gone_from_rest_to_rest_within_the_speeds() -> None:

@@ -26,6 +26,13 @@ from simfoundry.scene.state import SceneState, object_at
 # Number of closing directions about the approach direction over half a turn; the flipped hand doubles this number.
 YAWS = 12
 
+# Maximum ratio of the two principal variances of a round shape.
+ROUND = 1.2
+
+# Cost of turning a hand [1/rad] and of moving it [1/m]: a quarter turn costs as much as a fifth of the contact area,
+# and the far wall of a cup a little more than the near one.
+TURNED, MOVED = 0.12, 0.5
+
 # Maximum number of rays across the hand and along its approach direction.
 ACROSS, ALONG = 17, 12
 
@@ -79,23 +86,28 @@ def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
     return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 
 
-def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
+def rotations(shape: HalfSpaces, approach: Array, X_WH: Pose | None = None) -> Iterator[Array]:
     """Yield hand rotations whose z axis is ``approach`` and whose closing directions (y) are spread over half a turn.
 
     The closing directions are measured from the shape's longest extent, as seen along the approach direction. One
     closing direction is therefore exactly perpendicular to that extent, so long objects can be grasped across their
-    width.
+    width. A round shape has no longest extent; its closing directions are measured from that of the hand at ``X_WH``.
     """
     side = np.cross(approach, [1.0, 0.0, 0.0] if abs(approach[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     other = np.cross(approach, side)
-    _, axes = np.linalg.eigh(np.cov((shape.corners @ np.column_stack([side, other])).T))
-    for angle in math.atan2(axes[1, 1], axes[0, 1]) + np.arange(YAWS) * math.pi / YAWS:
+    spread, axes = np.linalg.eigh(np.cov((shape.corners @ np.column_stack([side, other])).T))
+    first = axes[:, 1]
+    if X_WH is not None and spread[1] < ROUND * spread[0]:
+        first = np.array([side @ X_WH.rotation[:, 1], other @ X_WH.rotation[:, 1]])
+    for angle in math.atan2(first[1], first[0]) + np.arange(YAWS) * math.pi / YAWS:
         y = math.cos(angle) * side + math.sin(angle) * other
         yield np.column_stack([np.cross(y, approach), y, approach])
 
 
-def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+def grasps(
+    shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array], X_WH: Pose | None = None
+) -> list[Grasp]:
     """Return the best grasps of a shape, in order of increasing cost.
 
     Grasps with the hand flipped are included.
@@ -105,12 +117,21 @@ def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]
         center: The center of mass [m], shape (3,).
         jaws: The geometry of the fingers.
         approaches: The approach directions to consider.
+        X_WH: A pose of the hand. Of grasps that are as good, those near it are preferred, so that the same shape is
+            grasped in the same way wherever its vertices are.
     """
     flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
-    turns = (R_WH for approach in approaches for R_WH in rotations(shape, approach))
+    turns = (R_WH for approach in approaches for R_WH in rotations(shape, approach, X_WH))
     found = (grasp for R_WH in turns for grasp in _along(shape, center, jaws, R_WH))
     both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
+    if X_WH is not None:
+        both = [replace(g, cost=g.cost + _effort(g.X_WH, X_WH)) for g in both]
     return sorted(both, key=lambda g: g.cost)[:MOST]
+
+
+def _effort(X_WH: Pose, start: Pose) -> float:
+    """Return the cost of moving a hand to a grasp."""
+    return TURNED * X_WH.angle_to(start) + MOVED * float(np.linalg.norm(X_WH.p - start.p))
 
 
 def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:

@@ -130,7 +130,7 @@ def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt
     shape, center = solid(item, worker.now.state), center_of_mass(item, X_WO)
     for spare, tilts in ((SPARE, (0.0,)), (0.002, (0.0,)), (0.002, (0.35, 0.7))):
         tried = 0
-        for grasp in grasps(shape, center, planner.jaws, down(tilts)):
+        for grasp in grasps(shape, center, planner.jaws, down(tilts), planner.arm.hand(planner.arm.home)):
             held, closed = Held(name, grasp.X_WH.inverse() @ X_WO), planner.jaws.at_width(grasp.width)[0]
             worker.cell.put(name, X_WO)
             if not (hand_fits(planner, grasp, grasp.open) and hand_fits(planner, grasp, closed, ignore=name)):
