@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class Wandering:
     action_space: ActionSpace = ActionSpace.JOINT_POSITION
     control_hz: float | None = None
     image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
+    origin: Mapping[str, Any] = field(default_factory=dict)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def reset(self, instruction: str, seed: int) -> None:

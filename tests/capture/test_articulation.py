@@ -55,6 +55,7 @@ def test_a_drawer_becomes_an_asset(tmp_path: Path) -> None:
     assert refused.code == 2 and (tmp_path / "chest.asset.yaml").read_text() == "mine\n"
 
 
+@pytest.mark.slow  # 4 s: it looks for a joint twice
 def test_a_door_is_found_from_a_camera_that_moved(tmp_path: Path) -> None:
     truth = captured(tmp_path, "door", 5001, WIDTH, moves=True)
     found = articulate(truth.shut, truth.opened, tmp_path / "door.asset.yaml")
@@ -66,6 +67,7 @@ def test_a_door_is_found_from_a_camera_that_moved(tmp_path: Path) -> None:
     assert again.path.read_bytes() == found.path.read_bytes()
 
 
+@pytest.mark.slow  # 3 s
 def test_a_drawer_that_leaves_the_image_is_doubtful(tmp_path: Path) -> None:
     truth = captured(tmp_path, "drawer", 0, WIDTH)
     result = run("articulate", truth.shut, truth.opened, "-o", tmp_path / "chest.asset.yaml")

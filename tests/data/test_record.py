@@ -43,8 +43,11 @@ def here(bench: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     attempts.close()
 
 
-def plan_of(folder: Path, count: int, query: str = "miss=3", **more: int) -> RecordPlan:
-    return record_plan([Path("push.task.yaml")], f"python:pushing.py:Push?{query}", folder, count, **more)
+def plan_of(
+    folder: Path, count: int, query: str = "miss=3", seed: int = 0, max_attempts: int | None = None
+) -> RecordPlan:
+    policy = f"python:pushing.py:Push?{query}"
+    return record_plan([Path("push.task.yaml")], policy, folder, count, seed, max_attempts)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:

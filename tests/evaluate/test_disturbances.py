@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ class Swing:
     space: str = "joint_position"
     cameras: Mapping[str, ImageSize] = field(default_factory=dict)
     image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
+    origin: Mapping[str, Any] = field(default_factory=dict)
     control_hz: float | None = None
     name: str = "swing"
     seen: list[Observation] = field(default_factory=list)

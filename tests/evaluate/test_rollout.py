@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ class Pusher:
     cameras: Mapping[str, ImageSize] = field(default_factory=dict)
     control_hz: float | None = None
     image_kinds: tuple[ImageKind, ...] = (ImageKind.COLOR,)
+    origin: Mapping[str, Any] = field(default_factory=dict)
     seen: list[Observation] = field(default_factory=list)
     told: str = ""
 
