@@ -12,7 +12,7 @@ from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, ExpressionList, ValueField, section
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models import base, native, reuse, robot, scene, shapes, surroundings
+from simfoundry.spec.models import base, native, origin, reuse, robot, scene, shapes, surroundings
 
 if TYPE_CHECKING:
     import mujoco
@@ -37,7 +37,7 @@ Flag = ValueField[bool, bool | None]
 Quantity = ValueField[float | base.Estimate | None, float | base.Estimate | Values | None]
 Position = ValueField[Vector, Sequence[float] | None]
 Color = ValueField[tuple[float, ...] | None, Sequence[float] | str | None]
-Origin = ValueField[base.Origin | None, base.Origin | Values | None]
+Origin = ValueField[origin.Origin | None, origin.Origin | Values | None]
 
 
 class PoseEntry(DocumentEntry):

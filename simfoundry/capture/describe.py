@@ -18,6 +18,7 @@ from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
 from simfoundry.spec.models import shapes
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import ObjectSpec
 from simfoundry.spec.models.surroundings import CameraSpec
@@ -110,7 +111,7 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
         pose=FramedPose(xyz=(0.0, 0.0, -thickness / 2)),
-        origin=spec.Origin(capture=capture, fit_error=meters(support.residual), note=note),
+        origin=Origin(capture=capture, fit_error=meters(support.residual), note=note),
     )
 
 
@@ -134,7 +135,7 @@ def object_spec(capture: str, name: str, shape: FittedShape, segment: int | None
         material=substance.name,
         mass=spec.Estimate(value=kilograms, range=(low, high), source="material_table"),
         pose=pose_spec(shape.X_WO),
-        origin=spec.Origin(
+        origin=Origin(
             capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2), segment=segment
         ),
     )

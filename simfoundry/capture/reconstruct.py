@@ -19,7 +19,8 @@ from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
-from simfoundry.spec.models.base import Material, Origin
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.surroundings import LightSpec

@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from simfoundry.models.contract import ModelError
-from simfoundry.spec.models.base import ModelUse
-
-# Permission for commercial use: a condition must be read and accepted first, and an unknown licence permits nothing.
-Commercial = Literal["allowed", "forbidden", "conditional", "unknown"]
-
+from simfoundry.spec.models.origin import Commercial, ModelUse
 
 # Words that are shown in a terminal and written to documents.
 Words = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]+$")]
@@ -54,7 +50,7 @@ def model_use(task: str, identity: ModelIdentity) -> ModelUse:
 
 @dataclass(frozen=True)
 class LicenceEntry:
-    """What is known about the licence of a model, from the table ``licences.yaml``.
+    """The licence of a model, as far as it is known, from the table ``licences.yaml``.
 
     Attributes:
         name: Name of the model.

@@ -8,9 +8,10 @@ from typing import Any
 from hypothesis import strategies as st
 
 from simfoundry.spec.models.asset import AssetSpec, Inertial, LinkSpec, PartSpec
-from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, Origin, PoseSpec
+from simfoundry.spec.models.base import FARTHEST, CameraPose, Estimate, Material, PoseSpec
 from simfoundry.spec.models.capture import MAX_FOCAL
 from simfoundry.spec.models.joint import DriveSpec, JointSpec, MimicSpec
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import Degrees, ObjectSpec, SceneSpec
 from simfoundry.spec.models.shapes import (

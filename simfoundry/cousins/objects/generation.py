@@ -41,8 +41,9 @@ from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import install_line
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.object_shapes import bounds
-from simfoundry.spec.models.base import Material, ModelUse
+from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
+from simfoundry.spec.models.origin import ModelUse
 
 # Names used in recipes for the paper's dimensions.
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}

@@ -18,7 +18,7 @@ from simfoundry.cousins.objects.profiles import Rng
 from simfoundry.cousins.objects.skins import skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import ModelUse
+from simfoundry.spec.models.origin import ModelUse
 
 Rule = Callable[[AssetSpec, Component, Rng], Edit | None]
 

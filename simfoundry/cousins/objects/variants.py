@@ -37,8 +37,9 @@ from simfoundry.scene.robot_files import companions
 from simfoundry.spec.check.checker import volume
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec
-from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_value
+from simfoundry.spec.models.base import Estimate, Material, quantity_value
 from simfoundry.spec.models.cousins import ObjectVariants
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 # Maximum number of candidates for each requested variant.

@@ -24,7 +24,7 @@ from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
 from simfoundry.lint.lints import lint
 from simfoundry.runtime.files import ensure_replaceable, write_atomically
 from simfoundry.spec.load import load
-from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
 from simfoundry.spec.yaml.write import to_yaml
 

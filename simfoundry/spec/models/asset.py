@@ -20,7 +20,6 @@ from simfoundry.spec.models.base import (
     Name,
     NonNegative,
     Number,
-    Origin,
     Point3,
     PoseSpec,
     Positive,
@@ -33,6 +32,7 @@ from simfoundry.spec.models.joint import (
     JointSpec,
 )
 from simfoundry.spec.models.native import ActuatorNative, LinkNative, PartNative, SensorNative, SiteNative
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.shapes import PartShape
 
 

@@ -19,7 +19,6 @@ from simfoundry.spec.models.base import (
     Name,
     NonNegative,
     Number,
-    Origin,
     PartName,
     Point2,
     PoseSpec,
@@ -31,6 +30,7 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.native import ObjectNative, SceneNative
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.reuse import FramedPose, IncludeSpec, ReferenceFrame, Repeat
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.shapes import Shape

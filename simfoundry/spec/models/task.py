@@ -14,13 +14,13 @@ from simfoundry.spec.models.base import (
     Model,
     Name,
     Ordered,
-    Origin,
     Point2,
     Positive,
     consistent,
     fault,
 )
 from simfoundry.spec.models.disturbances import Disturbances
+from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.predicate import Condition
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
