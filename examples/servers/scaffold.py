@@ -29,33 +29,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 try:
-    from simfoundry.models.wire import (
-        ANSWER,
-        MAX_BUNDLE_BYTES,
-        REQUEST,
-        VERSION,
-        Bundle,
-        BundleError,
-        BundleFile,
-        BundleImage,
-        Content,
-        read_bundle,
-        write_bundle,
-    )
+    from simfoundry.models import wire
 except ImportError:  # in the environment of a model, where wire.py lies beside this file
-    from wire import (  # type: ignore[import-not-found,no-redef]
-        ANSWER,
-        MAX_BUNDLE_BYTES,
-        REQUEST,
-        VERSION,
-        Bundle,
-        BundleError,
-        BundleFile,
-        BundleImage,
-        Content,
-        read_bundle,
-        write_bundle,
-    )
+    import wire  # type: ignore[import-not-found,no-redef]
+
+BundleFile = wire.BundleFile
+BundleImage = wire.BundleImage
 
 __all__ = ["BundleFile", "BundleImage", "Model", "RefusedError", "Result", "run", "serve"]
 
@@ -80,14 +59,14 @@ class Result:
         warnings: Remarks for the user.
     """
 
-    members: dict[str, Content] = dataclass_field(default_factory=dict)
+    members: dict[str, wire.Content] = dataclass_field(default_factory=dict)
     notes: dict[str, dict[str, str]] = dataclass_field(default_factory=dict)
     values: dict[str, Any] | None = None
     confidence: float | None = None
     warnings: tuple[str, ...] = ()
 
 
-Solve = Callable[[Bundle], Result]
+Solve = Callable[[wire.Bundle], Result]
 
 
 @dataclass
@@ -104,16 +83,16 @@ class Model:
     def describe(self) -> dict[str, Any]:
         """Return the content of ``GET /v1``."""
         tasks = {name: {"model": dict(self.identity)} for name in self.tasks}
-        return {"bundle": VERSION, "tasks": tasks, "limits": {"bytes": MAX_BUNDLE_BYTES}}
+        return {"bundle": wire.VERSION, "tasks": tasks, "limits": {"bytes": wire.MAX_BUNDLE_BYTES}}
 
     def answer(self, data: bytes, task: str | None = None) -> bytes:
         """Return the answer to a request, both as bundles.
 
         Raises:
-            BundleError: If the request is damaged.
+            wire.BundleError: If the request is damaged.
             RefusedError: If the request cannot be solved.
         """
-        request = read_bundle(data, REQUEST)
+        request = wire.read_bundle(data, wire.REQUEST)
         named = str(request.head.get("task"))
         if task is not None and named != task:
             raise RefusedError(f"the request is for `{named}`, but was sent to /v1/{task}")
@@ -122,12 +101,12 @@ class Model:
         started = time.monotonic()
         result = self.tasks[named](request)
         head: dict[str, Any] = {
-            "bundle": VERSION, "task": named, "request": request.digest, "model": dict(self.identity),
+            "bundle": wire.VERSION, "task": named, "request": request.digest, "model": dict(self.identity),
             "seconds": round(time.monotonic() - started, 3), "warnings": list(result.warnings),
         }  # fmt: skip
         head.update({} if result.values is None else {"values": result.values})
         head.update({} if result.confidence is None else {"confidence": float(result.confidence)})
-        return write_bundle(Bundle(head, result.members, result.notes), ANSWER)
+        return wire.write_bundle(wire.Bundle(head, result.members, result.notes), wire.ANSWER)
 
 
 def run(model: Model, arguments: list[str] | None = None) -> int:
@@ -146,8 +125,8 @@ def run(model: Model, arguments: list[str] | None = None) -> int:
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries print to standard output
     try:
-        answer = model.answer(sys.stdin.buffer.read(MAX_BUNDLE_BYTES + 1))
-    except (BundleError, RefusedError) as error:
+        answer = model.answer(sys.stdin.buffer.read(wire.MAX_BUNDLE_BYTES + 1))
+    except (wire.BundleError, RefusedError) as error:
         print(f"the request was refused: {error}", file=sys.stderr)
         return 2
     except Exception as error:  # a model can raise anything; the last line of the log is shown to the user
@@ -235,9 +214,11 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Solve a task."""
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > MAX_BUNDLE_BYTES:
+        if not length.isdigit() or int(length) > wire.MAX_BUNDLE_BYTES:
             self.close_connection = True
-            self._problem(413, "too large", f"a request has at most {MAX_BUNDLE_BYTES} bytes and states its length")
+            self._problem(
+                413, "too large", f"a request has at most {wire.MAX_BUNDLE_BYTES} bytes and states its length"
+            )
             return
         if not self._allowed():
             self.close_connection = True  # the body is not read
@@ -271,9 +252,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(200, answer, "application/zip")
 
     def _failed(self, error: BaseException) -> None:
-        if isinstance(error, (BundleError, RefusedError)):
+        if isinstance(error, (wire.BundleError, RefusedError)):
             self._problem(
-                422, "the request was refused", f"the request {error}" if isinstance(error, BundleError) else str(error)
+                422,
+                "the request was refused",
+                f"the request {error}" if isinstance(error, wire.BundleError) else str(error),
             )
         else:
             traceback.print_exception(type(error), error, error.__traceback__)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+import pytest
 
 if TYPE_CHECKING:
     from simfoundry.studio.server import StudioServer
@@ -53,6 +55,17 @@ def launched_browser() -> Iterator[Any]:
             yield browser
         finally:
             browser.close()
+
+
+@contextmanager
+def browser_or_skip() -> Iterator[Any]:
+    """Run a browser for tests, which are skipped where there is none."""
+    with ExitStack() as stack:
+        try:
+            browser = stack.enter_context(launched_browser())
+        except NoBrowserError as error:
+            pytest.skip(str(error))
+        yield browser
 
 
 @dataclass

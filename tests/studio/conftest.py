@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.studio.browser import NoBrowserError, launched_browser, opened_page
 from tests.studio.browser import StudioPage as StudioPage
+from tests.studio.browser import browser_or_skip, opened_page
 
 if TYPE_CHECKING:
     from simfoundry.studio.server import StudioServer
@@ -99,11 +98,7 @@ def task(desk: Path) -> Path:
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
     """A browser that runs without a display."""
-    with ExitStack() as stack:
-        try:
-            browser = stack.enter_context(launched_browser())
-        except NoBrowserError as error:
-            pytest.skip(str(error))
+    with browser_or_skip() as browser:
         yield browser
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 import simfoundry as sf
 from simfoundry.data.store import read_shards
 from simfoundry.teleop.run import replay_session
-from tests.studio.browser import LOADING_MS, PATIENCE, PIXEL_RATIO, SIZE, NoBrowserError, launched_browser
+from tests.studio.browser import LOADING_MS, PATIENCE, PIXEL_RATIO, SIZE, browser_or_skip
 from tests.teleop.live import RunningSession, running
 from tests.teleop.streams import write_bench
 from tests.teleop.test_live import MAX_REACTION_MS
@@ -51,11 +50,7 @@ HEADSET = """
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A browser that runs without a display."""
-    with ExitStack() as stack:
-        try:
-            browser = stack.enter_context(launched_browser())
-        except NoBrowserError as error:
-            pytest.skip(str(error))
+    with browser_or_skip() as browser:
         yield browser
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.capture.articulation.estimate import JointEstimate
-from simfoundry.capture.articulation.motions import TYPICAL_BACK
+from simfoundry.capture.articulation.motions import QUANTILES, TYPICAL_BACK
 from simfoundry.geometry.frames import Array, Pose, cross, quat_from_matrix
 from simfoundry.scene.model import JointType
 
@@ -38,9 +38,6 @@ WOOD = {"density": 650, "friction": 0.5}
 # Damping and friction of joints as in the paper: 0.4 N for slides, 0.01 Nm for hinges, damping 0.5.
 JOINT_FRICTION = {JointType.PRISMATIC: 0.4, JointType.REVOLUTE: 0.01}
 DAMPING = 0.5
-
-# Points outside of these quantiles are taken for noise.
-LOW, HIGH = 0.01, 0.99
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -73,11 +70,12 @@ def articulated_parts(
     motion = estimate.motion
     front = _front(estimate)
     X_WA, low, high = _frame(front, points)
-    panel_low, panel_high = _bounds(X_WA.inverse().apply(part))
+    local_part = X_WA.inverse().apply(part)
+    panel_low, panel_high = _bounds(local_part)
     panel_high = np.maximum(panel_high, panel_low + PANEL)
     side = 2 if abs(front @ UP) > 0.7 else 0  # the axis of A along which the front faces
-    handle = _handle(X_WA.inverse().apply(part), side)
-    face = float(np.median(X_WA.inverse().apply(part)[:, side]))
+    face = float(np.median(local_part[:, side]))
+    handle = _handle(local_part, side, face)
     panel_low[side], panel_high[side] = face - TYPICAL_BACK, face
     axis, pivot = X_WA.rotation.T @ motion.axis, X_WA.inverse().apply(motion.pivot[None])[0]
     pivot = pivot + axis * float(axis @ ((panel_low + panel_high) / 2 - pivot))  # the point beside the panel
@@ -129,11 +127,10 @@ def _frame(front: Array, points: Array) -> tuple[Pose, Array, Array]:
     x = level / np.linalg.norm(level)
     R_WA = np.column_stack([x, cross(UP, x), UP])
     low, high = _bounds(points @ R_WA)
-    origin = R_WA @ np.array([*((low + high) / 2)[:2], 0.0])
     shift = np.array([*((low + high) / 2)[:2], 0.0])
     low, high = low - shift, high - shift
     low[2] = 0.0  # it stands on its support, also where the support hides its foot
-    return Pose.of(origin, quat_from_matrix(R_WA)), low, high
+    return Pose.of(R_WA @ shift, quat_from_matrix(R_WA)), low, high
 
 
 def _numbers(values: Array | list[float]) -> tuple[float, ...]:
@@ -142,7 +139,7 @@ def _numbers(values: Array | list[float]) -> tuple[float, ...]:
 
 
 def _bounds(points: Array) -> tuple[Array, Array]:
-    low, high = np.quantile(points, (LOW, HIGH), axis=0)
+    low, high = np.quantile(points, QUANTILES, axis=0)
     return np.asarray(low), np.asarray(high)
 
 
@@ -197,9 +194,8 @@ def _fixed_panels(low: Array, high: Array, panel_low: Array, panel_high: Array, 
     return found
 
 
-def _handle(part: Array, side: int) -> tuple[Array, Array] | None:
-    """Return the box of what stands off a panel, in the object's frame, or None."""
-    face = float(np.median(part[:, side]))
+def _handle(part: Array, side: int, face: float) -> tuple[Array, Array] | None:
+    """Return the lowest and highest coordinates of the points that stand off a panel, or None if there are few."""
     proud = part[part[:, side] > face + STANDS_OFF]
     if len(proud) < HANDLE_POINTS:
         return None

@@ -10,6 +10,7 @@ import json
 import re
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -109,11 +110,9 @@ def _absent(server: str, url: str, reason: str) -> AbsentServerError:
 def refused(response: Response, server: str, url: str) -> ModelError:
     """Return an error that quotes the server's own words."""
     text = response.body[:MAX_QUOTE_BYTES].decode(errors="replace")
-    try:
+    with suppress(ValueError, AttributeError, RecursionError):  # plain text is quoted as it is
         problem = json.loads(response.body[:MAX_JSON_BYTES])
         text = str(problem.get("detail") or problem.get("title") or text)
-    except (ValueError, AttributeError, RecursionError):
-        pass
     where = f"{server} at {url} returned {response.status} {plain(response.reason)}"
     if 300 <= response.status < 400:
         return ModelError(f"{where}, but redirections are not followed; configure the final URL")
