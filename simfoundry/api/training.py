@@ -118,7 +118,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class _Material:
-    """What to learn from, and what to evaluate.
+    """The recordings to learn from, and the tasks to evaluate.
 
     Attributes:
         demonstrations: The recordings to learn from.

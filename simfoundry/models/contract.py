@@ -131,7 +131,7 @@ def _check_members(members: Sequence[Member], bundle: Bundle, sizes: dict[str, i
     known = {member.name for member in members}
     foreign = sorted(bundle.members.keys() - known)
     if foreign:
-        raise ConventionError(f"contains `{foreign[0]}`, which is none of {', '.join(sorted(known))}")
+        raise ConventionError(f"contains `{foreign[0]}`; known members: {', '.join(sorted(known))}")
     for member in members:
         content = bundle.members.get(member.name)
         if content is not None:

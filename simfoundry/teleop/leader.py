@@ -107,7 +107,7 @@ def load_leader(path: Path, joints: Mapping[str, int]) -> LeaderSpec:
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise SimfoundryError(f"{path} is larger than {MAX_BYTES} bytes, which no description of a leader arm is")
+            raise SimfoundryError(f"{path} is larger than {MAX_BYTES} bytes; is it the description of a leader arm?")
         spec = LeaderSpec.model_validate(parse(path.read_text(encoding="utf-8")).data)
     except ValidationError as error:
         first = error.errors()[0]

@@ -54,13 +54,13 @@ class SessionView(Protocol):
     """The receiver of a session's progress, such as a page."""
 
     def begin(self, task: Task, attempt: int, kept: int) -> None:
-        """An attempt is prepared."""
+        """Show that an attempt is being prepared."""
 
     def show(self, state: SceneState) -> None:
-        """The world has reached a state."""
+        """Show a state that the world has reached."""
 
     def tell(self, text: str, is_over: bool = False) -> None:
-        """Something happened that people should read; ``is_over`` is set if the attempt waits for a decision."""
+        """Show a message. ``is_over`` is set if the attempt waits for a decision."""
 
 
 class SilentView(SessionView):

@@ -60,7 +60,7 @@ class PacketEvent:
 
 @dataclass(frozen=True)
 class LostEvent:
-    """The device is lost."""
+    """The loss of the device, with its reason."""
 
     time: float
     reason: str
@@ -68,14 +68,14 @@ class LostEvent:
 
 @dataclass(frozen=True)
 class FoundEvent:
-    """The device is back."""
+    """The return of a device that was lost."""
 
     time: float
 
 
 @dataclass(frozen=True)
 class PressEvent:
-    """A control was pressed on the page."""
+    """A press of a control on the page."""
 
     time: float
     control: Control
@@ -83,7 +83,7 @@ class PressEvent:
 
 @dataclass(frozen=True)
 class StartEvent:
-    """An attempt begins at an initial state."""
+    """The start of an attempt, with the index of its initial state."""
 
     time: float
     start: int
@@ -91,7 +91,7 @@ class StartEvent:
 
 @dataclass(frozen=True)
 class TickEvent:
-    """An action begins."""
+    """The start of an action."""
 
     time: float
 

@@ -38,7 +38,7 @@ AROUND = 0.35
 # Smallest share of the support that both views must see at the same place, so that the camera can have stayed.
 STAYED = 0.5
 
-# Every how manieth point of the support is checked.
+# One in so many points of the support is checked, which is enough to estimate a share.
 STRIDE = 7
 
 # Color of the part in the picture, which is rare on tables.
@@ -212,7 +212,7 @@ def _near_the_change(first: PosedView, second: PosedView) -> tuple[PosedView, Po
 
 
 def _doubt(estimate: JointEstimate) -> str:
-    """Return why a person should look at the result, or an empty string."""
+    """Return the reason for a person to look at the result, or an empty string."""
     is_turn = estimate.motion.kind is JointType.REVOLUTE
     if is_turn and estimate.is_cut and estimate.explained < WHOLE:
         return "the part reaches the border of the second image, so that its front may be out of sight"

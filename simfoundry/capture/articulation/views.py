@@ -25,7 +25,7 @@ DEVIATIONS, SLACK = 3.0, 0.003
 
 
 class Sight(IntEnum):
-    """What a view says about a point."""
+    """The visibility of a point in a view."""
 
     HIDDEN = 0  # behind a surface, outside of the image, or where depth is missing
     SEEN = 1  # on a surface

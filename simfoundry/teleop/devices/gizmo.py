@@ -28,7 +28,7 @@ class GizmoDevice(TeleopDevice):
 
     @property
     def silence_s(self) -> float:
-        """The page always sends its keys."""
+        """The longest time between two packets [s]; the page repeats the held keys."""
         return PAGE_SILENCE_S
 
     def parse(self, packet: bytes, time: float) -> list[Command]:

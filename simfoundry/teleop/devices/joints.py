@@ -38,7 +38,7 @@ class LeaderDevice(TeleopDevice):
 
     @property
     def silence_s(self) -> float:
-        """A leader sends all the time."""
+        """The longest time between two packets [s]; a leader sends continuously."""
         return LEADER_SILENCE_S
 
     def targets(self, robot: str, positions: Array, gripper: float | None, time: float) -> list[Command]:

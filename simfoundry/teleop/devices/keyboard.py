@@ -31,7 +31,7 @@ class KeyboardDevice(TeleopDevice):
 
     @property
     def silence_s(self) -> float:
-        """The page always sends its keys."""
+        """The longest time between two packets [s]; the page repeats the held keys."""
         return PAGE_SILENCE_S
 
     def parse(self, packet: bytes, time: float) -> list[Command]:

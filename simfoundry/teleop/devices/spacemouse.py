@@ -62,7 +62,7 @@ class SpaceMouseDevice(TeleopDevice):
 
     @property
     def silence_s(self) -> float | None:
-        """A cap at rest sends nothing."""
+        """The longest time between two packets [s], or None while the cap is at rest and sends nothing."""
         return DEFLECTED_SILENCE_S if self._axes.any() else None
 
     def parse(self, packet: bytes, time: float) -> list[Command]:

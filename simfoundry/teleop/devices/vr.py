@@ -67,7 +67,7 @@ class VrDevice(TeleopDevice):
 
     @property
     def silence_s(self) -> float:
-        """A tracked controller sends all the time."""
+        """The longest time between two packets [s]; a tracked controller sends continuously."""
         return TRACKED_SILENCE_S
 
     def packets(self, data: bytes) -> list[bytes]:
