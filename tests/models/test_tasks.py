@@ -193,7 +193,7 @@ WRONG: list[tuple[str, Callable[[Result], object], str]] = [
     ("depth", lambda r: r.notes.update(depth={"unit": "mm"}), r"states `depth` in 'mm' \(unit\); it must be 'm'"),
     ("depth", lambda r: r.notes.update(depth={"frame": "opengl"}), "states `depth` in 'opengl'"),
     ("depth", lambda r: r.members.pop("depth"), "contains no `depth`"),
-    ("depth", lambda r: r.members.update(extra=np.zeros(3)), "contains `extra`, which is none of"),
+    ("depth", lambda r: r.members.update(extra=np.zeros(3)), "contains `extra`; known members"),
     ("depth", lambda r: setattr(r, "confidence", 90.0), "must be between 0 and 1"),
     ("depth", lambda r: setattr(r, "values", {"x": 1}), "has `values`, but this task has none"),
     ("multiview", _set("world_to_camera", np.linalg.inv), "read as camera_to_world instead of world_to_camera"),
