@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.capture import describe
 from simfoundry.capture.describe import SUPPORT_NAME, kind_of, mesh_files
+from simfoundry.capture.findings import LEFT_OUT, NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.decompose import decompose
@@ -33,7 +34,7 @@ class Reconstruction:
     """A reconstructed scene, along with the results of each stage of the reconstruction.
 
     ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
-    number in ``segmentation``. ``skipped`` lists the segments that did not become objects, with reasons.
+    number in ``segmentation``. ``findings`` lists what is doubtful, such as segments that did not become objects.
     """
 
     spec: SceneSpec
@@ -42,7 +43,7 @@ class Reconstruction:
     segmentation: Segmentation
     names: dict[str, int]
     shapes: dict[str, FittedShape]
-    skipped: tuple[str, ...] = ()
+    findings: tuple[CaptureFinding, ...] = ()
 
 
 def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progress: Progress) -> Reconstruction:
@@ -58,12 +59,12 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
     progress("objects", 0.1)
     segmentation = decompose(frame, support)
     labels = segmentation.labels
-    shapes, carriers, skipped = fit_segments(
+    shapes, carriers, findings = fit_segments(
         frame, support, segmentation, lambda stage, share: progress(stage, 0.3 + 0.4 * share)
     )
     if not shapes:
-        raise CaptureError("SF504", "could not fit any object", "; ".join(skipped))
-    skipped = (*segmentation.unmet, *skipped)
+        raise CaptureError("SF504", "could not fit any object", "; ".join(f.message for f in findings))
+    findings = (*(CaptureFinding(NOT_FOLLOWED, unmet, CONSTRAINT_HINT) for unmet in segmentation.unmet), *findings)
     names = _names(frame, segmentation, shapes, given_names)
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(support, outline=beneath(support.outline, grounded))
@@ -89,7 +90,7 @@ def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progres
     )
     numbers = {name: k for k, name in names.items()}
     fitted = {names[k]: shape for k, shape in shapes.items()}
-    return Reconstruction(spec, files, support, segmentation, numbers, fitted, skipped)
+    return Reconstruction(spec, files, support, segmentation, numbers, fitted, findings)
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
@@ -115,7 +116,7 @@ def without(built: Reconstruction, names: Collection[str], reason: str) -> Recon
         files=files,
         names={n: k for n, k in built.names.items() if n not in gone},
         shapes={n: s for n, s in built.shapes.items() if n not in gone},
-        skipped=(*built.skipped, *(f"{name}: {reason}" for name in sorted(gone))),
+        findings=(*built.findings, *(left_out(built.segmentation, built.names[n], reason, n) for n in sorted(gone))),
     )
 
 
@@ -154,6 +155,10 @@ def _names(
     return dict(zip(shapes, describe.unique_names(wanted[k] for k in shapes), strict=True))
 
 
+CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
+
+LEFT_OUT_HINT = "move the camera closer, state the division under `decomposition`, or add the object by hand"
+
 # Maximum depth [m] of an object's visible points below the top of its support; fitted tops are off by 1 to 2 cm.
 SUNK = 0.03
 
@@ -170,16 +175,16 @@ EDGE = 0.01  # Distance [m] past the edge of a support within which points still
 
 def fit_segments(
     frame: Frame, support: SupportSurface, segmentation: Segmentation, report: Progress
-) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
+) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
     """Fit a shape to every segment, from the bottom up.
 
     Returns:
-        The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a message
-        for each segment that was skipped.
+        The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a finding
+        for each segment that was left out.
     """
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
-    skipped = []
+    findings = []
     order = _bottom_up(segmentation)
     for done, k in enumerate(order):
         report(f"shape {k}", done / len(order))
@@ -189,15 +194,24 @@ def fit_segments(
             seen = without_occluders(frame, segmentation, k)
             shape = fit_shape(seen, support, segmentation.labels == k, base_z, labels=segmentation.labels)
         except CaptureError as error:
-            skipped.append(f"segment {k}: {error.message}")
+            findings.append(left_out(segmentation, k, error.message))
             continue
         if shape.confidence < DOUBTFUL:
-            skipped.append(f"segment {k}: no shape fits well enough (confidence {shape.confidence:.2f})")
+            reason = f"no shape fits well enough (confidence {shape.confidence:.2f})"
+            findings.append(left_out(segmentation, k, reason))
             continue
         shapes[k] = shape
         if carriers[k]:
             shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
-    return dict(sorted(shapes.items())), carriers, tuple(skipped)
+    return dict(sorted(shapes.items())), carriers, tuple(findings)
+
+
+def left_out(segmentation: Segmentation, k: int, reason: str, name: str = "") -> CaptureFinding:
+    """Return the finding that segment ``k`` did not become an object, with the corners of its pixels."""
+    rows, columns = np.nonzero(segmentation.labels == k)
+    corners = ((int(columns.min()), int(rows.min())), (int(columns.max()), int(rows.max()))) if len(rows) else ()
+    subject = f"`{name}`" if name else f"the object with the number {k} in segments.png"
+    return CaptureFinding(LEFT_OUT, f"{subject} was left out: {reason}", LEFT_OUT_HINT, outline=corners)
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:

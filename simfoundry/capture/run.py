@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame, open_capture
 from simfoundry.capture.overlay import SEGMENTS, segment_image
@@ -35,7 +37,8 @@ from simfoundry.worlds.settle import SettleResult, settle
 class CaptureRun:
     """The result of a capture.
 
-    It consists of the scene document and a report that describes how well the scene fits and settles.
+    It consists of the scene document and a report that describes how well the scene fits and settles. ``findings``
+    lists what is doubtful about the scene, including what the caller accepts.
     """
 
     document: Loaded
@@ -43,6 +46,7 @@ class CaptureRun:
     reconstruction: Reconstruction
     settled: SettleResult
     report: dict[str, Any]
+    findings: tuple[CaptureFinding, ...] = ()
 
 
 def run_capture(
@@ -52,11 +56,13 @@ def run_capture(
     progress: Progress = lambda stage, share: None,
     cache: Cache | None = None,
     force: bool = False,
+    accepted: Collection[str] = (),
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
     ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
-    end, so a failed run leaves it unchanged. Identical inputs produce identical bytes.
+    end, so a failed run leaves it unchanged. Identical inputs produce identical bytes. ``accepted`` contains the
+    codes of findings that do not keep the scene from passing.
 
     Raises:
         SpecError: The capture is unusable. The error contains all findings.
@@ -81,11 +87,13 @@ def run_capture(
             progress("pictures", 0.95)
             _pictures(built, frame, scene, settled, staging)
             write_file(staging / SEGMENTS, segment_image(built.segmentation.labels))
-            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": file_digests(staging)}
+            findings = ordered_findings((*built.findings, *_restless(settled)))
+            report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
+            report["files"] = file_digests(staging)
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(loaded, out / scene_name, built, settled, report)
+    return CaptureRun(loaded, out / scene_name, built, settled, report, findings)
 
 
 def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
@@ -154,7 +162,21 @@ def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settle
     save_png(folder / "compare.png", side_by_side(panels))
 
 
-def _report(built: Reconstruction, settled: SettleResult, source: str) -> dict[str, Any]:
+def _restless(settled: SettleResult) -> list[CaptureFinding]:
+    """Return a finding for each object that settled elsewhere than it was seen."""
+    hint = "compare the object with compare.png, and correct its shape or pose"
+    return [
+        CaptureFinding(MOVED, "; ".join(o.problems), hint, objects=(o.name,)) for o in settled.objects if o.problems
+    ]
+
+
+def _report(
+    built: Reconstruction,
+    settled: SettleResult,
+    source: str,
+    findings: tuple[CaptureFinding, ...],
+    accepted: Collection[str],
+) -> dict[str, Any]:
     settle_of = {o["name"]: o for o in settled.to_json()["objects"]}
     objects = {}
     for name, shape in built.shapes.items():
@@ -164,8 +186,8 @@ def _report(built: Reconstruction, settled: SettleResult, source: str) -> dict[s
         objects[name] = {"pixels": pixels, "fit": fit, "confidence": confidence, "settle": rest}
     return {
         "source": source,
-        "passed": settled.passed and not built.skipped,
+        "passed": all(f.code in accepted for f in findings),
         "support": {"residual": round(built.support.residual, 6), "corners": len(built.support.outline)},
         "objects": objects,
-        "skipped": list(built.skipped),
+        "findings": [f.to_json(accepted) for f in findings],
     }

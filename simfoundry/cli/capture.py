@@ -17,31 +17,34 @@ from simfoundry.cli.scenes import settle_table
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder for the scene. Default: build/<capture name>.")
 @click.option("--frame", help="Name of the frame to reconstruct. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
-@click.option("--strict", is_flag=True, help="Exit with code 1 if an object was left out or did not settle well.")
+@click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 def capture_command(
-    capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool
+    capture: Path, out: Path | None, frame: str | None, force: bool, codes: tuple[str, ...], as_json: bool
 ) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
-    Writes NAME.scene.yaml, meshes/, report.json, compare.png and segments.png. The table and the report list the
-    objects that were left out or did not settle well, with the reasons.
+    Writes NAME.scene.yaml, meshes/, report.json, compare.png and segments.png. If anything about the scene is doubtful,
+    such as an object that was left out or did not settle well, the scene is written all the same, the findings are
+    printed and added to the report, and the exit code is 1. `--accept` goes on without the findings of one code.
     """
     from simfoundry.assets.cache import Cache
+    from simfoundry.capture.findings import accepted_codes
     from simfoundry.capture.run import run_capture
 
+    accepted = accepted_codes(codes)
     # A capture is named after its folder, or NAME if its file is called NAME.capture.yaml.
     folder = capture if capture.is_dir() else capture.parent
     is_named = capture.is_file() and capture.name != "capture.yaml"
     target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
     with output.progress_bar(as_json) as progress:
-        run = run_capture(capture, target, frame, progress, Cache.default(), force)
-    verdict = output.FINDINGS if strict and not run.report["passed"] else output.DONE
+        run = run_capture(capture, target, frame, progress, Cache.default(), force, accepted)
+    verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:
         output.print_json({"scene": str(run.scene_file), **run.report})
         return verdict
     click.echo(settle_table(run.settled.objects))
-    for reason in run.reconstruction.skipped:
-        click.echo(f"not reconstructed: {reason}")
+    for finding in run.findings:
+        click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))
     click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'compare.png'}")
     return verdict
 

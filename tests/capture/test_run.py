@@ -98,7 +98,7 @@ def test_what_stands_on_what(desk: Desk) -> None:
 
 
 def test_everything_rests(desk: Desk) -> None:
-    assert desk.run.settled.passed and desk.run.reconstruction.skipped == ()
+    assert desk.run.settled.passed and desk.run.findings == ()
     for item in desk.run.settled.objects:
         assert item.drift < 0.003 and item.penetration_after < 0.001 and item.support_kept
 
@@ -141,7 +141,7 @@ def test_another_process_writes_the_same_bytes(desk: Desk, tmp_path: Path) -> No
 def test_the_report(desk: Desk) -> None:
     report = json.loads((desk.folder / "report.json").read_text())
     assert report == json.loads(json.dumps(desk.run.report))
-    assert report["source"] == "desk/view" and report["passed"] is True and report["skipped"] == []
+    assert report["source"] == "desk/view" and report["passed"] is True and report["findings"] == []
     assert 0 < report["support"]["residual"] < 0.003 and report["support"]["corners"] >= 4
     assert set(report["objects"]) == {c.recovered for c in desk.truth}
     for facts in report["objects"].values():

@@ -99,14 +99,23 @@ def test_running_again_replaces_what_a_run_wrote_by_the_same_bytes(folder: Path)
     assert tree(folder / "out") == before
 
 
-def test_what_does_not_rest_gives_1_with_strict(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_not_rest_gives_1_unless_it_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same capture, with nothing allowed to move at all."""
     strict = partial(settle, options=SettleOptions(max_drift_m=-1.0))
     monkeypatch.setattr("simfoundry.capture.run.settle", strict)
     monkeypatch.setenv("SIMFOUNDRY_CACHE", str(folder / "cache"))
-    lenient = run("capture", folder / "capture", "-o", folder / "strict", "--json")
-    assert lenient.code == 0 and lenient.json["passed"] is False
-    done = run("capture", folder / "capture", "-o", folder / "strict", "--json", "--strict")
+    done = run("capture", folder / "capture", "-o", folder / "strict", "--json")
     assert done.code == 1 and done.err == "" and done.json["passed"] is False
-    assert "from its pose in the scene" in done.json["objects"]["green_box"]["settle"]["problems"][0]
+    (finding,) = done.json["findings"]
+    assert (finding["code"], finding["objects"], finding["accepted"]) == ("SF603", ["green_box"], False)
+    assert done.json["objects"]["green_box"]["settle"]["problems"] == [finding["message"]]
     assert (folder / "strict" / "capture.scene.yaml").is_file()  # it is written all the same
+    accepted = run("capture", folder / "capture", "-o", folder / "strict", "--accept", "sf603")
+    assert accepted.code == 0 and "green_box: SF603" in accepted.out and "(accepted)" in accepted.out
+    report = json.loads((folder / "strict" / "report.json").read_text())
+    assert report["passed"] is True and report["findings"] == [{**finding, "accepted": True}]
+
+
+def test_only_doubts_can_be_accepted(folder: Path) -> None:
+    done = run("capture", folder / "capture", "-o", folder / "none", "--accept", "SF501")
+    assert done.code == 2 and "`SF501` is not a finding of a reconstruction" in done.err

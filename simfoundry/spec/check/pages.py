@@ -18,6 +18,7 @@ GROUPS = {
     "SF3": "Meshes",
     "SF4": "Lints: warnings, most of which can be silenced with a reason",
     "SF5": "Captures",
+    "SF6": "Reconstructions: doubts about a scene, which `simfoundry capture --accept CODE` accepts",
 }
 
 _CODE = re.compile(r"(?:(?:error|warning)?\[)?(?:sf)?([0-9]{1,3})\]?", re.IGNORECASE)
@@ -96,8 +97,9 @@ _INTRODUCTION = """\
 <!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
 
 Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, most of
-which can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
-[checking.md](checking.md) explains how to run the checks before each commit and in CI.
+which can be silenced with a reason. Codes that start with `SF6` are doubts about a reconstructed scene. All others are
+errors. `simfoundry explain SF201` prints one of these pages, and [checking.md](checking.md) explains how to run the
+checks before each commit and in CI.
 """
 
 

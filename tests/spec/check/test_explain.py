@@ -26,6 +26,9 @@ NOT_SHOWN = {
     "SF503": "needs a whole picture without a table",
     "SF504": "needs a whole picture of an empty table",
     "SF505": "needs a whole picture of something that cannot be fitted",
+    "SF601": "needs a whole picture of something that cannot be fitted",
+    "SF602": "needs a whole picture",
+    "SF603": "needs a whole picture of something that does not rest",
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""
