@@ -6,11 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 # Least second singular value of the points, relative to the first, at which they determine a rotation. Below it, they
 # lie on a line to within 1 mm over a meter, and the rotation about that line would be made of noise.
 MIN_SPREAD = 1e-3
+
+# Deviations of a matrix from one of a similarity, and from the identity, that count as rounding: files and engines have
+# matrices of single-precision numbers, and products of a few of them.
+_ROUNDING, _STILL = 1e-4, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +28,23 @@ class Similarity:
 
     X_AB: Pose
     scale: float = 1.0
+
+    @classmethod
+    def from_matrix(cls, matrix: Array) -> Similarity:
+        """Return the similarity of a homogeneous matrix, shape (4, 4). Almost the identity becomes the identity.
+
+        Raises:
+            ValueError: If the matrix is not that of a similarity; the message is a participle, such as "mirrored".
+        """
+        linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
+        if not np.isfinite(matrix).all() or not np.linalg.det(linear) > 0:
+            raise ValueError("mirrored, flat or not finite")
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        if np.abs(linear.T @ linear / scale**2 - np.eye(3)).max() > _ROUNDING:
+            raise ValueError("sheared or scaled unevenly")
+        if np.abs(matrix - np.eye(4)).max() < _STILL:
+            return cls(Pose.of())
+        return cls(Pose.of(matrix[:3, 3], quat_from_matrix(linear / scale)), scale)
 
     def apply(self, points: Array) -> Array:
         """Map points of shape (..., 3) from B to A."""

@@ -95,7 +95,7 @@ def unusable_background(subject: Subject) -> Iterator[Diagnostic]:
     from simfoundry.assets.cache import Cache
     from simfoundry.assets.errors import MeshError
     from simfoundry.assets.mesh_summary import mesh_facts
-    from simfoundry.assets.splat import check_splat
+    from simfoundry.splats.files import check_splat
 
     written = subject.scene.spec.background
     if written is None:

@@ -19,7 +19,6 @@ from simfoundry.assets.errors import LEAST_VOLUME, MeshError, Scale, implausible
 from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
-from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere, closed_mesh
@@ -29,6 +28,7 @@ from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.surroundings import BackgroundSpec
+from simfoundry.splats.files import read_splat
 
 
 class MeshBody(NamedTuple):

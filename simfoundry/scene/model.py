@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from simfoundry.assets.panorama import Panorama as Panorama
-from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, principal_inertia
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.attachments import Actuator, NativeAttributes, Options, Sensor, Site
@@ -27,6 +26,7 @@ from simfoundry.scene.source import Source as Source
 if TYPE_CHECKING:
     from simfoundry.scene.random_values import RandomValue
     from simfoundry.scene.robot import Robot
+    from simfoundry.splats.gaussians import GaussianSplat
 
 
 def _read_only(mapping: Mapping[str, Any]) -> MappingProxyType[str, Any]:
@@ -307,16 +307,13 @@ class Light:
     panorama: Panorama | None = None
 
 
-Splat = Gaussians  # exported here because backends may import the scene package but not the assets package
-
-
 @dataclass(frozen=True, eq=False)
 class Background:
     """The visual surroundings of a scene, without collisions: visuals in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
-    splat: Splat | None = None
+    splat: GaussianSplat | None = None
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.splat import read_splat
 from simfoundry.backends import compile_scene
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
+from simfoundry.splats.files import read_splat
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import find_target
 from tests.targets.everything import splat_ply, write_everything

@@ -25,11 +25,11 @@ from simfoundry.backends.usd.surroundings import (
     define_camera,
     define_light,
     panorama_path,
-    splat_layer,
 )
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
+from simfoundry.splats.usd import splat_layer
 
 _LOADER = shipped("targets/usd") / "load.py"
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,44 +19,11 @@ from simfoundry.backends.artifact import number, rounded
 from simfoundry.backends.usd.prims import Asset, Prim, vec3
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Geometry, Mesh, Sphere
+from simfoundry.runtime.usd_layers import author, crate_bytes, new_crate
 from simfoundry.scene.model import Collider, Visual
 
 if TYPE_CHECKING:
     from pxr import Sdf
-
-
-def new_crate(default_prim: str) -> Sdf.Layer:
-    """Return an empty layer in meters with z up, to be filled by the caller and passed to :func:`crate_bytes`."""
-    from pxr import Sdf
-
-    layer = Sdf.Layer.CreateAnonymous(".usdc")
-    root = layer.pseudoRoot
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("upAxis", "Z")
-    layer.defaultPrim = default_prim
-    return layer
-
-
-def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, uniform: bool = False) -> Sdf.AttributeSpec:
-    """Author an attribute of a prim in a crate layer."""
-    from pxr import Sdf
-
-    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
-    made = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Find(type_name), variability)
-    made.default = value
-    return made
-
-
-def crate_bytes(layer: Sdf.Layer) -> bytes:
-    """Return the layer in the crate format. Identical layers produce identical bytes, even across Python versions.
-
-    USD can only write crates to files. The crate version is 0.8.0, which all releases since 2020 can read.
-    """
-    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
-        path = Path(folder) / "layer.usdc"
-        layer.Export(str(path))
-        return path.read_bytes()
-
 
 # The path of the mesh layer, which all meshes share because separate files cost more than the meshes themselves.
 MESHES = "assets/meshes.usdc"

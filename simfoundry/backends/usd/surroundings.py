@@ -5,18 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 
-import numpy as np
-
 from simfoundry.backends.usd.prims import Asset, Prim, vec3
-from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, linear_from_srgb, new_crate
+from simfoundry.backends.usd.shapes import define_visual, linear_from_srgb
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import Background, Camera, Light, LightType, Panorama, Splat
+from simfoundry.scene.model import Background, Camera, Light, LightType, Panorama
+from simfoundry.splats.usd import FIELD, FIELD_TYPE
 
 # The path of the splat layer in the artifact.
 SPLAT = "assets/background.usdc"
-
-# Extent of a Gaussian in standard deviations.
-_REACH = 3.0
 
 
 def define_background(world: Prim, looks: Prim, background: Background) -> None:
@@ -26,32 +22,8 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
     for visual in background.visuals:
         define_visual(prim, looks, visual)
     if background.splat is not None:
-        field = prim.define("splat", "ParticleField3DGaussianSplat")
+        field = prim.define(FIELD, FIELD_TYPE)
         field.references.append(f"@./{SPLAT}@")
-
-
-def splat_layer(splat: Splat) -> bytes:
-    """Return a layer whose default prim is the Gaussian field.
-
-    The colors are spherical harmonics, sorted by order.
-    """
-    from pxr import Sdf, Vt
-
-    layer = new_crate("splat")
-    with Sdf.ChangeBlock():
-        prim = Sdf.PrimSpec(layer, "splat", Sdf.SpecifierDef, "ParticleField3DGaussianSplat")
-        reach = _REACH * splat.scales.max(axis=1, keepdims=True)
-        corners = np.stack([(splat.positions - reach).min(axis=0), (splat.positions + reach).max(axis=0)])
-        author(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(corners))
-        author(prim, "positions", "point3f[]", Vt.Vec3fArray.FromNumpy(splat.positions))
-        author(prim, "scales", "float3[]", Vt.Vec3fArray.FromNumpy(splat.scales))
-        xyzw = np.ascontiguousarray(splat.rotations[:, [1, 2, 3, 0]])
-        author(prim, "orientations", "quatf[]", Vt.QuatfArray.FromNumpy(xyzw))
-        author(prim, "opacities", "float[]", Vt.FloatArray.FromNumpy(splat.opacities))
-        author(prim, "radiance:sphericalHarmonicsDegree", "int", splat.degree, uniform=True)
-        colors = np.ascontiguousarray(splat.harmonics.reshape(-1, 3))
-        author(prim, "radiance:sphericalHarmonicsCoefficients", "float3[]", Vt.Vec3fArray.FromNumpy(colors))
-    return crate_bytes(layer)
 
 
 # Focal length and apertures have the same unit, and only their ratios matter. At 1/32 per pixel, the values resemble a

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.splat import Gaussians, read_splat
 from simfoundry.models.client import ModelClient
 from simfoundry.models.contract import CAMERA, ConventionError, Member, ModelError, ModelTask
 from simfoundry.models.geometry_checks import Floats, check_depth_unit, check_transform
 from simfoundry.models.provenance import ModelIdentity
 from simfoundry.models.tasks.depth import Depth, Pixels
 from simfoundry.models.wire import Bundle, BundleFile, BundleImage
+from simfoundry.splats.files import read_splat
+from simfoundry.splats.gaussians import GaussianSplat
 
 # Fraction of the Gaussians that must lie within ten times the extent of the cameras and seed points. Trainers leave a
 # few far floaters; a splat in another unit or frame lies elsewhere altogether.
@@ -30,7 +31,7 @@ class SplatEstimate:
     """A splat in the frame of the given poses, as a PLY file and as values."""
 
     ply: bytes
-    gaussians: Gaussians
+    gaussians: GaussianSplat
     made_by: ModelIdentity
 
 
@@ -68,7 +69,7 @@ class SplatRenderer(Protocol):
         """Render a splat from a camera. ``size`` is the width and height [px]."""
 
 
-def parse_splat(data: bytes) -> Gaussians:
+def parse_splat(data: bytes) -> GaussianSplat:
     """Return the Gaussians of a PLY file.
 
     Raises:

@@ -15,7 +15,14 @@ from simfoundry.spec.check.frames import check_frames
 from simfoundry.spec.check.names import SceneNames, asset_in
 from simfoundry.spec.check.outliers import check_scene_outliers
 from simfoundry.spec.check.plausible import check_camera, check_friction, check_gravity, check_size
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, PANORAMA_SUFFIXES, is_document, packaged_model
+from simfoundry.spec.files import (
+    ASSET_SUFFIX,
+    MESH_SUFFIXES,
+    PANORAMA_SUFFIXES,
+    SPLAT_SUFFIXES,
+    is_document,
+    packaged_model,
+)
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
@@ -73,7 +80,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
         c.name(spec.viewpoint, [*c.names("cameras"), *names.robots], ("viewpoint",), "camera or robot")
     if spec.background is not None:
         c.file(spec.background.mesh, ("background", "mesh"), MESH_SUFFIXES)
-        c.file(spec.background.splat, ("background", "splat"), (".ply",))
+        c.file(spec.background.splat, ("background", "splat"), SPLAT_SUFFIXES)
     check_pairs(c, spec.no_contact, partial(names.check_part, c))
     _relations(c, names, spec)
 

@@ -16,6 +16,7 @@ from simfoundry.spec.files import (
     ASSET_SUFFIX,
     MESH_SUFFIXES,
     PANORAMA_SUFFIXES,
+    SPLAT_SUFFIXES,
     TEXTURE_SUFFIXES,
     FileError,
     Loaded,
@@ -170,6 +171,6 @@ def _suffixes(field: VariedField) -> tuple[str, ...]:
         "mesh": MESH_SUFFIXES,
         "visual": MESH_SUFFIXES,
         "asset": (*MESH_SUFFIXES, ASSET_SUFFIX),
-        "splat": (".ply",),
+        "splat": SPLAT_SUFFIXES,
     }
     return by_key.get(path[-1], ())

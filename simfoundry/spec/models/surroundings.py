@@ -103,7 +103,9 @@ class BackgroundSpec(Model):
     """The visual surroundings of the scene. Nothing collides with them."""
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
-    splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
+    splat: FileName | None = Field(
+        None, description="A 3D Gaussian splat (.ply, .spz, .glb, .usd), relative to this document."
+    )
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the world.")
     scale: Positive = Field(1.0, description="Length of one unit in the file [m].")
 

@@ -14,6 +14,7 @@ from simfoundry.render.shading import encode_srgb
 from simfoundry.render.views import default_orbit, framing
 from simfoundry.scene.model import LightType
 from simfoundry.scene.object_shapes import world_bounds
+from simfoundry.splats.harmonics import SH0
 from simfoundry.studio.view.contents import (
     CloudContent,
     FrameContent,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from viser import SceneApi, ViserServer
 
     from simfoundry.scene.model import Scene
-    from simfoundry.scene.model import Splat as Gaussians
+    from simfoundry.splats.gaussians import GaussianSplat
 
 # Intensity of a light in the browser that fully lights a white surface, which reflects 1 / pi of what reaches it.
 FULLY_LIT = math.pi
@@ -219,14 +220,10 @@ def _is_same(a: Pose, b: Pose) -> bool:
     return a is b or (a.p.tolist() == b.p.tolist() and a.q.tolist() == b.q.tolist())
 
 
-# Factor of the constant spherical harmonic, 1 / (2 sqrt(pi)).
-_SH0 = 0.28209479177387814
-
-
-def _splat_arrays(gaussians: Gaussians) -> tuple[Any, Any, Any, Any]:
+def _splat_arrays(gaussians: GaussianSplat) -> tuple[Any, Any, Any, Any]:
     """Return the centers (n, 3), covariances (n, 3, 3), colors (n, 3) and opacities (n, 1) of a splat."""
     axes = rotations(gaussians.rotations.astype(np.float64)) * gaussians.scales[:, None, :]
-    colors = np.clip(gaussians.harmonics[:, 0] * _SH0 + 0.5, 0.0, 1.0)
+    colors = np.clip(gaussians.harmonics[:, 0] * SH0 + 0.5, 0.0, 1.0)
     return gaussians.positions, axes @ axes.transpose(0, 2, 1), colors, gaussians.opacities[:, None]
 
 
