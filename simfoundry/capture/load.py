@@ -55,12 +55,23 @@ def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
         SpecError: The frame cannot be used. The error contains all findings.
     """
     assert isinstance(loaded.spec, CaptureSpec)
+    name = checked_frame_name(loaded, name)
+    return _Reader(loaded, ("frames", name), loaded.spec.frames[name]).frame()
+
+
+def checked_frame_name(loaded: Loaded, name: str | None = None) -> str:
+    """Return the name of a frame of a capture document. The default is the first frame.
+
+    Raises:
+        SpecError: The capture has no such frame.
+    """
+    assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
     name = name or next(iter(frames))
     if name not in frames:
         message = f"the capture has no frame `{name}`"
         raise SpecError([loaded.finding("SF201", ("frames",), message, nearest(name, frames))])
-    return _Reader(loaded, ("frames", name), frames[name]).frame()
+    return name
 
 
 @dataclass

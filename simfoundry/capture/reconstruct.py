@@ -1,4 +1,4 @@
-"""Reconstruct a scene spec with meshes from a single frame, in a sequence of pure stages."""
+"""Fit a solid to each segment of an image, and change the scene that was reconstructed from them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.capture import describe
-from simfoundry.capture.describe import SUPPORT_NAME, kind_of, mesh_files
-from simfoundry.capture.findings import LEFT_OUT, NOT_FOLLOWED, CaptureFinding
+from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.findings import LEFT_OUT, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.constraints import without_occluders
-from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
-from simfoundry.spec.models.base import Material
-from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.models.surroundings import LightSpec
 
 Progress = Callable[[str, float], None]
 
@@ -44,53 +37,6 @@ class Reconstruction:
     names: dict[str, int]
     shapes: dict[str, FittedShape]
     findings: tuple[CaptureFinding, ...] = ()
-
-
-def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progress: Progress) -> Reconstruction:
-    """Reconstruct a scene spec called ``name`` from a single image.
-
-    ``given_names`` maps object names to their numbers in ``frame.instances``.
-
-    Raises:
-        CaptureError: No support or no object is found in the image.
-    """
-    progress("support", 0.0)
-    support = find_support(frame)
-    progress("objects", 0.1)
-    segmentation = decompose(frame, support)
-    labels = segmentation.labels
-    shapes, carriers, findings = fit_segments(
-        frame, support, segmentation, lambda stage, share: progress(stage, 0.3 + 0.4 * share)
-    )
-    if not shapes:
-        raise CaptureError("SF504", "could not fit any object", "; ".join(f.message for f in findings))
-    findings = (*(CaptureFinding(NOT_FOLLOWED, unmet, CONSTRAINT_HINT) for unmet in segmentation.unmet), *findings)
-    names = _names(frame, segmentation, shapes, given_names)
-    grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
-    support = replace(support, outline=beneath(support.outline, grounded))
-    measured = measured_thickness(frame, support)
-    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, labels, measured or DEFAULT_THICKNESS))
-    objects = {SUPPORT_NAME: describe.support_spec(name, support, measured)}
-    for done, (k, shape) in enumerate(shapes.items()):
-        progress(names[k], 0.7 + 0.3 * done / len(shapes))
-        files |= mesh_files(names[k], textured_mesh(shape, frame, support, labels == k))
-        objects[names[k]] = describe.object_spec(name, names[k], shape, k)
-    priors = [describe.SUPPORT, *(describe.TABLE[kind_of(shape)] for shape in shapes.values())]
-    key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
-    spec = SceneSpec(
-        simfoundry="scene/1",
-        name=name,
-        viewpoint="view",
-        materials={prior.name: Material(density=prior.density, friction=prior.friction) for prior in priors},
-        objects=objects,
-        cameras={"view": describe.camera_spec(frame, support)},
-        lights={"key": key_light, "sky": LightSpec(type="dome", intensity=0.7)},
-        relations=tuple(f"OnTop({names[k]}, {names.get(carriers[k], SUPPORT_NAME)})" for k in shapes),
-        origin=Origin(capture=name, fit_error=describe.meters(support.residual)),
-    )
-    numbers = {name: k for k, name in names.items()}
-    fitted = {names[k]: shape for k, shape in shapes.items()}
-    return Reconstruction(spec, files, support, segmentation, numbers, fitted, findings)
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
@@ -134,28 +80,12 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
     return spec.model_copy(update={"relations": tuple(relations)})
 
 
-def _names(
-    frame: Frame, segmentation: Segmentation, shapes: dict[int, FittedShape], given: Mapping[str, int]
-) -> dict[int, str]:
-    """Name every object.
+# Fits one segment, given the image, its pixels, the height [m] of what it stands on, what is around it, and its number.
+SegmentFit = Callable[[Frame, Mask, float, Labels, int], FittedShape]
 
-    An object is named after its name in the capture or, if there is none, after its color and shape.
-    """
-    labels = segmentation.labels
-    wanted: dict[int, str] = {}
-    if frame.instances is not None:
-        for name, number in given.items():
-            covered = labels[(frame.instances == number) & (labels > 0)]
-            if len(covered):
-                wanted[int(np.bincount(covered).argmax())] = name
-    wanted |= {k: name for name, k in segmentation.pieces.items()}
-    for k, shape in shapes.items():
-        color = describe.color_word(dominant_color(frame, labels == k))
-        wanted.setdefault(k, f"{color}_{kind_of(shape)}")
-    return dict(zip(shapes, describe.unique_names(wanted[k] for k in shapes), strict=True))
-
-
-CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
+# Least reach [px] around an object within which other objects matter to its fit: several times the margin of 6 pixels
+# that rays have around the smallest object.
+REACH_PX = 32
 
 LEFT_OUT_HINT = "move the camera closer, state the division under `decomposition`, or add the object by hand"
 
@@ -174,9 +104,15 @@ EDGE = 0.01  # Distance [m] past the edge of a support within which points still
 
 
 def fit_segments(
-    frame: Frame, support: SupportSurface, segmentation: Segmentation, report: Progress
+    frame: Frame,
+    support: SupportSurface,
+    segmentation: Segmentation,
+    report: Progress,
+    fit: SegmentFit | None = None,
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
     """Fit a shape to every segment, from the bottom up.
+
+    ``fit`` fits one segment, for example by reusing an earlier result. The default is :func:`fit_shape`.
 
     Returns:
         The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a finding
@@ -192,7 +128,12 @@ def fit_segments(
         base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
         try:
             seen = without_occluders(frame, segmentation, k)
-            shape = fit_shape(seen, support, segmentation.labels == k, base_z, labels=segmentation.labels)
+            mask, others = segmentation.labels == k, nearby_labels(segmentation.labels, k)
+            shape = (
+                fit_shape(seen, support, mask, base_z, labels=others)
+                if fit is None
+                else fit(seen, mask, base_z, others, k)
+            )
         except CaptureError as error:
             findings.append(left_out(segmentation, k, error.message))
             continue
@@ -204,6 +145,27 @@ def fit_segments(
         if carriers[k]:
             shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
     return dict(sorted(shapes.items())), carriers, tuple(findings)
+
+
+def nearby_labels(labels: Labels, k: int) -> Labels:
+    """Return what object ``k`` has around it, whatever the numbers of the objects are.
+
+    Only this much of the segmentation influences the fit of an object, so that its result can be reused if objects
+    elsewhere change.
+
+    Returns:
+        1 at the pixels of the object, 2 at those of others within as many pixels as the object is wide or high (but at
+        least 32), and otherwise 0. The shape is (h, w).
+    """
+    rows, columns = np.nonzero(labels == k)
+    out = np.zeros(labels.shape, np.int32)
+    if not len(rows):
+        return out
+    reach = max(REACH_PX, int(max(np.ptp(rows), np.ptp(columns))))
+    top, left = max(0, int(rows.min()) - reach), max(0, int(columns.min()) - reach)
+    window = np.s_[top : int(rows.max()) + reach + 1, left : int(columns.max()) + reach + 1]
+    out[window] = np.where(labels[window] == k, 1, np.where(labels[window] > 0, 2, 0))
+    return out
 
 
 def left_out(segmentation: Segmentation, k: int, reason: str, name: str = "") -> CaptureFinding:

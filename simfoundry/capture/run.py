@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.load import checked_frame_name, load_frame, open_capture
+from simfoundry.capture.output_folder import (
+    REPORT,
+    STAGES_FOLDER,
+    ensure_output_replaceable,
+    stage_store,
+    staged_output,
+)
 from simfoundry.capture.overlay import SEGMENTS, segment_image
-from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
-from simfoundry.errors import OutputError
-from simfoundry.runtime.files import ensure_folder_replaceable, file_digests, staged, write_file
+from simfoundry.capture.pipeline import reconstruct
+from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports, without
+from simfoundry.capture.stages.runner import StageResult, StageRunner, StageState
+from simfoundry.capture.stages.status import StageStatus, last_names, listed_states, read_source, write_source
+from simfoundry.capture.stages.store import StageStore
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.files import file_digests, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
-from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.capture import CaptureSpec
@@ -38,7 +53,8 @@ class CaptureRun:
     """The result of a capture.
 
     It consists of the scene document and a report that describes how well the scene fits and settles. ``findings``
-    lists what is doubtful about the scene, including what the caller accepts.
+    lists what is doubtful about the scene, including what the caller accepts. ``states`` tells which stages ran, by
+    stage and object.
     """
 
     document: Loaded
@@ -46,7 +62,8 @@ class CaptureRun:
     reconstruction: Reconstruction
     settled: SettleResult
     report: dict[str, Any]
-    findings: tuple[CaptureFinding, ...] = ()
+    findings: tuple[CaptureFinding, ...]
+    states: dict[tuple[str, str], StageState]
 
 
 def run_capture(
@@ -57,12 +74,17 @@ def run_capture(
     cache: Cache | None = None,
     force: bool = False,
     accepted: Collection[str] = (),
+    redo_from: str | None = None,
+    only: Collection[str] = (),
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
     ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
     end, so a failed run leaves it unchanged. Identical inputs produce identical bytes. ``accepted`` contains the
     codes of findings that do not keep the scene from passing.
+
+    Stages whose inputs have not changed since the last run to ``out`` are not run again. ``redo_from`` names the first
+    stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
 
     Raises:
         SpecError: The capture is unusable. The error contains all findings.
@@ -71,37 +93,82 @@ def run_capture(
     """
     loaded = open_capture(path)
     folder = out.resolve()
-    _ensure_replaceable(folder, loaded.path, force)
+    ensure_output_replaceable(folder, loaded.path, force)
     assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
-    frame_name = frame_name or next(iter(frames))
-    frame = load_frame(loaded, frame_name)
+    frame_name = checked_frame_name(loaded, frame_name)
     name = loaded.spec.name if len(frames) == 1 else f"{loaded.spec.name}_{frame_name}"
     masks = frames[frame_name].masks
     scene_name = f"{name}.scene.yaml"
     try:
-        given = masks.names if masks is not None else {}
-        built = reconstruct(name, frame, given, lambda stage, share: progress(stage, 0.6 * share))
-        with staged(folder) as staging:
-            built, scene, settled = _settled(built, staging / scene_name, cache, progress)
-            progress("pictures", 0.95)
-            _pictures(built, frame, scene, settled, staging)
-            write_file(staging / SEGMENTS, segment_image(built.segmentation.labels))
-            findings = ordered_findings((*built.findings, *_restless(settled)))
-            report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
-            report["files"] = file_digests(staging)
-            write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
+        with stage_store(folder) as store:
+            write_source(store.folder, loaded.path, frame_name)
+            stages = StageRunner(store, redo_from or ("shape" if only else None), labels_of(store.folder, only))
+            source = load_stage(loaded, frame_name, stages)
+            given = masks.names if masks is not None else {}
+            built = reconstruct(name, source, given, lambda stage, share: progress(stage, 0.6 * share), stages)
+            with staged_output(folder) as staging:
+                built, scene, settled = _settled(built, staging / scene_name, cache, progress)
+                progress("pictures", 0.95)
+                _pictures(built, source.value, scene, settled, staging)
+                write_file(staging / SEGMENTS, segment_image(built.segmentation.labels))
+                findings = ordered_findings((*built.findings, *_restless(settled)))
+                report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
+                report["files"] = file_digests(staging)
+                write_file(staging / REPORT, (json.dumps(report, indent=2) + "\n").encode())
+                store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(loaded, out / scene_name, built, settled, report, findings)
+    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states)
 
 
-def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
-    """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or the user's own files."""
-    if document.resolve().is_relative_to(out):
-        raise OutputError(f"{out} contains the capture itself; choose another output folder")
-    if not force:
-        ensure_folder_replaceable(out, "report.json")
+def labels_of(folder: Path, names: Collection[str]) -> tuple[str, ...]:
+    """Return the labels of the objects that the last run called ``names``.
+
+    Raises:
+        SimfoundryError: There is no such object.
+    """
+    numbers = {name: str(k) for k, name in last_names(folder).items()} | {SUPPORT_NAME: SUPPORT_NAME}
+    for name in names:
+        if name not in numbers:
+            raise SimfoundryError(f"the last run has no object `{name}`; {nearest(name, numbers)}")
+    return tuple(numbers[name] for name in names)
+
+
+def examine(out: Path) -> list[StageStatus]:
+    """Return which stages of the output folder ``out`` a new run would reuse, and which ones it would run again.
+
+    Raises:
+        SimfoundryError: ``out`` was not written by a capture, or the capture is unusable.
+    """
+    folder = out.resolve() / STAGES_FOLDER
+    document, frame_name = read_source(folder)
+    loaded = open_capture(document)
+    assert isinstance(loaded.spec, CaptureSpec)
+    frame_name = checked_frame_name(loaded, frame_name)
+    masks = loaded.spec.frames[frame_name].masks
+    stages = StageRunner(StageStore(folder), examine=True)
+    with suppress(CaptureError):
+        source = load_stage(loaded, frame_name, stages)
+        given = masks.names if masks is not None else {}
+        reconstruct(loaded.spec.name, source, given, lambda stage, share: None, stages)
+    return listed_states(stages.states, {str(k): name for k, name in last_names(folder).items()})
+
+
+def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
+    """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed."""
+    assert isinstance(loaded.spec, CaptureSpec)
+    shot = loaded.spec.frames[frame_name]
+    inputs = {"frame": shot.model_dump_json()}
+    images = [shot.color, shot.depth.image, *([shot.masks.image] if shot.masks is not None else [])]
+    for image in images:
+        try:
+            inputs[image] = hashlib.sha256(loaded.file(image).read_bytes()).hexdigest()
+        except OSError:
+            inputs[image] = ""  # reported by the stage
+    read = partial(load_frame, loaded, frame_name)
+    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None), quick=True)
+    return replace(result, value=replace(result.value, decomposition=shot.decomposition))
 
 
 def _settled(

@@ -8,24 +8,62 @@ from typing import Any
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, option
+from simfoundry.cli.options import ANY, FOLDER, NEW_FILE, NEW_FOLDER, option
 from simfoundry.cli.scenes import settle_table
 
 
-@output.subcommand()
+@output.subcommand("status")
+@click.argument("out", type=FOLDER)
+def status_command(out: Path, as_json: bool) -> int:
+    """Tell which stages of a reconstruction are cached and which are stale.
+
+    OUT is the output folder of `simfoundry capture`. A new run reuses the results of cached stages and runs stale ones
+    again. The exit code is 1 if anything is stale.
+    """
+    from simfoundry.capture.run import examine
+
+    states = examine(out)
+    lines = [f"{s.stage:<10}{s.object:<22}{s.state}" for s in states]
+    output.print_result(as_json, {"stages": [s.to_json() for s in states]}, "\n".join(lines))
+    return output.FINDINGS if any(s.state == "stale" for s in states) else output.DONE
+
+
+class _WithStatus(click.Command):
+    """A command that runs ``status`` if this is its first argument."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        if args[:1] == ["status"]:
+            return status_command.make_context(f"{info_name} status", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@output.subcommand(cls=_WithStatus)
 @click.argument("capture", type=ANY)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder for the scene. Default: build/<capture name>.")
 @click.option("--frame", help="Name of the frame to reconstruct. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
+@click.option("--from", "redo_from", metavar="STAGE", help="Run this stage and the later ones again, even if cached.")
+@click.option("--only", multiple=True, metavar="OBJECT", help="Run stages again only for this object. Repeatable.")
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 def capture_command(
-    capture: Path, out: Path | None, frame: str | None, force: bool, codes: tuple[str, ...], as_json: bool
+    capture: Path,
+    out: Path | None,
+    frame: str | None,
+    force: bool,
+    redo_from: str | None,
+    only: tuple[str, ...],
+    codes: tuple[str, ...],
+    as_json: bool,
 ) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
     Writes NAME.scene.yaml, meshes/, report.json, compare.png and segments.png. If anything about the scene is doubtful,
     such as an object that was left out or did not settle well, the scene is written all the same, the findings are
     printed and added to the report, and the exit code is 1. `--accept` goes on without the findings of one code.
+
+    A new run repeats only what depends on what has changed. `simfoundry capture status OUT` lists the stages.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes
@@ -37,10 +75,11 @@ def capture_command(
     is_named = capture.is_file() and capture.name != "capture.yaml"
     target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
     with output.progress_bar(as_json) as progress:
-        run = run_capture(capture, target, frame, progress, Cache.default(), force, accepted)
+        run = run_capture(capture, target, frame, progress, Cache.default(), force, accepted, redo_from, only)
     verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:
-        output.print_json({"scene": str(run.scene_file), **run.report})
+        stages = [{"stage": name, "object": label, "state": state} for (name, label), state in run.states.items()]
+        output.print_json({"scene": str(run.scene_file), **run.report, "stages": stages})
         return verdict
     click.echo(settle_table(run.settled.objects))
     for finding in run.findings:

@@ -71,7 +71,11 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
 
 
 def subcommand(
-    name: str | None = None, *, as_json: bool = True, force: bool = False
+    name: str | None = None,
+    *,
+    as_json: bool = True,
+    force: bool = False,
+    cls: type[click.Command] = click.Command,
 ) -> Callable[[Callable[..., int | None]], click.Command]:
     """Convert a function to a command that reports errors.
 
@@ -79,6 +83,7 @@ def subcommand(
         name: Name of the command; defaults to the name of the function.
         as_json: Whether to add the ``--json`` option after the command's own options.
         force: Whether to add the ``--force`` option after the command's own options.
+        cls: Class of the command.
     """
 
     def decorate(function: Callable[..., int | None]) -> click.Command:
@@ -88,7 +93,7 @@ def subcommand(
         for option in [json_option] * as_json + [force_option] * force:
             wrapped = option(wrapped)
         wrapped.__click_params__ += own  # click reverses the list, so the first entry is shown last in the help
-        return click.command(name)(wrapped)
+        return click.command(name, cls=cls)(wrapped)
 
     return decorate
 

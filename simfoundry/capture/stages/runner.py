@@ -1,0 +1,88 @@
+"""Run stages, or reuse their earlier results if what they depend on has not changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Generic, Literal, TypeVar
+
+from simfoundry.assets.cache import key_of
+from simfoundry.capture.frame import CaptureError
+from simfoundry.capture.stages.stage import STAGES, stage_index
+from simfoundry.capture.stages.store import StageStore, encoded
+
+T = TypeVar("T")
+
+StageState = Literal["ran", "cached", "stale"]
+
+
+class StaleStageError(CaptureError):
+    """Raised for a result that is out of date, by a runner that only examines."""
+
+    def __init__(self, stage: str, label: str) -> None:
+        super().__init__("SF505", f"the stage `{stage}` is out of date {label}".strip(), "")
+
+
+@dataclass(frozen=True, eq=False)
+class StageResult(Generic[T]):
+    """A result of a stage, and the digest of its content, which the keys of later stages contain."""
+
+    value: T
+    digest: str
+
+
+@dataclass
+class StageRunner:
+    """Runs stages and reuses their earlier results.
+
+    Attributes:
+        store: Where results are kept, or None to keep nothing.
+        redo_from: Name of the first stage that is run again although nothing has changed, or None.
+        only: Objects, by their labels, for which stages are run again. Empty: all.
+        examine: True to run and write nothing: :class:`StaleStageError` is raised instead.
+        states: What happened in each stage, by stage and label.
+    """
+
+    store: StageStore | None = None
+    redo_from: str | None = None
+    only: Collection[str] = ()
+    examine: bool = False
+    states: dict[tuple[str, str], StageState] = field(default_factory=dict)
+
+    def run(
+        self, name: str, inputs: Mapping[str, str], compute: Callable[[], T], label: str = "", quick: bool = False
+    ) -> StageResult[T]:
+        """Return the result of the stage ``name``, reusing an earlier one with equal inputs.
+
+        Args:
+            name: Name of the stage.
+            inputs: Digests, or short texts, of everything that the result depends on.
+            compute: Computes the result.
+            label: The object, for a stage that runs once for each object.
+            quick: True if the result takes so little time that a runner that only examines computes it too.
+
+        Raises:
+            StaleStageError: The runner only examines, and there is no earlier result with equal inputs.
+        """
+        stage = STAGES[stage_index(name)]
+        key = key_of(stage.name, stage.version, json.dumps(dict(inputs), sort_keys=True))
+        found = None if self.store is None or self._is_redone(name, label) else self.store.find(key)
+        if found is not None:
+            self.states[name, label] = "cached"
+            return StageResult(*found)
+        if self.examine:
+            self.states[name, label] = "stale"
+            if not quick:
+                raise StaleStageError(name, label)
+            value = compute()
+            return StageResult(value, encoded(value)[2])
+        value = compute()
+        self.states[name, label] = "ran"
+        digest = key if self.store is None else self.store.write(stage, label, key, inputs, value)
+        return StageResult(value, digest)
+
+    def _is_redone(self, name: str, label: str) -> bool:
+        if self.redo_from is None or stage_index(name) < stage_index(self.redo_from):
+            return False
+        return not self.only or label in self.only

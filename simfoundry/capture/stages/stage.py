@@ -1,0 +1,79 @@
+"""The stages of a reconstruction, in order, with the code that each of them consists of."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import simfoundry
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import nearest
+
+_CAPTURE = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a reconstruction.
+
+    Attributes:
+        name: Name of the stage, by which commands refer to it.
+        task: The task of the stage, as it is shown to people.
+        modules: Files and folders below ``simfoundry/capture`` that the stage consists of.
+        per_object: True if the stage runs once for each object, so that one object can be redone alone.
+    """
+
+    name: str
+    task: str
+    modules: tuple[str, ...]
+    per_object: bool = False
+
+    @property
+    def version(self) -> str:
+        """The version of the stage, as 12 hex digits: results of another version of its code are stale."""
+        return _code_digest(self.modules)
+
+
+# Each stage may use the results of those above it. The order is that in which they run and are listed.
+STAGES = (
+    Stage("frames", "reads and checks the images, and registers the depth to the color image", ("load.py", "frame.py")),
+    Stage("support", "finds the plane that supports the objects, its outline, and the world frame", ("segment",)),
+    Stage("segment", "finds the pixels of each object, and which object stands on which", ("segment",)),
+    Stage(
+        "shape",
+        "fits a solid to each object: its geometry and its pose",
+        ("shapes", "reconstruct.py", "segment/constraints.py"),
+        per_object=True,
+    ),
+    Stage(
+        "texture",
+        "takes the colors of each object and of the support from the image",
+        ("shapes/texture.py", "support_object.py"),
+        per_object=True,
+    ),
+    Stage("name", "names each object after the capture, or after its color and shape", ("describe.py",)),
+)
+STAGE_NAMES = tuple(stage.name for stage in STAGES)
+
+
+def stage_index(name: str) -> int:
+    """Return the position of the stage called ``name``.
+
+    Raises:
+        SimfoundryError: There is no such stage.
+    """
+    if name not in STAGE_NAMES:
+        raise SimfoundryError(f"there is no stage `{name}`; {nearest(name, STAGE_NAMES)}")
+    return STAGE_NAMES.index(name)
+
+
+@cache
+def _code_digest(modules: tuple[str, ...]) -> str:
+    h = hashlib.sha256(simfoundry.__version__.encode())
+    for module in modules:
+        path = _CAPTURE / module
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            h.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    return h.hexdigest()[:12]
