@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, Scale, implausible_size, too_large
 from simfoundry.assets.mass import Array, Faces
@@ -195,13 +196,30 @@ def merged(parts: Sequence[MeshPart]) -> tuple[Array, Faces]:
 
 def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Merge coincident vertices (for example, at texture seams), and remove degenerate faces and unused vertices."""
-    tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
-    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    joined = inverse.reshape(-1)[faces]
+    first, place = _places(vertices)
+    joined = place[faces]
     proper = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
     used, corners = np.unique(joined[proper], return_inverse=True)
     return vertices[first][used], corners.reshape(-1, 3).astype(np.int32)
+
+
+def adjacent_faces(vertices: Array, faces: Faces) -> NDArray[np.int64]:
+    """Return the pairs of faces that share an edge, whose vertices may only coincide, as an array of shape (n, 2)."""
+    joined = _places(vertices)[1][faces]
+    edges = np.sort(joined[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort((owner, edges[:, 1], edges[:, 0]))
+    edges, owner = edges[order], owner[order]
+    same = (edges[1:] == edges[:-1]).all(axis=1)
+    return np.column_stack([owner[:-1][same], owner[1:][same]])
+
+
+def _places(vertices: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first vertex at each place, and the number of the place of each vertex."""
+    tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
+    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return first.astype(np.int64), inverse.reshape(-1).astype(np.int64)
 
 
 def open_edges(faces: Faces) -> int:

@@ -1,4 +1,4 @@
-"""Commands that reconstruct from images: ``capture``, ``articulate``, ``demo``."""
+"""Commands that reconstruct from images: ``capture``, ``demo``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, FOLDER, NEW_FILE, NEW_FOLDER, option
+from simfoundry.cli.options import ANY, FOLDER, NEW_FOLDER, option
 from simfoundry.cli.scenes import settle_table
 
 
@@ -86,27 +86,6 @@ def capture_command(
         click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))
     click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'compare.png'}")
     return verdict
-
-
-@output.subcommand(force=True)
-@click.argument("shut", type=ANY)
-@click.argument("opened", type=ANY)
-@click.option("-o", "--out", type=NEW_FILE, required=True, help="Write the asset to this file, NAME.asset.yaml.")
-@click.option("--frame", help="Name of the frame in both captures. Default: the first.")
-def articulate_command(shut: Path, opened: Path, out: Path, frame: str | None, force: bool, as_json: bool) -> int:
-    """Find the joint of a drawer, a door or a lid from two captures, shut and opened, and write it as an asset.
-
-    The camera must stay where it is between the captures, or each states its `pose`. The picture beside the asset shows
-    the part in both images. The exit code is 1 if the joint is doubtful; a person's values in the asset always win.
-    """
-    from simfoundry.capture.articulation.run import articulate, picture_of
-
-    for path in (out, picture_of(out)):
-        output.protect_output(path, [shut, opened], force)
-    with output.progress_bar(as_json) as progress:
-        found = articulate(shut, opened, out, frame, progress)
-    output.print_result(as_json, found.to_json(), found.summary())
-    return output.FINDINGS if found.doubt else output.DONE
 
 
 @output.subcommand()

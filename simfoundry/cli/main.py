@@ -18,7 +18,10 @@ gc.set_threshold(100_000)  # there are tens of thousands of long-lived objects, 
 
 # The module that defines each command, and a summary of the command.
 COMMANDS = {
-    "articulate": ("capture", "Find the joint of a drawer, a door or a lid from two captures, as an asset."),
+    "articulate": (
+        "articulate",
+        "Find the joints of drawers, doors and lids in two captures or a mesh.",
+    ),
     "augment": ("data", "Generate demonstrations from recorded ones, in other states, scenes and tasks."),
     "capture": ("capture", "Turn a capture folder into a scene."),
     "check": ("documents", "Check documents and show every finding with its location."),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from simfoundry.models.client import ModelClient
 from simfoundry.models.contract import ModelError
 from simfoundry.models.offline import OfflineDepth, OfflineImages, OfflineMasks, OfflineMeshes
+from simfoundry.models.provenance import provider_identity, require_commercial
 from simfoundry.models.setup import ModelSetup, variable
 from simfoundry.models.tasks.depth import BundleDepth, DepthCompletionModel, DepthModel, MultiviewModel, StereoModel
 from simfoundry.models.tasks.images import BundleImages, ImageEditingModel, InpaintingModel, VideoInpaintingModel
@@ -17,6 +18,9 @@ from simfoundry.models.tasks.poses import BundlePoses, PoseModel
 from simfoundry.models.tasks.scenes import BundleScenes, SceneModel
 from simfoundry.models.tasks.splats import BundleSplats, SplatModel, SplatRenderer
 from simfoundry.spec.project import MARKER
+
+if TYPE_CHECKING:
+    from simfoundry.models.vlm import Vlm
 
 # The client of each task.
 _CLIENTS: Mapping[str, Callable[[ModelClient], Any]] = {
@@ -40,12 +44,16 @@ OFFLINE: Mapping[str, tuple[Callable[[], Any], str]] = {
     "parts": (OfflineMeshes, "pieces that are not connected"),
 }
 
+# The tasks that a provider's vision-language model can solve.
+VLM_TASKS = ("read_scene", "articulate")
+
 # What does the work of the other tasks without a model, as advice.
 ADVICE: Mapping[str, str] = {
     "depth": "use a capture with measured depth or a stereo pair",
     "multiview": "use a capture with measured depth",
     "mesh": "`simfoundry capture` fits shapes to measured depth without a model",
     "pose": "`simfoundry capture` fits poses to measured depth without a model",
+    "articulate": "state joints with `simfoundry articulate MESH --joint`",
     "read_scene": "`simfoundry capture` names objects by color and shape without a model",
 }
 
@@ -101,9 +109,32 @@ def open_model(setup: ModelSetup, task: str) -> Any:
         )
     if source.vlm is not None:
         if task != "read_scene":
-            raise ModelError(f"`vlm` can be configured for `read_scene` only, not for `{task}`")
-        from simfoundry.models.vlm import Vlm
+            hint = "; `simfoundry articulate MESH` uses it" if task in VLM_TASKS else ""
+            raise ModelError(f"`vlm` can be configured for {' and '.join(VLM_TASKS)} only, not for `{task}`{hint}")
         from simfoundry.models.vlm_scenes import VlmScenes
 
-        return VlmScenes(Vlm(source.vlm), setup.commercial_only, setup.accepted)
+        vlm = open_provider(setup, task)
+        assert vlm is not None
+        return VlmScenes(vlm)
     return _CLIENTS[task](setup.client(task))
+
+
+def open_provider(setup: ModelSetup, task: str) -> Vlm | None:
+    """Return the vision-language model of a provider that is configured for a task, or None if there is none.
+
+    Raises:
+        ModelError: If it cannot be used, or may not be used commercially although this is required; such models need an
+            entry in `accepted`.
+    """
+    source = setup.source(task)
+    if source is None or source.vlm is None:
+        return None
+    from simfoundry.models.vlm import Vlm, VlmError
+
+    try:
+        vlm = Vlm(source.vlm)
+    except VlmError as error:
+        raise ModelError(str(error)) from None
+    if setup.commercial_only and vlm.name not in setup.accepted:
+        require_commercial(provider_identity(vlm.name), setup.accepted)
+    return vlm

@@ -36,6 +36,16 @@ class ModelIdentity(BaseModel):
         return self.model_dump(exclude_none=True)
 
 
+def provider_identity(name: str) -> ModelIdentity:
+    """Return the identity of a provider's model.
+
+    Providers do not state versions of weights, and their terms of use are not in the table of licences.
+    """
+    entry = find_licence(name)
+    licence = "terms of the provider" if entry is None else entry.weights
+    return ModelIdentity(name=name, version="as served", licence=licence)
+
+
 def model_use(task: str, identity: ModelIdentity) -> ModelUse:
     """Return the entry of a document's `origin` that states which model solved a task."""
     return ModelUse(

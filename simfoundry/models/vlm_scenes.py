@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from simfoundry.models.contract import ConventionError, ModelError
-from simfoundry.models.provenance import ModelIdentity, find_licence, require_commercial
+from simfoundry.models.provenance import ModelIdentity, provider_identity
 from simfoundry.models.tasks.depth import Pixels
 from simfoundry.models.tasks.images import encoded_image
 from simfoundry.models.tasks.scenes import SceneEstimate, SceneReading, check_boxes
@@ -20,25 +20,20 @@ stands on, or an empty text if it stands on the support itself. Leave out the su
 class VlmScenes:
     """A vision-language model that lists the objects of an image; see :class:`SceneModel`."""
 
-    def __init__(self, vlm: Vlm, commercial_only: bool = False, accepted: tuple[str, ...] = ()) -> None:
-        self._vlm, self._commercial_only, self._accepted = vlm, commercial_only, accepted
+    def __init__(self, vlm: Vlm) -> None:
+        self._vlm = vlm
 
     @property
     def identity(self) -> ModelIdentity:
-        """The model. Providers do not state versions of weights, and their terms of use are not in the table."""
-        entry = find_licence(self._vlm.name)
-        licence = "terms of the provider" if entry is None else entry.weights
-        return ModelIdentity(name=self._vlm.name, version="as served", licence=licence)
+        """The model."""
+        return provider_identity(self._vlm.name)
 
     def read_scene(self, image: Pixels) -> SceneEstimate:
         """List the objects on the support in an RGB image, shape (H, W, 3).
 
         Raises:
-            ModelError: If the model returns no usable answer, or if it may not be used commercially although this is
-                required. Providers' models need an entry in `accepted`.
+            ModelError: If the model returns no usable answer.
         """
-        if self._commercial_only and self.identity.name not in self._accepted:
-            require_commercial(self.identity, self._accepted)
         height, width = image.shape[:2]
         try:
             reading = self._vlm.ask(PROMPT.format(width=width, height=height), [encoded_image(image)], SceneReading)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,10 +17,10 @@ from simfoundry.models.vlm_scenes import VlmScenes
 from tests.models.test_tasks import FRAMES
 
 
-def _reader(box: list[float], **options: Any) -> VlmScenes:
+def _reader(box: list[float]) -> VlmScenes:
     seen = {"phrase": "blue mug", "category": "mug", "material": "ceramic", "box": box, "mass": 0.3}
     answer = {"objects": [seen], "support": "desk"}
-    return VlmScenes(Vlm(TestModel(custom_output_args=answer), mode="tool"), **options)
+    return VlmScenes(Vlm(TestModel(custom_output_args=answer), mode="tool"))
 
 
 def test_a_scene_is_read_in_types_and_boxes_are_checked() -> None:
@@ -33,14 +32,11 @@ def test_a_scene_is_read_in_types_and_boxes_are_checked() -> None:
         _reader([333, 375, 666, 625]).read_scene(FRAMES[0])
     with pytest.raises(ModelError, match="did not return a valid response"):
         _reader([0, 0, 1]).read_scene(FRAMES[0])
-    with pytest.raises(ModelError, match="no known licence for commercial use"):
-        _reader([24, 16, 40, 32], commercial_only=True).read_scene(FRAMES[0])
-    assert _reader([24, 16, 40, 32], commercial_only=True, accepted=("test",)).read_scene(FRAMES[0])
 
 
 def test_a_provider_is_configured_for_scenes_only(tmp_path: Path) -> None:
     (tmp_path / "simfoundry.yaml").write_text("models: {tasks: {read_scene: {vlm: test}, depth: {vlm: test}}}")
     setup = load_setup(tmp_path, {})
     assert isinstance(open_model(setup, "read_scene"), VlmScenes)
-    with pytest.raises(ModelError, match="for `read_scene` only, not for `depth`"):
+    with pytest.raises(ModelError, match="for read_scene and articulate only, not for `depth`"):
         open_model(setup, "depth")

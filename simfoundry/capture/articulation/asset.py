@@ -7,6 +7,7 @@ are therefore assumptions, which the asset states.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,16 +86,16 @@ def articulated_parts(
         moving["handle"] = _box(handle[0] - at, handle[1] - at)
     if motion.kind is JointType.PRISMATIC and side == 0:
         moving |= _tray(low, panel_low - at, panel_high - at, at)
-    limits = {"limits": _numbers([0.0, motion.q])}
+    limits = {"limits": numbers([0.0, motion.q])}
     if motion.kind is JointType.REVOLUTE:
-        limits = {"limits_deg": _numbers([0.0, math.degrees(motion.q)])}
+        limits = {"limits_deg": numbers([0.0, math.degrees(motion.q)])}
     body = {"case": _case(low, high, face, side)} | _fixed_panels(low, high, panel_low, panel_high, side)
     joint = {
         "type": motion.kind.value,
         "parent": "body",
         "child": "part",
-        "pose": {"xyz": _numbers(at)},
-        "axis": _numbers(axis),
+        "pose": {"xyz": numbers(at)},
+        "axis": numbers(axis),
         **limits,
         "damping": DAMPING,
         "friction": JOINT_FRICTION[motion.kind],
@@ -133,7 +134,7 @@ def _frame(front: Array, points: Array) -> tuple[Pose, Array, Array]:
     return Pose.of(R_WA @ shift, quat_from_matrix(R_WA)), low, high
 
 
-def _numbers(values: Array | list[float]) -> tuple[float, ...]:
+def numbers(values: Array | Sequence[float]) -> tuple[float, ...]:
     """Return numbers of a document, to a hundredth of a millimeter, which is less than anything that was measured."""
     return tuple(round(float(value), 5) for value in values)
 
@@ -144,7 +145,7 @@ def _bounds(points: Array) -> tuple[Array, Array]:
 
 
 def _box(low: Array, high: Array) -> dict[str, Any]:
-    return {"shape": {"box": _numbers(high - low)}, "pose": {"xyz": _numbers((low + high) / 2)}}
+    return {"shape": {"box": numbers(high - low)}, "pose": {"xyz": numbers((low + high) / 2)}}
 
 
 def _case(low: Array, high: Array, face: float, side: int) -> dict[str, Any]:
@@ -156,12 +157,12 @@ def _case(low: Array, high: Array, face: float, side: int) -> dict[str, Any]:
     if min(size) < 3 * WALL:
         return _box(low, high)
     if side == 2:
-        return {"shape": {"open_box": {"size": _numbers(size), "wall": WALL}}, "pose": {"xyz": _numbers(middle)}}
+        return {"shape": {"open_box": {"size": numbers(size), "wall": WALL}}, "pose": {"xyz": numbers(middle)}}
     # A box that is open along z, turned so that it is open along x; its own x is then -z of the asset.
     turned = [size[2], size[1], size[0]]
     return {
-        "shape": {"open_box": {"size": _numbers(turned), "wall": WALL}},
-        "pose": {"xyz": _numbers(middle), "rpy_deg": (0.0, 90.0, 0.0)},
+        "shape": {"open_box": {"size": numbers(turned), "wall": WALL}},
+        "pose": {"xyz": numbers(middle), "rpy_deg": (0.0, 90.0, 0.0)},
     }
 
 
@@ -173,8 +174,8 @@ def _tray(low: Array, panel_low: Array, panel_high: Array, at: Array) -> dict[st
     if min(depth, width, height) < 2 * WALL:
         return {}
     at_center = [panel_low[0] - depth / 2, (panel_low[1] + panel_high[1]) / 2, panel_low[2] + GAP + height / 2]
-    shape = {"open_box": {"size": _numbers([depth, width, height]), "wall": WALL / 2}}
-    return {"tray": {"shape": shape, "pose": {"xyz": _numbers(at_center)}}}
+    shape = {"open_box": {"size": numbers([depth, width, height]), "wall": WALL / 2}}
+    return {"tray": {"shape": shape, "pose": {"xyz": numbers(at_center)}}}
 
 
 def _fixed_panels(low: Array, high: Array, panel_low: Array, panel_high: Array, side: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.mesh import adjacent_faces
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.segment.masks import Mask
 from simfoundry.capture.shapes.evidence import depth_scale
@@ -251,7 +252,7 @@ def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
     The vertices [m] have shape (n, 3), and the faces have shape (m, 3).
     """
     facing = _facing(vertices, faces)
-    chart = _charts(faces, facing)
+    chart = _charts(vertices, faces, facing)
     source_parts, texel_parts, extents = [], [], []
     new_faces = np.zeros_like(faces)
     offset = 0
@@ -277,16 +278,6 @@ def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
     return unit(area_normals(vertices[faces]))
 
 
-def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Return the pairs of faces that share an edge, as an array of shape (k, 2)."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    owner = np.tile(np.arange(len(faces)), 3)
-    order = np.lexsort((owner, edges[:, 1], edges[:, 0]))
-    edges, owner = edges[order], owner[order]
-    same = np.all(edges[1:] == edges[:-1], axis=1)
-    return np.column_stack([owner[:-1][same], owner[1:][same]])
-
-
 def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """Return the direction of each face.
 
@@ -294,7 +285,7 @@ def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
-    pairs = _neighbors(faces)
+    pairs = adjacent_faces(vertices, faces)
     for _ in range(3):
         votes = np.zeros((len(faces), 6))
         np.add.at(votes, (pairs[:, 0], facing[pairs[:, 1]]), 1.0)
@@ -305,12 +296,12 @@ def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     return np.asarray(facing)
 
 
-def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.intp]:
+def _charts(vertices: Array, faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.intp]:
     """Number the connected patches of faces that have the same direction."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    pairs = _neighbors(faces)
+    pairs = adjacent_faces(vertices, faces)
     pairs = pairs[facing[pairs[:, 0]] == facing[pairs[:, 1]]]
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
     return np.asarray(connected_components(graph, directed=False)[1])

@@ -55,7 +55,9 @@ class ModelSource(Model):
         None, description="Name of the model in `weights`, as `simfoundry models` lists it."
     )
     vlm: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = Field(
-        None, description="Vision-language model of a provider, such as `google:gemini-3-pro`; for `read_scene` only."
+        None,
+        description="Vision-language model of a provider, such as `google:gemini-3-pro`; for `read_scene` and "
+        "`articulate` only.",
     )
     offline: Literal[True] | None = Field(None, description="Use the method that needs no model.")
     record: RelativePath | None = Field(
