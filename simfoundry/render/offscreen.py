@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.render.backdrop import SplatBackdrop
 from simfoundry.render.gl import Engine, RenderError, choose_engine
 from simfoundry.render.shading import HORIZON, KEY_DIRECTION, encode_srgb
 from simfoundry.scene.model import Camera
@@ -69,18 +70,28 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
         """Return True if an image of this size can be rendered."""
         return width <= self.size[0] and height <= self.size[1]
 
-    def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
-        """Render the image seen by ``camera``.
+    def picture(self, data: mujoco.MjData, camera: Camera, backdrop: SplatBackdrop | None = None) -> Image:
+        """Render the image seen by ``camera``, with the splat that it sees, if there is one.
 
         Returns:
             The sRGB image as a uint8 array of shape (h, w, 3).
         """
         picture = self._draw(data, camera, self._fine)
-        if self._fine == 1:
-            return picture
-        import cv2
+        if self._fine > 1:
+            import cv2
 
-        return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
+            size = (camera.width, camera.height)
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return picture if backdrop is None else self._composited(picture, data, camera, backdrop)
+
+    def _composited(self, picture: Image, data: mujoco.MjData, camera: Camera, backdrop: SplatBackdrop) -> Image:
+        """Composite a splat with the image, in which outlines are blended with the color of the horizon."""
+        if self._fine == 1 or _has_sky(self._model):
+            return backdrop.over(picture, self.depth(data, camera))
+        h, w, n = camera.height, camera.width, self._fine
+        blocks = self.depth(data, camera, n).reshape(h, n, w, n)
+        coverage = np.isfinite(blocks).mean(axis=(1, 3))
+        return backdrop.over(picture, blocks.min(axis=(1, 3)), coverage, encode_srgb(HORIZON) / 255.0)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
         """Return the geom that is visible at each pixel.
@@ -103,21 +114,21 @@ class MujocoRenderer(AbstractContextManager["MujocoRenderer"]):
                 geom[item.segid + 1] = item.objid + 1
         return np.asarray(geom[np.where(drawn < len(geom), drawn, 0)], dtype=np.int32)
 
-    def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float64]:
+    def depth(self, data: mujoco.MjData, camera: Camera, fine: int = 1) -> NDArray[np.float64]:
         """Return the depth [m] along the optical axis at each pixel, or infinity where no surface is visible.
 
         Returns:
-            An array of shape (h, w).
+            An array of shape (fine * h, fine * w), with ``fine`` pixels per image pixel along each axis.
         """
         import mujoco
 
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT.value] = 1  # without the backdrop
         try:
-            self._draw(data, camera)
+            self._draw(data, camera, fine)
         finally:
             self._scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT.value] = 0
-        near = np.empty((camera.height, camera.width), dtype=np.float32)
-        mujoco.mjr_readPixels(None, near, mujoco.MjrRect(0, 0, camera.width, camera.height), self._context)
+        near = np.empty((fine * camera.height, fine * camera.width), dtype=np.float32)
+        mujoco.mjr_readPixels(None, near, mujoco.MjrRect(0, 0, near.shape[1], near.shape[0]), self._context)
         values = near[::-1].astype(np.float64)
         with np.errstate(divide="ignore"):
             meters = NEAR / (1.0 - values * (1.0 - NEAR / FAR))
@@ -192,12 +203,17 @@ def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> Non
     scene.nlight += 1
 
 
+def _has_sky(model: mujoco.MjModel) -> bool:
+    import mujoco
+
+    return bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
+
+
 def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
     """Add a plane in the ray caster's horizon color behind everything else, unless the model has a skybox."""
     import mujoco
 
-    has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
-    if has_sky or scene.ngeom == scene.maxgeom:
+    if _has_sky(model) or scene.ngeom == scene.maxgeom:
         return
     R_WC = camera.X_WC.rotation
     center, R_WG = camera.X_WC.p + 0.9 * FAR * R_WC[:, 2], R_WC * np.array([1.0, -1.0, -1.0])

@@ -15,12 +15,20 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.ray_casts import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
-from simfoundry.render.shading import Lamp, Points, background, encode_srgb, in_shadow, shade, studio
+from simfoundry.render.backdrop import rounded, splat_backdrop
+from simfoundry.render.shading import Lamp, Points, background, decode_srgb, encode_srgb, in_shadow, shade, studio
 from simfoundry.render.surface import FEW_SEGMENTS, SceneSurface, scene_surface
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
 BAND = 1_300_000  # Number of rays shaded at once; this requires about 1 GB of memory
+
+# Maximum number of triangles of a background mesh: all that a mesh file may have.
+MAX_BACKGROUND = 2_000_000
+
+# Maximum number of triangles of a background mesh in a quick image, for which an editor waits; the ray caster needs
+# about a second for a million triangles.
+QUICK_BACKGROUND = 50_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +39,7 @@ class Raycast:
         color: The sRGB color, as a uint8 array of shape (h, w, 3).
         depth: The depth [m] along the optical axis at the pixel center, or NaN if no surface is hit, as an array of
             shape (h, w).
-        objects: The index in ``scene.objects`` plus 1, or 0 if no surface is hit, as an int32 array of shape (h, w).
+        objects: The index in ``scene.objects`` plus 1, or 0 if no object is hit, as an int32 array of shape (h, w).
         normals: The unit normal in the world, pointing toward the camera, or NaN if no surface is hit, as an array of
             shape (h, w, 3).
         camera: The camera from which the image was rendered.
@@ -52,6 +60,9 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     pixel center. A visual with alpha 0 is not rendered. A visual with alpha below 1 appears in all four arrays, but it
     transmits the color behind it and casts no shadow.
 
+    The background is included: a mesh like the objects, and a splat by compositing. Where a splat blocks half of the
+    light, the depth is its own, and there is no object and no normal.
+
     Args:
         scene: The scene to render.
         camera: The camera.
@@ -61,7 +72,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     """
     if samples < 1:
         raise ValueError(f"samples must be at least 1, not {samples}")
-    surface = scene_surface(scene, state)
+    surface = scene_surface(scene, state, most_background=MAX_BACKGROUND)
     h, w = camera.height, camera.width
     rays = _pixels(camera, 1)
     hits = _seen(surface, camera, rays)
@@ -73,20 +84,57 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     objects[met] = surface.object[hits.triangle[met]] + 1
     normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
     rows = max(1, BAND // (w * samples**2))
+    sky = _splat_sky(scene, camera, rays)
+    color = np.concatenate([_band(scene, surface, camera, sky, top, rows, samples) for top in range(0, h, rows)])
+    seen = Raycast(color, depth.reshape(h, w), objects.reshape(h, w), normals.reshape(h, w, 3), camera)
+    return seen if sky is None else _behind_splat(scene, seen)
+
+
+def _splat_sky(scene: Scene, camera: Camera, rays: Rays) -> Array | None:
+    """Return the linear color that each pixel has without objects if there is a splat, shape (h, w, 3)."""
+    backdrop = splat_backdrop(scene, camera)
+    if backdrop is None:
+        return None
+    clear = encode_srgb(background(_directions(rays, camera))).reshape(camera.height, camera.width, 3) / 255.0
+    whole = backdrop.image
+    return decode_srgb(np.clip(whole.color + (1.0 - whole.alpha[..., None]) * clear, 0.0, 1.0))
+
+
+def _behind_splat(scene: Scene, seen: Raycast) -> Raycast:
+    """Composite the part of the splat that is in front of surfaces."""
+    color, nearer = _cut_splat(scene, seen.camera, seen.color, np.where(np.isnan(seen.depth), np.inf, seen.depth))
+    hidden = nearer > 0
     return Raycast(
-        color=np.concatenate([_band(scene, surface, camera, top, rows, samples) for top in range(0, h, rows)]),
-        depth=depth.reshape(h, w),
-        objects=objects.reshape(h, w),
-        normals=normals.reshape(h, w, 3),
-        camera=camera,
+        color=color,
+        depth=np.where(hidden, nearer, seen.depth),
+        objects=np.where(hidden, 0, seen.objects).astype(np.int32),
+        normals=np.where(hidden[..., None], np.nan, seen.normals),
+        camera=seen.camera,
     )
 
 
-def _band(scene: Scene, surface: SceneSurface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
+def _cut_splat(scene: Scene, camera: Camera, color: NDArray[np.uint8], depth: Array) -> tuple[NDArray[np.uint8], Array]:
+    """Composite the part of a splat that is in front of surfaces, whose image already has the splat behind them.
+
+    Returns:
+        The image, and the depth [m] at which the splat blocks half of the light before a surface, or 0.
+    """
+    backdrop = splat_backdrop(scene, camera)
+    assert backdrop is not None
+    front = backdrop.in_front(depth)
+    mixed = rounded(front.color + (1.0 - front.alpha[..., None]) * (color / 255.0))
+    return np.where(np.isfinite(depth)[..., None], mixed, color), front.depth
+
+
+def _band(
+    scene: Scene, surface: SceneSurface, camera: Camera, sky: Array | None, top: int, rows: int, samples: int
+) -> NDArray[np.uint8]:
     """Render up to ``rows`` rows of the image, starting at ``top``, as a separate image."""
     band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
     rays = _pixels(band, samples)
-    linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), samples)
+    if sky is not None:
+        sky = sky[top : top + rows].repeat(samples, axis=0).repeat(samples, axis=1).reshape(-1, 3)
+    linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), sky, samples)
     return encode_srgb(linear.reshape(band.height, samples, band.width, samples, 3).mean(axis=(1, 3)))
 
 
@@ -128,13 +176,16 @@ def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
-def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
+def _colors(
+    scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, sky: Array | None, samples: int
+) -> Array:
     """Return the linear color of each ray, as an array of shape (n, 3).
 
-    The color of a translucent surface is blended with the color of the opaque surface behind it.
+    The color of a translucent surface is blended with the color of the opaque surface behind it. ``sky`` is the color
+    of rays that hit nothing, which is a gradient by default.
     """
     directions = _directions(rays, camera)
-    color = background(directions)
+    color = background(directions) if sky is None else sky.copy()
     met = np.flatnonzero(hits.triangle >= 0)
     if not len(met):
         return color
@@ -150,7 +201,8 @@ def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hit
     front = shade(surface, studio(scene), some, at, camera.fx * camera.fy)
     alpha = np.array([min(1.0, v.rgba[3]) for v in surface.visuals])[surface.visual[some.triangle]]
     if (alpha < 1).any():
-        behind = _colors(scene, surface, camera, rays, _seen(surface, camera, rays, opaque_only=True), samples)
+        opaque = _seen(surface, camera, rays, opaque_only=True)
+        behind = _colors(scene, surface, camera, rays, opaque, sky, samples)
         front = front * alpha[:, None] + behind[met] * (1 - alpha[:, None])
     color[met] = front
     return color
@@ -168,7 +220,7 @@ def quick_image(
         The sRGB color, as a uint8 array of shape (h, w, 3).
     """
     checkpoint()
-    surface = scene_surface(scene, state, FEW_SEGMENTS)
+    surface = scene_surface(scene, state, FEW_SEGMENTS, QUICK_BACKGROUND)
     checkpoint()
     rays = _pixels(camera, 1)
     hits = _seen(surface, camera, rays)
@@ -177,7 +229,9 @@ def quick_image(
     met = np.flatnonzero(hits.triangle >= 0)
     missed = np.flatnonzero(hits.triangle < 0)
     linear = np.zeros((camera.height * camera.width, 3))
-    linear[missed] = background(directions[missed])
+    sky = _splat_sky(scene, camera, rays)
+    checkpoint()
+    linear[missed] = background(directions[missed]) if sky is None else sky.reshape(-1, 3)[missed]
     if len(met):
         some, along = hits.at(met), directions[met]
         at = Points(
@@ -207,7 +261,12 @@ def quick_image(
     image = _srgb_table()[np.minimum(linear, _STEPS, out=linear).astype(np.int32)]
     image = image.reshape(camera.height, camera.width, 3)
     labels = np.where(hits.triangle >= 0, surface.visual[hits.triangle] + 1 if len(surface.visual) else 0, 0)
-    return _smoothed(image, labels.reshape(camera.height, camera.width))
+    smooth = _smoothed(image, labels.reshape(camera.height, camera.width))
+    if sky is None:
+        return smooth
+    depth = np.full(len(linear), np.inf)
+    depth[met] = 1.0 / hits.inverse_depth[met]
+    return _cut_splat(scene, camera, smooth, depth.reshape(camera.height, camera.width))[0]
 
 
 # Number of steps of linear light in a table of sRGB bytes; in the dark, where bytes differ by 3e-4, several steps share

@@ -36,7 +36,8 @@ class SceneSurface:
         normals: The unit normals in the world at each corner, as an array of shape (m, 3, 3).
         uv: The texture coordinates, as an array of shape (m, 3, 2). They are zero for surfaces that have none.
         visual: The index of each triangle's visual in ``visuals``, as an array of shape (m,).
-        object: The index of each triangle's object in the scene's objects, as an array of shape (m,).
+        object: The index of each triangle's object in the scene's objects, or -1 for the background, as an array of
+            shape (m,).
         closed: A mask of the triangles of watertight, outward-oriented surfaces, as an array of shape (m,). The insides
             of these surfaces are never visible.
         visuals: The visuals that the triangles belong to.
@@ -61,10 +62,16 @@ class SurfacePatch:
     closed: bool
 
 
-def scene_surface(scene: Scene, state: SceneState | None = None, segments: int = SEGMENTS) -> SceneSurface:
+def scene_surface(
+    scene: Scene, state: SceneState | None = None, segments: int = SEGMENTS, most_background: int = 0
+) -> SceneSurface:
     """Return the visible triangles of ``scene`` in ``state``, which defaults to the state described by the scene.
 
-    ``segments`` is the number of segments around round primitives.
+    Args:
+        scene: The scene.
+        state: Its state.
+        segments: The number of segments around round primitives.
+        most_background: The maximum number of triangles of a background mesh. A larger one is left out.
     """
     state = SceneState.initial(scene) if state is None else state
     patches: list[SurfacePatch] = []
@@ -81,6 +88,13 @@ def scene_surface(scene: Scene, state: SceneState | None = None, segments: int =
                     )
                     visuals.append(visual)
                     owners.append(index)
+    if scene.background is not None:
+        around = [(visual, surface_patch(visual.geometry, segments)) for visual in scene.background.visuals]
+        if sum(len(patch.corners) for _, patch in around) <= most_background:
+            for visual, patch in around:
+                patches.append(_posed(patch, scene.background.X_WB @ visual.X_LG))
+                visuals.append(visual)
+                owners.append(-1)
     sizes = [len(p.corners) for p in patches]
     return SceneSurface(
         corners=np.concatenate([np.zeros((0, 3, 3)), *(p.corners for p in patches)]),

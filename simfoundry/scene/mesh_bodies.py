@@ -29,6 +29,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.surroundings import BackgroundSpec
 from simfoundry.splats.files import read_splat
+from simfoundry.splats.gaussians import GaussianSplat
 
 
 class MeshBody(NamedTuple):
@@ -116,6 +117,27 @@ def _kept_pieces(path: Path, scale: Scale, version: tuple[int, int]) -> tuple[Me
     return read_mesh(path, scale)
 
 
+def shown_splat(path: Path, scale: float) -> GaussianSplat:
+    """Return the splat in a file, which is kept until the file changes.
+
+    Raises:
+        MeshError: If the file is not a usable splat.
+    """
+    try:
+        state = path.stat()
+    except OSError:
+        return read_splat(path, scale)
+    return _kept_splat(path, scale, (state.st_mtime_ns, state.st_size))
+
+
+# Two splats, because an editor changes the scale of one; each takes up to a GiB.
+@lru_cache(maxsize=2)
+def _kept_splat(path: Path, scale: float, version: tuple[int, int]) -> GaussianSplat:
+    """Read a splat from a file, which has been seen in a ``version``."""
+    del version  # part of the cache's key alone
+    return read_splat(path, scale)
+
+
 def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
     """Return the geometry of each collider along with its pose in the mesh frame."""
     if (primitive := found.primitive) is None:
@@ -148,7 +170,7 @@ def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
     path, X_WB = loaded.file(written.mesh or written.splat or ""), pose(written.pose)
     try:
         if key == "splat":
-            return Background(X_WB, splat=read_splat(path, written.scale))
+            return Background(X_WB, splat=shown_splat(path, written.scale))
         return Background(X_WB, visuals=tuple(_visuals(path, written.scale)))
     except MeshError as error:
         raise SpecError([loaded.finding(error.code, ("background", key), str(error), error.hint)]) from None

@@ -15,6 +15,7 @@ from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.mjcf.contacts import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.render.backdrop import splat_backdrop
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.kinematics import free_motions, link_poses, trees
 from simfoundry.scene.model import Camera, JointType, Scene, SceneObject
@@ -190,7 +191,7 @@ class MujocoWorld(World):
             An sRGB image, uint8, shape (height, width, 3).
         """
         renderer, view = self._prepared(camera, width, height)
-        return renderer.picture(self.data, view)
+        return renderer.picture(self.data, view, splat_backdrop(self.scene, view))
 
     def depth_and_mask(self, camera: str, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Return the depth [m] and the visible instance at each pixel, both of shape (height, width)."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from simfoundry.backends.pybullet import FAR, NEAR, camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.render.backdrop import splat_backdrop
 from simfoundry.runtime.native_output import quiet_native_output
 from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.kinematics import free_motions, link_poses, trees
@@ -229,26 +230,30 @@ class PybulletWorld(World):
         Returns:
             An sRGB image, uint8, shape (height, width, 3).
         """
-        shot = self._shot(camera, width, height, self._bullet.ER_NO_SEGMENTATION_MASK)
-        return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
+        backdrop = splat_backdrop(self.scene, camera_of(self, camera, width, height))
+        image, depth, bodies = self._shot(camera, width, height, bodies=backdrop is not None)
+        return image if backdrop is None else backdrop.over(image, np.where(bodies >= 0, depth, np.inf))
 
     def depth_and_mask(self, camera: str, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Return the depth [m] and the visible instance at each pixel, both of shape (height, width)."""
-        shot = self._shot(camera, width, height, 0)
-        depth, bodies = (np.asarray(shot[k], dtype=np.float64).reshape(height, width) for k in (3, 4))
+        _, depth, bodies = self._shot(camera, width, height)
         order = {name: k + 1 for k, name in enumerate(instances(self.scene))}
         mask = np.zeros((height, width), dtype=np.int32)
         for body, name in self._objects.items():
             mask[bodies == body] = order[name]
-        meters = NEAR * FAR / (FAR - (FAR - NEAR) * depth)
-        return np.where(mask > 0, meters, 0).astype(np.float32), mask
+        return np.where(mask > 0, depth, 0).astype(np.float32), mask
 
-    def _shot(self, camera: str, width: int, height: int, flags: int) -> Any:
+    def _shot(self, camera: str, width: int, height: int, bodies: bool = True) -> tuple[Image, Array, Array]:
+        """Return the image, the depth along the optical axis [m], and the body at each pixel, or -1."""
+        flags = 0 if bodies else self._bullet.ER_NO_SEGMENTATION_MASK
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
         options = {"renderer": self._bullet.ER_TINY_RENDERER, "flags": flags}
-        return self._call("getCameraImage", width, height, **matrices, **lighting, **options)
+        shot = self._call("getCameraImage", width, height, **matrices, **lighting, **options)
+        rgba, near, body = (np.asarray(values).reshape(height, width, -1) for values in shot[2:5])
+        depth = NEAR * FAR / (FAR - (FAR - NEAR) * near[..., 0].astype(np.float64))
+        return np.ascontiguousarray(rgba[..., :3], dtype=np.uint8), depth, body[..., 0]
 
     def trouble(self) -> str:
         """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""

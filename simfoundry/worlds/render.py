@@ -7,6 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.render.backdrop import splat_backdrop
 from simfoundry.render.gl import Engine, RenderError, choose_engine
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.render.raycast import raycast
@@ -40,4 +41,4 @@ def render(scene: Scene, camera: Camera, state: SceneState | None = None, engine
     with MujocoWorld(scene) as world:
         world.reset(state)
         with MujocoRenderer(world.model, camera.width, camera.height, chosen) as renderer:
-            return renderer.picture(world.data, camera)
+            return renderer.picture(world.data, camera, splat_backdrop(scene, camera))
