@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -132,10 +132,17 @@ def _row(values: Array) -> str:
     return f"[{', '.join(f'{value:.5f}' for value in values)}]"
 
 
-def captured(folder: Path, kind: str, seed: int, width: int = 640, moves: bool = False) -> Captured:
-    """Write two captures of random furniture. If the camera moves in between, each states its pose."""
+def captured(
+    folder: Path, kind: str, seed: int, width: int = 640, moves: bool = False, opened: float | None = None
+) -> Captured:
+    """Write two captures of random furniture. If the camera moves in between, each states its pose.
+
+    ``opened`` is the position of the joint in the second one [m or rad]; by default, it is random.
+    """
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     made = furniture(kind, rng)
+    if opened is not None:
+        made = replace(made, opened=opened)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "furniture.asset.yaml").write_text(made.text())
     yaw, (x, y) = float(rng.uniform(-35, 35)), rng.uniform(-0.1, 0.1, 2)

@@ -210,7 +210,7 @@ def test_joints_from_a_server(
 
 def test_what_belongs_to_captures_is_refused_for_a_mesh(tmp_path: Path, cabinet_file: Path) -> None:
     out = tmp_path / "x.asset.yaml"
-    assert "a mesh has no frames" in run("articulate", cabinet_file, "-o", out, "--frame", "a").err
+    assert "are for captures" in run("articulate", cabinet_file, "-o", out, "--frame", "a").err
     assert "are for a mesh" in run("articulate", cabinet_file, cabinet_file, "-o", out, "--front", "+x").err
     broken = tmp_path / "broken.obj"
     broken.write_text("v 0 0 nan\nf 1 1 1\n")

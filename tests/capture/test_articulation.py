@@ -58,12 +58,12 @@ def test_a_drawer_becomes_an_asset(tmp_path: Path) -> None:
 @pytest.mark.slow  # 4 s: it looks for a joint twice
 def test_a_door_is_found_from_a_camera_that_moved(tmp_path: Path) -> None:
     truth = captured(tmp_path, "door", 5001, WIDTH, moves=True)
-    found = articulate(truth.shut, truth.opened, tmp_path / "door.asset.yaml")
+    found = articulate(truth.shut, [truth.opened], tmp_path / "door.asset.yaml")
     angle, off = errors(found, truth)
     assert found.estimate.motion.kind is JointType.REVOLUTE and found.estimate.is_snapped
     assert angle < 2 and off < 0.02
     assert found.estimate.motion.q == pytest.approx(truth.furniture.opened, abs=0.05)
-    again = articulate(truth.shut, truth.opened, tmp_path / "again" / "door.asset.yaml")
+    again = articulate(truth.shut, [truth.opened], tmp_path / "again" / "door.asset.yaml")
     assert again.path.read_bytes() == found.path.read_bytes()
 
 
@@ -79,15 +79,59 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     truth = captured(tmp_path, "lid", 3, WIDTH, moves=True)
     out = tmp_path / "a.asset.yaml"
     with pytest.raises(SimfoundryError, match="no part of the object moved"):
-        articulate(truth.shut, truth.shut, out)
+        articulate(truth.shut, [truth.shut], out)
     stated = truth.opened / "capture.yaml"
     stated.write_text("".join(line for line in stated.open() if not line.startswith("    pose:")))
     with pytest.raises(SimfoundryError, match="one capture states the `pose`"):
-        articulate(truth.shut, truth.opened, out)
+        articulate(truth.shut, [truth.opened], out)
     first = truth.shut / "capture.yaml"
     first.write_text("".join(line for line in first.open() if not line.startswith("    pose:")))
     with pytest.raises(SimfoundryError, match="leave the camera where it is"):
-        articulate(truth.shut, truth.opened, out)
+        articulate(truth.shut, [truth.opened], out)
     missing = run("articulate", tmp_path / "nowhere", truth.opened, "-o", out)
     assert missing.code == 2 and "does not exist" in missing.err
     assert not out.exists()
+
+
+def _pixels(truth: Captured, points: list[np.ndarray]) -> list[str]:
+    """Return points of the world as pixels of the first capture, a little inside of the part's surface."""
+    f, c = 600 * WIDTH / 640, ((WIDTH - 1) / 2, (WIDTH * 3 // 4 - 1) / 2)
+    local = [truth.X_WC[0].inverse().apply(point[None])[0] for point in points]
+    return [f"{round(f * x / z + c[0])},{round(f * y / z + c[1])}" for x, y, z in local]
+
+
+@pytest.mark.slow  # 6 s: it looks for joints three times
+def test_a_stated_hinge_and_several_states(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "lid", 5003, WIDTH)
+    width = truth.furniture.part["lid"][0][1]
+    ends = [truth.pivot + share * width * truth.axis for share in (-0.45, 0.45)]
+    out = tmp_path / "box.asset.yaml"
+    stated = run("articulate", truth.shut, truth.opened, "-o", out, "--hinge", *_pixels(truth, ends), "--json")
+    assert stated.code in (0, 1), stated.err
+    said = json.loads(stated.out)
+    assert said["type"] == "revolute" and not said["snapped"]
+    # The pixels are on top of the lid, and the hinge is below.
+    assert math.radians(said["range"][1]) == pytest.approx(truth.furniture.opened, abs=0.25)
+    wrong = run("articulate", truth.shut, truth.opened, "-o", out, "--force", "--hinge", *_pixels(truth, [ends[0]] * 2))
+    assert wrong.code == 2 and "same place" in wrong.err
+    # The farthest of several states is the end of the range, whatever their order.
+    half = captured(tmp_path / "half", "lid", 5003, WIDTH, opened=0.6 * truth.furniture.opened)
+    for order in ([half.opened, truth.opened], [truth.opened, half.opened]):
+        many = run("articulate", truth.shut, *order, "-o", tmp_path / "many.asset.yaml", "--force", "--json")
+        reached = math.radians(json.loads(many.out)["range"][1])
+        assert reached == pytest.approx(truth.furniture.opened, abs=0.06)
+
+
+def test_a_box_without_motion_and_pixels_outside(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "drawer", 5000, WIDTH)
+    out = tmp_path / "x.asset.yaml"
+    for option, reason in (
+        (["--box", "0,0,20,20"], "nothing moved inside the stated box"),
+        (["--box", "9,9,5,5"], "must be left,top,right,bottom"),
+        (["--box", "1,2,3"], "takes left,top,right,bottom"),
+        (["--hinge", "5,5", "9999,5"], "is not in the image"),
+        (["--hinge", "a,b", "1,2"], "not a list of whole numbers"),
+    ):
+        refused = run("articulate", truth.shut, truth.opened, "-o", out, *option)
+        assert refused.code == 2 and reason in refused.err, refused.err
+        assert not out.exists()

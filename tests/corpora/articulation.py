@@ -30,7 +30,7 @@ def main(count: int = 40, first: int = SEED) -> int:
             kind, seed = KINDS[k % len(KINDS)], first + k
             truth = captured(Path(temporary) / str(k), kind, seed, moves=k // len(KINDS) % 2 == 1)
             try:
-                found = articulate(truth.shut, truth.opened, Path(temporary) / f"{k}.asset.yaml")
+                found = articulate(truth.shut, [truth.opened], Path(temporary) / f"{k}.asset.yaml")
             except SimfoundryError as error:
                 print(f"{kind:<8}{seed:>6}  refused: {error}", flush=True)
                 continue

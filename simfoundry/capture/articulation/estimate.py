@@ -11,12 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
 from simfoundry.capture.articulation.evidence import MotionEvidence, pixels_of, surface
-from simfoundry.capture.articulation.motions import QUANTILES, THICKNESS, Motion, Patch, candidate_motions, patches
+from simfoundry.capture.articulation.motions import (
+    QUANTILES,
+    SLIDES,
+    THICKNESS,
+    TURNS,
+    TYPICAL_BACK,
+    Motion,
+    Patch,
+    candidate_motions,
+    patches,
+)
 from simfoundry.capture.articulation.views import Mask, PosedView, Sight
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, cross
@@ -53,6 +63,19 @@ SNAP = math.radians(8.0)
 
 
 @dataclass(frozen=True, eq=False)
+class StatedPart:
+    """What a person knows of a part that moves.
+
+    Attributes:
+        hinge: Two points of its hinge in the world [m], shape (2, 3), or None if it is unknown whether there is one.
+        box: The pixels of the first view that may show the part, shape (h, w), or None for all.
+    """
+
+    hinge: Array | None = None
+    box: Mask | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class JointEstimate:
     """The joint of a part that moved.
 
@@ -77,17 +100,28 @@ class JointEstimate:
     is_cut: bool
 
 
-def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointEstimate:
+def estimate_joint(
+    first: PosedView, second: PosedView, stated: StatedPart | None = None, seed: int = 0
+) -> JointEstimate:
     """Estimate the joint of a part that moved between two views.
+
+    Args:
+        first: The view in which the joint is at zero.
+        second: The view in which the part has moved.
+        stated: What a person knows of the part, which is not questioned.
+        seed: Seed of the random choices.
 
     Raises:
         SimfoundryError: If nothing moved, or the part shows no flat surface.
     """
     rng = np.random.default_rng(seed)
-    evidence = MotionEvidence.of(first, second, rng)
+    stated = stated or StatedPart()
+    evidence = MotionEvidence.of(first, second, rng, stated.box)
     fronts = patches(evidence.moved.points, evidence.moved.normals, rng)
     axes = _box_axes([*patches(evidence.still.points, evidence.still.normals, rng), *fronts])
     coarse = evidence.coarse()
+    if stated.hinge is not None and fronts:
+        return _estimate(_about(stated.hinge, evidence), False, evidence, fronts, [], first, second)
     best_of_axes = [max(group, key=coarse.score) for group in candidate_motions(fronts, axes)]
     if not best_of_axes:
         raise SimfoundryError(
@@ -99,7 +133,42 @@ def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointE
     refined = [_refined(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]]
     best = max(refined, key=evidence.score)
     snapped = _snapped(best, evidence, axes)
-    final = snapped or best
+    return _estimate(snapped or best, snapped is not None, evidence, fronts, refined, first, second)
+
+
+def amount_about(motion: Motion, first: PosedView, second: PosedView, seed: int = 0) -> float:
+    """Return the amount of a known motion between its first view and another one [m or rad].
+
+    Raises:
+        SimfoundryError: If nothing moved.
+    """
+    evidence = MotionEvidence.of(first, second, np.random.default_rng(seed))
+    amounts = TURNS if motion.kind is JointType.REVOLUTE else SLIDES
+    best = max((replace(motion, q=q) for q in amounts), key=evidence.coarse().score)
+    return _refined(best, evidence, frozenset("q")).q
+
+
+def _about(hinge: Array, evidence: MotionEvidence) -> Motion:
+    """Return the turn about a stated hinge, two points of shape (2, 3), that explains the views best."""
+    axis = (hinge[1] - hinge[0]) / np.linalg.norm(hinge[1] - hinge[0])
+    pivot = hinge.mean(axis=0)
+    turns = [
+        Motion(JointType.REVOLUTE, sign * axis, pivot, q, back)
+        for sign, q, back in product((1.0, -1.0), TURNS, (0.0, TYPICAL_BACK))
+    ]
+    return _refined(max(turns, key=evidence.coarse().score), evidence, frozenset("q"))
+
+
+def _estimate(
+    final: Motion,
+    is_snapped: bool,
+    evidence: MotionEvidence,
+    fronts: Sequence[Patch],
+    refined: Sequence[Motion],
+    first: PosedView,
+    second: PosedView,
+) -> JointEstimate:
+    """Return the estimate for a motion; ``refined`` are the motions that compete with it."""
     explained, contradicted = evidence.judge(final)
     front = max(fronts, key=lambda patch: _kept(final, patch, second))
     others = [evidence.score(motion) for motion in refined if _differs(motion, final)]
@@ -109,32 +178,37 @@ def estimate_joint(first: PosedView, second: PosedView, seed: int = 0) -> JointE
         _part(final, front, first, second),
         explained,
         contradicted,
-        snapped is not None,
+        is_snapped,
         max([0.0, *others]) / max(1e-9, evidence.score(final)),
         _is_cut(first, second),
     )
 
 
-def _refined(motion: Motion, evidence: MotionEvidence, may_tilt: bool = True) -> Motion:
-    """Return the motion near a candidate that scores best."""
+# What refinement may change: the amount of a motion, the place of its axis, and the direction of its axis.
+EVERYTHING = frozenset(("q", "pivot", "axis"))
+
+
+def _refined(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EVERYTHING) -> Motion:
+    """Return the motion near a candidate that scores best, among those that differ in what is ``free``."""
     from scipy.optimize import minimize
 
     side = cross(motion.axis, np.eye(3)[int(np.argmin(np.abs(motion.axis)))])
     side /= np.linalg.norm(side)
     other = cross(motion.axis, side)
     is_turn = motion.kind is JointType.REVOLUTE
+    may_shift, may_tilt = is_turn and "pivot" in free, "axis" in free
     steps = [TURN_STEP if is_turn else SLIDE_STEP]
-    steps += [PIVOT_STEP] * 2 * is_turn + [TILT_STEP] * 2 * may_tilt
+    steps += [PIVOT_STEP] * 2 * may_shift + [TILT_STEP] * 2 * may_tilt
 
     def at(x: Array) -> Motion:
-        shift = x[1:3] if is_turn else np.zeros(2)
+        shift = x[1:3] if may_shift else np.zeros(2)
         tilt = x[-2:] if may_tilt else np.zeros(2)
         axis = motion.axis + tilt[0] * side + tilt[1] * other
         pivot = motion.pivot + shift[0] * side + shift[1] * other
         return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=max(LEAST, float(motion.q + x[0])))
 
     def cost(x: Array) -> float:
-        return DRIFT * float(np.linalg.norm(x[1:3])) * is_turn - evidence.score(at(x))
+        return DRIFT * float(np.linalg.norm(x[1:3])) * may_shift - evidence.score(at(x))
 
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
     options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
@@ -162,7 +236,7 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     cosine = float(near @ motion.axis)
     if abs(cosine) < math.cos(SNAP):
         return None
-    return _refined(replace(motion, axis=near * math.copysign(1.0, cosine)), evidence, may_tilt=False)
+    return _refined(replace(motion, axis=near * math.copysign(1.0, cosine)), evidence, EVERYTHING - {"axis"})
 
 
 def _is_cut(first: PosedView, second: PosedView) -> bool:

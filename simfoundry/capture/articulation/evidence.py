@@ -75,8 +75,8 @@ class MotionEvidence:
     reach: float = REACH
 
     @staticmethod
-    def of(first: PosedView, second: PosedView, rng: np.random.Generator) -> MotionEvidence:
-        """Gather the evidence of two views.
+    def of(first: PosedView, second: PosedView, rng: np.random.Generator, box: Mask | None = None) -> MotionEvidence:
+        """Gather the evidence of two views, in which only the pixels in ``box`` of the first, shape (h, w), moved.
 
         Raises:
             SimfoundryError: If nothing moved.
@@ -88,9 +88,12 @@ class MotionEvidence:
                 "the other sees free space; open the part farther, and capture it again"
             )
         is_still = second.sight(before.points) == Sight.SEEN
+        may_move = ~is_still if box is None else ~is_still & box.reshape(-1)[pixels_of(first)]
+        if may_move.sum() < FEWEST:
+            raise SimfoundryError("nothing moved inside the stated box; draw it around the part in the first capture")
         return MotionEvidence(
             second,
-            before.at(~is_still).sampled(rng),
+            before.at(may_move).sampled(rng),
             after.at(after.is_gone).sampled(rng),
             before.at(is_still).sampled(rng),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.capture.articulation.asset import ArticulatedParts, articulated_parts
-from simfoundry.capture.articulation.estimate import JointEstimate, estimate_joint
+from simfoundry.capture.articulation.estimate import JointEstimate, StatedPart, amount_about, estimate_joint
 from simfoundry.capture.articulation.evidence import FEWEST
 from simfoundry.capture.articulation.views import PosedView, Sight
 from simfoundry.capture.frame import CaptureError, Frame
@@ -40,6 +40,13 @@ STAYED = 0.5
 
 # One in so many points of the support is checked, which is enough to estimate a share.
 STRIDE = 7
+
+# A stated pixel stands for those within this distance [px], because depth is missing or wrong at edges. Two pixels of a
+# hinge must be at least so far apart [m] that noise does not turn the axis between them.
+NEARBY, SHORTEST = 3, 0.03
+
+# A pixel: column and row.
+Pixel = tuple[int, int]
 
 # Color of the part in the picture, which is rare on tables.
 TINT = np.array([255.0, 40.0, 200.0])
@@ -105,16 +112,25 @@ class Articulated:
 
 
 def articulate(
-    shut: Path, opened: Path, out: Path, frame: str | None = None, progress: Callable[[str, float], None] | None = None
+    shut: Path,
+    opened: Sequence[Path],
+    out: Path,
+    frame: str | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    hinge: tuple[Pixel, Pixel] | None = None,
+    box: tuple[int, int, int, int] | None = None,
 ) -> Articulated:
-    """Estimate the joint of an object from two captures, and write it as an asset, with a picture beside it.
+    """Estimate the joint of an object from captures of it, and write it as an asset, with a picture beside it.
 
     Args:
         shut: The capture in which the joint is at its zero position.
-        opened: The capture in which the part has moved.
+        opened: The captures in which the part has moved. The one that shows the motion best decides on the joint, and
+            the range reaches to the farthest.
         out: The asset document to write.
         frame: The name of the frame in both captures; by default, the first.
         progress: A callback that receives a description and the fraction that is done.
+        hinge: Two pixels [column, row] on the hinge in the first capture, if it is known; it always wins.
+        box: The rectangle [left, top, right, bottom] around the part in the first capture [px], if it is known.
 
     Raises:
         SpecError: If a capture has errors.
@@ -122,18 +138,24 @@ def articulate(
     """
     show = progress or (lambda text, share: None)
     show("reading the captures", 0.0)
-    loaded = [open_capture(path) for path in (shut, opened)]
+    loaded = [open_capture(path) for path in (shut, *opened)]
     frames = [load_frame(each, frame) for each in loaded]
     try:
         X_WC = find_support(frames[0]).X_WC
     except CaptureError as error:
         raise SpecError([loaded[0].finding(error.code, ("frames",), error.message, error.hint)]) from None
-    poses = (X_WC, X_WC @ _between(loaded[0], loaded[1], frame))
+    poses = (X_WC, *(X_WC @ _between(loaded[0], other, frame) for other in loaded[1:]))
     views = [_above_support(PosedView.of(each, X)) for each, X in zip(frames, poses, strict=True)]
-    _check_place(views[0], views[1])
-    show("finding the joint", 0.2)
-    first, second = _near_the_change(views[0], views[1])
-    estimate = estimate_joint(first, second)
+    stated = _stated(views[0], hinge, box)
+    found = []
+    for k, view in enumerate(views[1:]):
+        show("finding the joint", 0.2 + 0.7 * k / len(opened))
+        _check_place(views[0], view)
+        first, second = _near_the_change(views[0], view)
+        found.append((estimate_joint(first, second, stated), first, second, frames[k + 1]))
+    estimate, first, second, best_frame = max(found, key=lambda each: each[0].explained)
+    amounts = [amount_about(estimate.motion, *each[1:3]) for each in found if each[0] is not estimate]
+    farthest = replace(estimate, motion=replace(estimate.motion, q=max([estimate.motion.q, *amounts])))
     if not estimate.part.any():
         raise SimfoundryError(
             "the part that moved cannot be told from the rest of the object; capture it from where its front is visible"
@@ -141,15 +163,48 @@ def articulate(
     show("writing the asset", 0.9)
     name = plain_name(out.name.split(".")[0])
     origin = {
-        "capture": f"{shut.resolve().name}, {opened.resolve().name}",
+        "capture": ", ".join(path.resolve().name for path in (shut, *opened)),
         "confidence": estimate.explained,
         "note": ASSUMED,
     }
-    parts = articulated_parts(estimate, first.points[first.mask], first.points[estimate.part], name, origin)
+    parts = articulated_parts(farthest, first.points[first.mask], first.points[estimate.part], name, origin)
     text = to_yaml(AssetSpec.model_validate(parts.data), comment=MARK)
     write_atomically(out, text.encode())
-    write_atomically(picture_of(out), _picture(frames, estimate, (first, second)))
+    write_atomically(picture_of(out), _picture([frames[0], best_frame], estimate, (first, second)))
     return Articulated(out, estimate, parts, X_WC, _doubt(estimate))
+
+
+def _stated(
+    view: PosedView, hinge: tuple[Pixel, Pixel] | None, box: tuple[int, int, int, int] | None
+) -> StatedPart | None:
+    """Return what a person states, in the world.
+
+    Raises:
+        SimfoundryError: If the pixels are outside of the image, or there is no depth at them.
+    """
+    if hinge is None and box is None:
+        return None
+    h, w = view.depth.shape
+    ends = []
+    outside = [f"{u},{v}" for u, v in hinge or () if not (0 <= u < w and 0 <= v < h)]
+    if outside:
+        raise SimfoundryError(f"the pixel {outside[0]} of the hinge is not in the image, which has {w} x {h} pixels")
+    for u, v in hinge or ():
+        around = view.points[max(0, v - NEARBY) : v + NEARBY + 1, max(0, u - NEARBY) : u + NEARBY + 1].reshape(-1, 3)
+        around = around[np.isfinite(around).all(axis=1)]
+        if not len(around):
+            raise SimfoundryError(f"there is no depth at the pixel {u},{v} of the hinge; name another one on the edge")
+        ends.append(np.median(around, axis=0))
+    if ends and np.linalg.norm(ends[1] - ends[0]) < SHORTEST:
+        raise SimfoundryError("the two pixels of the hinge are at the same place; name the two ends of the edge")
+    mask = None
+    if box is not None:
+        left, top, right, bottom = box
+        if not (0 <= left < right <= w and 0 <= top < bottom <= h):
+            raise SimfoundryError(f"the box must be left,top,right,bottom in an image of {w} x {h} pixels")
+        mask = np.zeros((h, w), np.bool_)
+        mask[top:bottom, left:right] = True
+    return StatedPart(np.array(ends) if ends else None, mask)
 
 
 def picture_of(asset: Path) -> Path:
