@@ -42,12 +42,13 @@ def serve_studio(
 ) -> None:
     """Serve a document until the user interrupts the program."""
     from simfoundry.runtime.extras import need_extra
-    from simfoundry.studio.server import StudioServer
+    from simfoundry.studio.server import StudioServer, spare_collections
 
     need_extra("studio", "the studio")
     if capture is not None and capture.is_dir():
         capture = capture / "capture.yaml"
     with StudioServer(document, host, port, token, is_editable, capture, policies) as server:
+        spare_collections()
         facts = {"address": server.address, "document": str(server.session.path), "host": host, "port": server.port}
         output.print_result(as_json, facts, f"{document} is open at {server.address}; stop with Ctrl+C")
         sys.stdout.flush()

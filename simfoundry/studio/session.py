@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.edit_data import edited_text
+from simfoundry.spec.change.edit_text import prepare_edit
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.open_documents import OpenDocuments, Stamp
@@ -314,9 +315,15 @@ class StudioSession:
     # -- reading ----------------------------------------------------------------------------------------------------
 
     def examine(self, checkpoint: Callable[[], None] = lambda: None) -> None:
-        """Add the findings of lints, which take longer. ``checkpoint`` can raise an exception to stop."""
+        """Add the findings of lints, which take longer. ``checkpoint`` can raise an exception to stop.
+
+        What the next act needs to know about the texts is prepared, too, because people wait for acts.
+        """
         with self._lock:
-            reading = self._reading
+            reading, texts = self._reading, tuple(self._texts.values())
+        for text in () if reading.errors else texts:
+            prepare_edit(text)
+            checkpoint()
         findings = lint_findings(reading, checkpoint)
         with self._lock:
             if reading is not self._reading or findings == self._findings:

@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from simfoundry.studio.server import StudioServer
+from simfoundry.studio.server import StudioServer, spare_collections
 from tests.studio.browser import StudioPage, launched_browser, opened_page
 
 # Longest medians [s]: from the file to the picture for few and for many objects, and from the gizmo to the text.
@@ -150,6 +150,7 @@ def measure(count: int, edits: int, browser: Any) -> list[Waits]:
         path = Path(folder) / "many.scene.yaml"
         path.write_text(scene_text(count, 0.03))
         with StudioServer(path, port=0) as server:
+            spare_collections()  # as the command does
             studio = opened_page(browser, server)
             pictures = from_file_to_picture(studio, count, edits)
             messages = from_file_to_message(studio, count, edits)

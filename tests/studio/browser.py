@@ -26,6 +26,11 @@ LOADING_MS = 240_000
 # Size of the windows [px], and the number of drawn pixels for each: a software renderer takes as long as there are any.
 SIZE, PIXEL_RATIO = {"width": 1000, "height": 700}, 0.4
 
+# Waits until several frames are drawn, which takes seconds on a busy machine.
+SEVERAL_FRAMES = """() => new Promise(done => {
+  const wait = left => left ? requestAnimationFrame(() => wait(left - 1)) : done();
+  wait(4);
+})"""
 
 # Number of characters of a document that a failure shows.
 MAX_TEXT = 3000
@@ -139,6 +144,7 @@ class StudioPage:
         mouse = self.page.mouse
         mouse.move(*start)
         self.page.wait_for_timeout(400)  # the gizmo must notice the mouse first
+        self.page.evaluate(SEVERAL_FRAMES)
         mouse.down()
         for k in range(1, steps + 1):
             mouse.move(*(a + (b - a) * k / steps for a, b in zip(start, end, strict=True)))
