@@ -112,6 +112,10 @@ def test_an_asset_is_added_inside_of_the_project_only(desk: Path) -> None:
     [
         ("mug", {"shape": {"sphere": 0.1}}, "already exists"),
         ("Mug", {"shape": {"sphere": 0.1}}, "name"),
+        ("null", {"shape": {"sphere": 0.1}}, "YAML reads `null` as a value, not as a name"),
+        ("true", {"shape": {"sphere": 0.1}}, "YAML reads `true` as a value, not as a name"),
+        ("1", {"shape": {"sphere": 0.1}}, "`1` cannot be the name of a new object"),
+        ("m" * 65, {"shape": {"sphere": 0.1}}, "at most 64 characters"),
         ("cup", {"shape": {"sphere": -0.1}}, "greater than 0"),
         ("cup", {"shape": {"cube": 1}}, "cube"),
         ("cup", {}, "one of `shape`, `asset` is needed"),

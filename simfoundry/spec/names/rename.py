@@ -236,14 +236,19 @@ def _at(o: Occurrence) -> str:
     return f"{shown_path(o.file)}:{o.line}:{o.column}"
 
 
+def name_problem(new: str) -> str:
+    """Return why a text cannot be a new name, or an empty string if it can."""
+    if re.search(NAME, new) is None or "\n" in new:
+        return PATTERNS[NAME].rule
+    if len(new) > MAX_NAME:
+        return f"a name has at most {MAX_NAME} characters"
+    return f"YAML reads `{new}` as a value, not as a name" if is_word(new) else ""
+
+
 def _invalid(symbol: Symbol, new: str) -> Iterator[str]:
     """Yield the reasons for which a text is no name for a symbol."""
-    if re.search(NAME, new) is None or "\n" in new:
-        yield PATTERNS[NAME].rule
-    elif len(new) > MAX_NAME:
-        yield f"a name has at most {MAX_NAME} characters"
-    elif is_word(new):
-        yield f"YAML reads `{new}` as a value, not as a name"
+    if problem := name_problem(new):
+        yield problem
     elif new == symbol.name:
         yield "it already has this name"
     elif symbol.kind == "variant" and new == DEFAULT_VARIANT:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.edit_data import DataEdits
+from simfoundry.spec.names.rename import name_problem
 from simfoundry.studio.reading import StudioScene
 
 
@@ -76,3 +77,15 @@ def require_object(scene: StudioScene, name: str) -> None:
     """
     if name not in scene.objects:
         raise ActError(f"the scene has no object `{name}`")
+
+
+def require_new_name(name: str, kind: str, taken: Container[str]) -> None:
+    """Ensure that something new of a kind, such as a camera, can have a name, by the rule for renames.
+
+    Raises:
+        ActError: If it cannot, or if the name is taken.
+    """
+    if problem := name_problem(name):
+        raise ActError(f"`{name}` cannot be the name of a new {kind}: {problem}")
+    if name in taken:
+        raise ActError(f"the name `{name}` already exists; choose another name for the new {kind}")

@@ -17,7 +17,7 @@ from simfoundry.scene.objects import ObjectLowering
 from simfoundry.spec.files import FileError, is_document
 from simfoundry.spec.load import load
 from simfoundry.spec.models.scene import ObjectSpec
-from simfoundry.studio.acts.act import ActEdits, ActError, require_object, scene_edits
+from simfoundry.studio.acts.act import ActEdits, ActError, require_new_name, require_object, scene_edits
 from simfoundry.studio.acts.placement import DIGITS
 from simfoundry.studio.reading import StudioScene
 
@@ -54,8 +54,7 @@ class AddObject:
 
     def edits(self, scene: StudioScene) -> ActEdits:
         """Return the edit that adds the object."""
-        if self.name in scene.spec.objects:
-            raise ActError(f"an object `{self.name}` already exists; choose another name")
+        require_new_name(self.name, "object", scene.spec.objects)
         data = dict(self.fields)
         asset = data.get("asset")
         if not data.keys() & {"mass", "density", "material", "fixed"} and not (asset and is_document(str(asset))):

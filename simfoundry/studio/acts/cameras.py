@@ -10,7 +10,7 @@ from simfoundry.scene.carriers import PlaceError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.spec.change.edit_data import DataPath
 from simfoundry.spec.change.merge.conflict import ABSENT
-from simfoundry.studio.acts.act import ActEdits, ActError, scene_edits
+from simfoundry.studio.acts.act import ActEdits, ActError, require_new_name, scene_edits
 from simfoundry.studio.acts.placement import STILL_RAD, moved
 from simfoundry.studio.reading import StudioScene
 
@@ -76,8 +76,7 @@ class AddCamera:
 
     def edits(self, scene: StudioScene) -> ActEdits:
         """Return the edit that adds the camera."""
-        if self.name in scene.spec.cameras:
-            raise ActError(f"a camera `{self.name}` already exists")
+        require_new_name(self.name, "camera", scene.spec.cameras)
         pose: dict[str, Any] = {"xyz": tuple(round(float(v), 3) + 0.0 for v in self.X_WC.p)}
         if self.look_at is not None:
             pose["look_at"] = tuple(round(float(v), 3) + 0.0 for v in self.look_at)

@@ -22,7 +22,6 @@ from simfoundry.studio.view.contents import (
     LabelContent,
     LightContent,
     LinesContent,
-    NodeContent,
     PictureContent,
     SplatContent,
     SurfaceContent,
@@ -88,10 +87,8 @@ class Canvas:
     def put(self, name: str, node: ViewNode) -> None:
         """Show one node, in place of the present one with this name."""
         old = self._nodes.get(name)
-        if old is not None and _is_resized(old.content, node.content):
-            self._handles[name].point_size = node.content.size  # type: ignore[union-attr]
-            self.sent += 1
-            self._nodes[name] = old = replace(old, content=node.content)
+        if old is not None and isinstance(node.content, CloudContent) and self.paint(name, node.content):
+            old = self._nodes[name]
         if old is None or old.content != node.content or old.selects != node.selects:
             if old is not None:
                 below = {n: each for n, each in self._nodes.items() if n.startswith(f"{name}/")}
@@ -111,6 +108,22 @@ class Canvas:
             handle.visible = node.is_visible
             self.sent += 1
         self._nodes[name] = node
+
+    def paint(self, name: str, content: CloudContent) -> bool:
+        """Give the points of a cloud other colors and another size, and return False if other points are shown."""
+        node = self._nodes.get(name)
+        shown = node.content if node is not None else None
+        if node is None or not isinstance(shown, CloudContent) or shown.key != content.key:
+            return False
+        handle = self._handles[name]
+        if shown.paint != content.paint:
+            handle.colors = content.rgb
+            self.sent += 1
+        if shown.size != content.size:
+            handle.point_size = content.size
+            self.sent += 1
+        self._nodes[name] = replace(node, content=content)
+        return True
 
     def move(self, name: str, X_PN: Pose) -> None:
         """Move a node for the time being, such as while it is dragged."""
@@ -208,12 +221,6 @@ def prepare_view(server: ViserServer, scene: Scene | None, has_robot: bool = Fal
             orbit = replace(orbit, azimuth_deg=180.0 - orbit.azimuth_deg)
         server.initial_camera.position = tuple(orbit.eye(center).tolist())
         server.initial_camera.look_at = tuple(center.tolist())
-
-
-def _is_resized(old: NodeContent, new: NodeContent) -> bool:
-    """Return True if only the size of points differs, which is sent alone."""
-    are_clouds = isinstance(old, CloudContent) and isinstance(new, CloudContent)
-    return are_clouds and old != new and old.key == new.key  # type: ignore[union-attr]
 
 
 def _is_same(a: Pose, b: Pose) -> bool:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-# Called with the name of an object and the agreement of its pose with the capture.
-Measured = Callable[[str, RayAgreement], None]
+# Called with the name of an object, its pose, and the agreement of this pose with the capture.
+Measured = Callable[[str, Pose, RayAgreement], None]
 
 
 class CaptureLink:
@@ -127,4 +127,4 @@ class FitMeter:
             scene, evidence = self._window.session.scene, self._link.evidence(name)
             item = scene.objects.get(name) if scene is not None else None
         if item is not None and evidence is not None:
-            self._measured(name, pose_agreement(evidence, object_surface(item), X_WO))
+            self._measured(name, X_WO, pose_agreement(evidence, object_surface(item), X_WO))

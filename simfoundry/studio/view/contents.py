@@ -84,25 +84,31 @@ class SplatContent:
 
 @dataclass(frozen=True, eq=False)
 class CloudContent:
-    """A cloud of points, compared by its key.
+    """A cloud of points, compared by its keys. Where only colors or sizes differ, only they are sent.
 
     Attributes:
-        key: What identifies the points and their colors.
+        key: What identifies the points.
+        paint: What identifies their colors.
         points: Points [m], shape (n, 3).
         rgb: Colors (sRGB, 0 to 255), shape (n, 3).
         size: Size of a point [m].
     """
 
     key: str
+    paint: str
     points: Array
     rgb: NDArray[np.uint8]
     size: float
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, CloudContent) and (self.key, self.size) == (other.key, other.size)
+        return isinstance(other, CloudContent) and self._identity == other._identity
 
     def __hash__(self) -> int:
-        return hash((self.key, self.size))
+        return hash(self._identity)
+
+    @property
+    def _identity(self) -> tuple[str, str, float]:
+        return self.key, self.paint, self.size
 
 
 @dataclass(frozen=True, eq=False)

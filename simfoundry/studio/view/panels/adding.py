@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.spec.names.rename import name_problem
 from simfoundry.studio.acts.act import Act
 from simfoundry.studio.acts.add import AddObject
 from simfoundry.studio.acts.cameras import RemoveCamera
@@ -30,6 +31,9 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 # Files that can be the asset of an object.
 ASSETS = (".asset.yaml", ".glb", ".obj", ".stl", ".ply")
+
+# Number of characters of a file's name that become the name of an object, which has at most 64 with a number behind it.
+MAX_STEM = 40
 
 # Number of files of a project that are looked at; more would delay the start.
 MAX_FILES = 20_000
@@ -87,8 +91,8 @@ class AddPanel(Panel):
 
     def _free_name(self, kind: str) -> str:
         """Return a name for something of a kind, such as ``mug_2`` for ``assets/mug.asset.yaml``."""
-        stem = re.sub(r"[^a-z0-9_]+", "_", Path(kind).name.partition(".")[0].lower()).strip("_")
-        stem = stem if stem[:1].isalpha() else f"object_{stem}"
+        stem = re.sub(r"[^a-z0-9_]+", "_", Path(kind).name.partition(".")[0].lower())[:MAX_STEM].strip("_")
+        stem = f"object_{stem}" if name_problem(stem) else stem
         taken = self.session.scene.spec.objects if self.session.scene is not None else {}
         names = (stem, *(f"{stem}_{k}" for k in range(2, len(taken) + 3)))
         return next(name for name in names if name not in taken)

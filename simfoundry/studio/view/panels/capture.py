@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +30,9 @@ MARKED_RGB, OTHER_RGB = (255, 90, 0), (150, 150, 150)
 # least so far. Depth cameras are off by a few millimeters at 1 m, and reconstructions by about two.
 FIT_RGB, LARGEST_M = np.array([(0, 160, 60), (250, 200, 0), (220, 0, 30)]), 0.01
 
+# Name of the node of the cloud, and the word in its paint while the object of its colors is dragged.
+CLOUD, DRAGGED = "/capture/cloud", " while dragged "
+
 # Density [%] and size [mm] of the points at first: light enough for a browser on a laptop, and without gaps at 1 m.
 DENSITY, SIZE_MM = 50, 2.0
 
@@ -43,7 +47,7 @@ class CapturePanel(Panel):
 
     def __init__(self, window: StudioWindow) -> None:
         super().__init__(window)
-        gui = window.gui
+        gui, self._paints = window.gui, count()
         self._state = gui.add_markdown("")
         self._folder = gui.add_folder("Cloud and picture", visible=False)
         with self._folder:
@@ -79,25 +83,47 @@ class CapturePanel(Panel):
         nodes: Nodes = {}
         if self.cloud.value:
             segment = self.window.capture.segment(self.window.selected_object)
-            nodes["/capture/cloud"] = ViewNode(self._cloud(overlay, segment))
+            nodes[CLOUD] = ViewNode(self._cloud(overlay, segment))
         if self.picture.value:
             nodes["/capture/picture"] = picture_node(overlay)
         return {"/capture": ViewNode(FrameContent()), **nodes} if nodes else {}
 
     def _cloud(self, overlay: CaptureOverlay, segment: int) -> CloudContent:
         share, colors = float(self.density.value) / 100, str(self.colors.value)
-        key = f"{id(overlay)} {share} {colors} {segment if colors == SELECTED else 0}"
-        key += self._poses() if colors == ERRORS else ""
-        size = float(self.size.value) / 1000
-        shown = self.window.canvas.nodes.get("/capture/cloud")
-        if shown is not None and isinstance(shown.content, CloudContent) and shown.content.key == key:
-            return CloudContent(key, shown.content.points, shown.content.rgb, size)
+        key, size = f"{id(overlay)} {share}", float(self.size.value) / 1000
+        paint = f"{colors} {segment if colors == SELECTED else 0}" + (self._poses() if colors == ERRORS else "")
+        shown = self._shown
+        if shown is not None and (shown.key, shown.paint) == (key, paint):
+            return replace(shown, size=size)
         points, photo, numbers = overlay.cloud(share)
         if colors == ERRORS:
             rgb = error_colors(overlay.errors(self._surfaces(), share))
         else:
             rgb = cloud_colors(colors, photo, numbers, segment)
-        return CloudContent(key, points.astype(np.float32), rgb, size)
+        return CloudContent(key, paint, points.astype(np.float32), rgb, size)
+
+    @property
+    def _shown(self) -> CloudContent | None:
+        node = self.window.canvas.nodes.get(CLOUD)
+        return node.content if node is not None and isinstance(node.content, CloudContent) else None
+
+    def show_errors(self, name: str, X_WO: Pose) -> None:
+        """Color the points of an object by its fit error at a pose to which it is being dragged."""
+        with self.session.lock:
+            overlay, shown = self.window.capture.overlay, self._shown
+            scene, segment = self.session.scene, self.window.capture.segment(name)
+            item = scene.objects.get(name) if scene is not None else None
+        if overlay is None or shown is None or item is None or not segment or self.colors.value != ERRORS:
+            return
+        share = float(self.density.value) / 100
+        vertices, faces = object_surface(item)
+        errors = overlay.errors({segment: (X_WO.apply(vertices), faces)}, share)
+        with self.session.lock:
+            if self._shown != shown or self.window.gizmo.dragged_node != f"/objects/{name}":
+                return  # something else is shown by now, such as the object where it was let go
+            rgb = np.where(np.isnan(errors)[:, None], shown.rgb, error_colors(errors))
+            paint = f"{shown.paint.partition(DRAGGED)[0]}{DRAGGED}{next(self._paints)}"
+            self.window.canvas.paint(CLOUD, replace(shown, paint=paint, rgb=rgb))
 
     def _surfaces(self) -> dict[int, Surface]:
         """Return the surfaces of all objects that the capture shows, in the world."""

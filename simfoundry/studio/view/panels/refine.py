@@ -19,6 +19,7 @@ from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.acts.refine import RefinePose, ScaleObject, nudged
 from simfoundry.studio.reading import StudioScene
 from simfoundry.studio.view.capture_link import FitMeter
+from simfoundry.studio.view.panels.capture import CapturePanel
 from simfoundry.studio.view.panels.panel import Panel, by_person, set_value
 
 if TYPE_CHECKING:
@@ -101,9 +102,10 @@ class RefinePanel(Panel):
         if section == "objects":
             self._meter.request(name, X_WO)
 
-    def _show_fit(self, name: str, found: RayAgreement) -> None:
+    def _show_fit(self, name: str, X_WO: Pose, found: RayAgreement) -> None:
         if name == self.window.selected_object:
             set_value(self.fit, fit_text(name, found))
+            self.window.panel(CapturePanel).show_errors(name, X_WO)
             self.window.server.flush()
 
     # -- steps --------------------------------------------------------------------------------------------------------
