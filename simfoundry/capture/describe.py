@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.kinds import SUPPORT, kind_of
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import DEFAULT_THICKNESS
 from simfoundry.geometry.frames import frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, tessellate
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, tessellate
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
@@ -23,43 +23,8 @@ from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import ObjectSpec
 from simfoundry.spec.models.surroundings import CameraSpec
 
-
-@dataclass(frozen=True)
-class MaterialPrior:
-    """The prior for the material of a kind of object.
-
-    It consists of the expected density [kg/m^3], the range of the density, and the friction coefficient of the surface.
-    """
-
-    name: str
-    density: float
-    lowest: float
-    highest: float
-    friction: float
-
-
-# The kinds of objects. Density ranges were measured on YCB objects of the same kind, as mass divided by the volume
-# of the solid. Friction coefficients are estimates for contact with wood.
-TABLE = {
-    "box": MaterialPrior("carton", 400, 150, 750, 0.4),
-    "can": MaterialPrior("can", 700, 300, 1050, 0.35),
-    "ball": MaterialPrior("fruit", 800, 100, 1050, 0.5),
-    "bowl": MaterialPrior("crockery", 1800, 900, 2500, 0.35),
-    "object": MaterialPrior("package", 600, 150, 1100, 0.4),
-}
-_KINDS: dict[type[Geometry], str] = {Box: "box", Cylinder: "can", Capsule: "can", Sphere: "ball"}
-SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
-
 # Upper hue limits [deg] of English color words on the HSV color wheel.
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
-
-
-def kind_of(shape: FittedShape) -> str:
-    """Return the kind of object that a fitted shape suggests.
-
-    The kind is a key of :data:`TABLE`.
-    """
-    return _KINDS.get(type(shape.geometry), "bowl" if shape.hollow else "object")
 
 
 def color_word(rgb: tuple[float, float, float]) -> str:
@@ -124,11 +89,12 @@ def object_spec(capture: str, name: str, shape: FittedShape, segment: int | None
     primitive = shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
-    substance = TABLE[kind_of(shape)]
+    kind = kind_of(shape)
+    substance = kind.material
     densities = substance.density, substance.lowest, substance.highest
     kilograms, low, high = (float(f"{volume * density:.2g}") for density in densities)
     return ObjectSpec(
-        category=kind_of(shape),
+        category=kind.name,
         shape=primitive,
         asset=None if primitive is not None else f"meshes/{name}.obj",
         visual=f"meshes/{name}.obj" if primitive is not None else None,

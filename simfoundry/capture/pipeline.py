@@ -11,9 +11,10 @@ from functools import partial
 import numpy as np
 
 from simfoundry.capture import describe
-from simfoundry.capture.describe import SUPPORT_NAME, kind_of, mesh_files
+from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.kinds import SUPPORT, kind_of
 from simfoundry.capture.reconstruct import Progress, Reconstruction, fit_segments, footprint
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
@@ -149,7 +150,7 @@ def scene_spec(
     objects = {SUPPORT_NAME: describe.support_spec(name, fitted.support, fitted.thickness)}
     for k, shape in fitted.shapes.items():
         objects[names[k]] = describe.object_spec(name, names[k], shape, k)
-    priors = [describe.SUPPORT, *(describe.TABLE[kind_of(shape)] for shape in fitted.shapes.values())]
+    priors = [SUPPORT, *(kind_of(shape).material for shape in fitted.shapes.values())]
     key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     return SceneSpec(
         simfoundry="scene/1",
@@ -181,5 +182,5 @@ def _names(
     wanted |= {k: name for name, k in segmentation.pieces.items()}
     for k, shape in shapes.items():
         color = describe.color_word(dominant_color(frame, labels == k))
-        wanted.setdefault(k, f"{color}_{kind_of(shape)}")
+        wanted.setdefault(k, f"{color}_{kind_of(shape).name}")
     return dict(zip(shapes, describe.unique_names(wanted[k] for k in shapes), strict=True))

@@ -53,7 +53,7 @@ STAGES = (
         ("shapes/texture.py", "support_object.py"),
         per_object=True,
     ),
-    Stage("name", "names each object after the capture, or after its color and shape", ("describe.py",)),
+    Stage("name", "names each object after the capture, or after its color and shape", ("describe.py", "kinds.py")),
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
 
