@@ -15,9 +15,10 @@ from simfoundry.splats.harmonics import SH0, harmonic_basis
 # Depth [m] below which Gaussians are left out. So near the camera, the affine approximation smears them over the image.
 NEAREST = 0.1
 
-# Variance [px^2] by which each ellipse is blurred, as when trainers render (Kerbl et al., section 6): without it,
-# Gaussians narrower than a pixel would fall between pixel centers.
-BLUR = 0.3
+# Variance [px^2] by which each ellipse is blurred: that of the area of a pixel. The opacity is lowered such that the
+# image stays as bright (Yu et al., Mip-Splatting, CVPR 2024, section 4.2). Trainers blur by 0.3 and keep the opacity,
+# which makes distant splats in small images too thick.
+BLUR = 1 / 12
 
 # Opacity below which a Gaussian is left out at a pixel: half of what 8 bits can show, and the limit of trainers.
 LEAST_ALPHA = 1 / 255
@@ -25,6 +26,10 @@ LEAST_ALPHA = 1 / 255
 # Width of the region around the image, relative to it, beyond which the slope of the projection is not followed any
 # further, as when trainers render. Gaussians beside the image would otherwise be stretched across it.
 _MARGIN = 1.3
+
+# Value of the quadratic form within which the order of Gaussians is exact: one standard deviation. What is farther out
+# has a third of the weight, and an exact order of it would take three times as long.
+_CORE = 1.0
 
 Singles = NDArray[np.float32]
 
@@ -48,7 +53,7 @@ class Pinhole(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Ellipses:
-    """The m visible Gaussians of a splat in an image, sorted by depth.
+    """The m visible Gaussians of a splat in an image, sorted by their nearest points.
 
     A Gaussian has the opacity ``opacity * exp(-(a x^2 + 2 b x y + c y^2) / 2)`` at the offset (x, y) [px] from its
     center, and its depth there is ``depth + slope . (x, y)``.
@@ -57,7 +62,8 @@ class Ellipses:
         center: Centers [px], shape (m, 2).
         conic: Coefficients a, b and c [1/px^2], shape (m, 3).
         reach: Value of the quadratic form at which the opacity becomes :data:`LEAST_ALPHA`, shape (m,).
-        depth: Depth [m] along the optical axis, shape (m,).
+        nearest: Least depth [m] of the Gaussian within one standard deviation, in ascending order, shape (m,).
+        depth: Depth [m] of the center along the optical axis, shape (m,).
         slope: Change of the depth [m/px], shape (m, 2).
         opacity: Opacity at the center, shape (m,).
         color: sRGB color, at least 0, shape (m, 3).
@@ -66,6 +72,7 @@ class Ellipses:
     center: Array
     conic: Array
     reach: Array
+    nearest: Array
     depth: Array
     slope: Array
     opacity: Array
@@ -87,23 +94,30 @@ def project(splat: GaussianSplat, X_CF: Pose, camera: Pinhole, blur: float = BLU
     seen, p_C = seen[ahead], p_C[ahead]
     x, y, z = p_C.T
     covariance = _image_covariance(splat, seen, X_CF, camera, p_C)
+    sharp = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] ** 2
     uu, uv, vv = covariance[:, 0, 0] + blur, covariance[:, 0, 1], covariance[:, 1, 1] + blur
-    opacity = splat.opacities[seen].astype(np.float64)
-    reach = 2.0 * np.log(opacity / LEAST_ALPHA)
+    determinant = uu * vv - uv * uv
+    with np.errstate(divide="ignore", invalid="ignore"):
+        opacity = splat.opacities[seen] * np.sqrt(np.maximum(sharp, 0.0) / determinant)
+    kept = np.isfinite(opacity) & (opacity > LEAST_ALPHA)
+    reach = 2.0 * np.log(np.where(kept, opacity, 1.0) / LEAST_ALPHA)
     center = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
     wide, high = np.sqrt(reach * uu), np.sqrt(reach * vv)
-    determinant = uu * vv - uv * uv
-    kept = (determinant > 0) & np.isfinite(determinant)
     kept &= (center[:, 0] + wide >= 0) & (center[:, 0] - wide <= camera.width - 1)
     kept &= (center[:, 1] + high >= 0) & (center[:, 1] - high <= camera.height - 1)
-    order = np.flatnonzero(kept)
-    order = order[np.argsort(z[order], kind="stable")]
-    uu, uv, vv, determinant = (values[order] for values in (uu, uv, vv, determinant))
-    conic = np.stack([vv, -uv, uu], axis=1) / determinant[:, None]
-    uz, vz = covariance[order, 0, 2], covariance[order, 1, 2]
+    index = np.flatnonzero(kept)
+    conic = np.stack([vv, -uv, uu], axis=1)[index] / determinant[index, None]
+    uz, vz = covariance[index, 0, 2], covariance[index, 1, 2]
     slope = np.stack([conic[:, 0] * uz + conic[:, 1] * vz, conic[:, 1] * uz + conic[:, 2] * vz], axis=1)
-    color = _colors(splat, seen[order], X_CF.inverse().p)
-    return Ellipses(center[order], conic, reach[order], z[order], slope, opacity[order], color)
+    # The largest change of the depth within an ellipse is the square root of reach * slope . covariance . slope.
+    within = np.minimum(reach[index], _CORE)
+    nearest = z[index] - np.sqrt(np.maximum(within * (slope[:, 0] * uz + slope[:, 1] * vz), 0.0))
+    order = np.argsort(nearest, kind="stable")
+    index, conic, slope, nearest = index[order], conic[order], slope[order], nearest[order]
+    color = _colors(splat, seen[index], X_CF.inverse().p)
+    return Ellipses(
+        center[index], conic, reach[index], nearest, z[index], slope, opacity[index].astype(np.float64), color
+    )
 
 
 def _image_covariance(splat: GaussianSplat, seen: NDArray[np.int64], X_CF: Pose, camera: Pinhole, p_C: Array) -> Array:

@@ -63,7 +63,7 @@ def composite(
     """Composite ellipses from front to back.
 
     Args:
-        ellipses: The Gaussians, sorted by depth.
+        ellipses: The Gaussians. At each pixel, they are sorted by their depth there, as rays meet them.
         camera: The camera that they were projected to.
         stop: Depth [m] of an opaque surface at each pixel, or infinity, shape (h, w). What is behind it is left out.
         wanted: Pixels to render, shape (h, w); the others stay empty. By default, all are rendered.
@@ -75,8 +75,9 @@ def composite(
     rows = max(1, _PIXELS // w)
     depths = None if stop is None else stop.reshape(-1)
     for top in range(0, h, rows):
-        for pairs in _pairs(ellipses, w, top, min(top + rows, h)):
-            _blend(canvas, ellipses, pairs, depths)
+        waiting = _Fragments.empty()
+        for pairs, limit in _pairs(ellipses, w, top, min(top + rows, h)):
+            waiting = _blend(canvas, ellipses, waiting.joined(_fragments(canvas, ellipses, pairs, depths)), limit)
     alpha = np.where(canvas.transmittance > _OPAQUE, 1.0 - canvas.transmittance, 1.0)
     if wanted is not None:
         alpha[~wanted.reshape(-1)] = 0.0
@@ -105,7 +106,7 @@ class _Canvas(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Pairs of a row of an ellipse and a pixel in it, from front to back.
+    """Pairs of a row of an ellipse and a pixel in it.
 
     Attributes:
         ellipse: Index of the ellipse of each row, shape (r,).
@@ -122,8 +123,38 @@ class _Pairs(NamedTuple):
     pixel: Index
 
 
-def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[_Pairs]:
-    """Yield the pairs in the image rows from ``top`` to ``bottom``, in batches of limited size from front to back."""
+class _Fragments(NamedTuple):
+    """Ellipses at pixels, with their opacities and depths [m] there. All arrays have shape (n,)."""
+
+    ellipse: Index
+    pixel: Index
+    alpha: Floats
+    depth: Floats
+
+    @classmethod
+    def empty(cls) -> _Fragments:
+        none = np.zeros(0, dtype=np.int64)
+        return cls(none, none, np.zeros(0), np.zeros(0))
+
+    def joined(self, other: _Fragments) -> _Fragments:
+        if not len(self.pixel):
+            return other
+        return _Fragments(
+            np.concatenate([self.ellipse, other.ellipse]),
+            np.concatenate([self.pixel, other.pixel]),
+            np.concatenate([self.alpha, other.alpha]),
+            np.concatenate([self.depth, other.depth]),
+        )
+
+    def at(self, index: Index) -> _Fragments:
+        return _Fragments(self.ellipse[index], self.pixel[index], self.alpha[index], self.depth[index])
+
+
+def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[tuple[_Pairs, float]]:
+    """Yield the pairs in the image rows from ``top`` to ``bottom``, in batches of limited size from front to back.
+
+    Each batch is followed by a depth [m] in front of which no later batch has a pair within one standard deviation.
+    """
     half = np.sqrt(ellipses.reach * ellipses.conic[:, 0] / _determinant(ellipses.conic))
     first = np.maximum(np.ceil(ellipses.center[:, 1] - half), top).astype(np.int64)
     last = np.minimum(np.floor(ellipses.center[:, 1] + half), bottom - 1).astype(np.int64)
@@ -135,7 +166,8 @@ def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[_P
     while start < len(kept):
         before = total[start - 1] if start else 0.0
         end = max(start + 1, int(np.searchsorted(total, before + _PAIRS)))
-        yield _batch(ellipses, kept[start:end], first[kept[start:end]], counts[start:end], width)
+        limit = float(ellipses.nearest[kept[end]]) if end < len(kept) else np.inf
+        yield _batch(ellipses, kept[start:end], first[kept[start:end]], counts[start:end], width), limit
         start = end
 
 
@@ -160,8 +192,8 @@ def _batch(ellipses: Ellipses, index: Index, first: Index, counts: Index, width:
     return _Pairs(row_ellipse, y, row, column, np.repeat(image_row * width, lengths) + column)
 
 
-def _blend(canvas: _Canvas, ellipses: Ellipses, pairs: _Pairs, stop: Floats | None) -> None:
-    """Composite pairs behind what the canvas shows."""
+def _fragments(canvas: _Canvas, ellipses: Ellipses, pairs: _Pairs, stop: Floats | None) -> _Fragments:
+    """Return the pairs at pixels that are not opaque yet, in front of the depths ``stop`` [m], with their opacities."""
     visible = np.flatnonzero(canvas.transmittance[pairs.pixel] > _OPAQUE)
     row, pixel = pairs.row[visible], pairs.pixel[visible]
     ellipse, y = pairs.ellipse[row], pairs.y[row]
@@ -171,19 +203,23 @@ def _blend(canvas: _Canvas, ellipses: Ellipses, pairs: _Pairs, stop: Floats | No
         front = np.flatnonzero(depth < stop[pixel])
         ellipse, pixel = ellipse[front], pixel[front]
         x, y, depth = x[front], y[front], depth[front]
-    if not len(pixel):
-        return
     a, b, c = ellipses.conic[ellipse].T
     alpha = ellipses.opacity[ellipse] * np.exp(-0.5 * ((a * x + 2.0 * b * y) * x + c * y * y))
-    np.minimum(alpha, _MOST_ALPHA, out=alpha)
-    # Sorting keys that contain the index is faster than a stable sort of the pixels.
-    keys = pixel * len(pixel) + np.arange(len(pixel))
-    keys.sort()
-    order = keys % len(pixel)
-    pixel, alpha, depth, ellipse = pixel[order], alpha[order], depth[order], ellipse[order]
+    return _Fragments(ellipse, pixel, np.minimum(alpha, _MOST_ALPHA), depth)
+
+
+def _blend(canvas: _Canvas, ellipses: Ellipses, found: _Fragments, limit: float) -> _Fragments:
+    """Composite the fragments nearer than ``limit`` [m] behind what the canvas shows, and return the others."""
+    ready = found.depth < limit
+    waiting = found.at(np.flatnonzero(~ready))
+    if len(waiting.pixel):
+        found = found.at(np.flatnonzero(ready))
+    if not len(found.pixel):
+        return waiting
+    ellipse, pixel, alpha, depth = found.at(_sorted(found))
     starts = np.flatnonzero(np.diff(pixel, prepend=-1))
     at, lengths = pixel[starts], np.diff(starts, append=len(pixel))
-    passed = np.cumsum(np.log1p(-alpha))  # logarithm of the light that passes the pairs up to and including each
+    passed = np.cumsum(np.log1p(-alpha))  # logarithm of the light that passes the fragments up to and including each
     begin = np.concatenate([[0.0], passed[starts[1:] - 1]])
     after = np.exp(passed - np.repeat(begin, lengths)) * np.repeat(canvas.transmittance[at], lengths)
     before = after / (1.0 - alpha)
@@ -192,6 +228,24 @@ def _blend(canvas: _Canvas, ellipses: Ellipses, pairs: _Pairs, stop: Floats | No
         canvas.color[at, channel] += np.add.reduceat(weight * ellipses.color[ellipse, channel], starts)
     middle = np.flatnonzero((before >= 0.5) & (after < 0.5))
     canvas.depth[pixel[middle]] = depth[middle]
-    canvas.nearest[at] = np.minimum(canvas.nearest[at], np.minimum.reduceat(depth, starts))
-    canvas.farthest[at] = np.maximum(canvas.farthest[at], np.maximum.reduceat(depth, starts))
-    canvas.transmittance[at] = after[starts + lengths - 1]
+    ends = starts + lengths - 1
+    canvas.nearest[at] = np.minimum(canvas.nearest[at], depth[starts])
+    canvas.farthest[at] = depth[ends]
+    canvas.transmittance[at] = after[ends]
+    return waiting
+
+
+def _sorted(found: _Fragments) -> Index:
+    """Return the order of fragments by pixel and depth.
+
+    Sorting one key that contains the index takes a third of the time of a stable sort. Depths are rounded for it to a
+    fraction of their range that is at most 2^-12, and those of a million fragments to 2^-17.
+    """
+    n = len(found.pixel)
+    index_bits, pixel_bits = n.bit_length(), int(found.pixel.max()).bit_length()
+    steps = 2 ** max(63 - index_bits - pixel_bits, 1) - 1
+    low, high = float(found.depth.min()), float(found.depth.max())
+    rank = ((found.depth - low) * (steps / max(high - low, 1e-9))).astype(np.int64)
+    keys = ((found.pixel * (steps + 1) + rank) << index_bits) + np.arange(n)
+    keys.sort()
+    return np.asarray(keys & ((1 << index_bits) - 1))
