@@ -8,7 +8,7 @@ from simfoundry.splats.gaussians import GaussianSplat, gaussian_splat
 
 
 def random_splat(count: int, degree: int, seed: int, extremes: bool = True, spread: float = 3.0) -> GaussianSplat:
-    """Return ``count`` Gaussians within a few times ``spread`` [m]; some are opaque, transparent or flat if ``extremes`` is set."""
+    """Return ``count`` Gaussians within a few times ``spread`` [m]; extremes are opaque or flat."""
     rng = np.random.default_rng(seed)
     opacities = 1 / (1 + np.exp(-rng.normal(0, 3, count)))
     scales = np.exp(rng.normal(-3, 1, (count, 3)))
