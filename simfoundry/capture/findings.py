@@ -22,6 +22,9 @@ NOT_FOLLOWED = "SF602"
 # An object that settled elsewhere than it was seen.
 MOVED = "SF603"
 
+# An edit of the scene that a new reconstruction contradicts.
+CONFLICTING_EDIT = "SF604"
+
 
 @dataclass(frozen=True)
 class CaptureFinding:

@@ -8,7 +8,9 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from simfoundry.capture.stages.store import StageStore
 from simfoundry.errors import OutputError, PicklableError
@@ -19,46 +21,94 @@ STAGES_FOLDER = "stages"
 
 REPORT = "report.json"
 
+# Files that people may edit in the output, and that later runs take into account.
+EDITABLE = ("masks.png", "masks.yaml")
 
-def ensure_output_replaceable(out: Path, document: Path, force: bool) -> None:
-    """Ensure that replacing ``out`` destroys neither the capture ``document`` nor the user's own files.
+# File in the folder of stages with the scene as the last run reconstructed it, with which later edits are compared.
+LAST_SCENE = "last.scene.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class PreviousOutput:
+    """What the last run left in the output folder, and what a person did to it since.
+
+    Attributes:
+        folder: The output folder, which may be missing.
+        written: Digests of the files that the last run wrote, by relative path.
+        kept: Files among them that contain edits from before the last run.
+        edited: Files among them that a person has edited since.
+        foreign: Relative paths of the files that no run wrote.
+        numbers: Numbers of the objects in the last run, by name.
+    """
+
+    folder: Path
+    written: Mapping[str, str] = field(default_factory=dict)
+    kept: tuple[str, ...] = ()
+    edited: tuple[str, ...] = ()
+    foreign: tuple[str, ...] = ()
+    numbers: Mapping[str, int] = field(default_factory=dict)
+
+    def edited_masks(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return which of the files ``names`` contain edits, from before or since the last run."""
+        return tuple(n for n in names if n in (*self.kept, *self.edited) and (self.folder / n).is_file())
+
+    def text(self, name: str) -> str | None:
+        """Return the text of a file, or None if it is missing or not text."""
+        try:
+            return (self.folder / name).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            return None
+
+
+def previous_output(out: Path, document: Path, scene: str, force: bool) -> PreviousOutput:
+    """Return what is in ``out``, which a run for the capture ``document`` is about to replace.
+
+    Edits of the masks and of the file ``scene``, and files beside them, survive. With ``force``, all are discarded.
 
     Raises:
-        OutputError: It would. ``force`` permits to replace the user's files, but not the capture.
+        OutputError: ``out`` contains the capture, or edits that would be lost, or was not written by a capture.
     """
     if document.resolve().is_relative_to(out):
         raise OutputError(f"{out} contains the capture itself; choose another output folder")
     if force or not out.is_dir():
-        return
-    written = written_files(out)
+        return PreviousOutput(out)
+    report = _report_of(out)
+    written = {str(path): str(digest) for path, digest in report.get("files", {}).items()}
     known = [*written, *([REPORT] if written else [])]
     foreign = [path for path in strangers(out, known) if not path.startswith(f"{STAGES_FOLDER}/")]
-    if foreign:
+    if foreign and not written:
         raise OutputError(
             f"{out} contains files that were not generated there ({_names(foreign)}); choose another folder, or "
             "replace the entire folder with --force"
         )
-    edited = edited_files(out, written)
-    if edited:
-        raise OutputError(
-            f"{out} contains files that were edited since they were generated ({_names(edited)}); choose another "
-            "folder, or discard the edits with --force"
-        )
-
-
-def written_files(out: Path) -> dict[str, str]:
-    """Return the digests of the files that the last run wrote to ``out``, by relative path; empty if unknown."""
-    try:
-        files = json.loads((out / REPORT).read_bytes())["files"]
-        return {str(path): str(digest) for path, digest in files.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
-
-
-def edited_files(out: Path, written: Mapping[str, str]) -> list[str]:
-    """Return the files in ``out`` that differ from what the last run wrote. Deleted files do not count."""
     present = [(path, out / path) for path in sorted(written) if (out / path).is_file()]
-    return [path for path, file in present if hashlib.sha256(file.read_bytes()).hexdigest() != written[path]]
+    edited = [path for path, file in present if hashlib.sha256(file.read_bytes()).hexdigest() != written[path]]
+    can_merge = (out / STAGES_FOLDER / LAST_SCENE).is_file()
+    lost = [path for path in edited if path not in EDITABLE and not (path == scene and can_merge)]
+    if lost:
+        raise OutputError(
+            f"{out} contains files that were edited since they were generated ({_names(lost)}); state corrections in "
+            f"overrides/objects.yaml beside the capture (edits of the masks, and of {scene} if {STAGES_FOLDER}/"
+            f"{LAST_SCENE} exists, are merged), choose another folder, or discard the edits with --force"
+        )
+    kept = tuple(str(path) for path in report.get("edited", ()))
+    return PreviousOutput(out, written, kept, tuple(edited), tuple(foreign), numbers_in(report))
+
+
+def numbers_in(report: Mapping[str, Any]) -> dict[str, int]:
+    """Return the numbers of objects by their names, as a report lists them."""
+    objects = report.get("objects", {})
+    listed = objects.items() if isinstance(objects, dict) else ()
+    return {str(name): int(item["segment"]) for name, item in listed if isinstance(item, dict) and "segment" in item}
+
+
+def _report_of(out: Path) -> dict[str, Any]:
+    """Return the report of the last run, or an empty mapping if there is none or if it is damaged."""
+    try:
+        report = json.loads((out / REPORT).read_bytes())
+        return report if isinstance(report["files"], dict) and isinstance(report.get("edited", []), list) else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
 
 
 def _names(paths: list[str]) -> str:
@@ -91,13 +141,26 @@ def stage_store(out: Path) -> Iterator[StageStore]:
 
 
 @contextmanager
-def staged_output(out: Path) -> Iterator[Path]:
-    """Yield an empty folder that replaces ``out`` if the block succeeds. The results of stages stay in ``out``."""
+def staged_output(previous: PreviousOutput) -> Iterator[Path]:
+    """Yield an empty folder that replaces the output folder if the block succeeds.
+
+    The results of stages and the files that no run wrote stay in the output folder.
+
+    Raises:
+        OutputError: The run wrote a file whose name one of these files has.
+    """
+    out = previous.folder
     with scratch(out.parent, out.name) as staging:
         yield staging
+        for path in previous.foreign:
+            if (staging / path).exists():
+                raise OutputError(f"{out / path} was not written by a capture and would be replaced; move it away")
+            (staging / path).parent.mkdir(parents=True, exist_ok=True)
+            _link(str(out / path), str(staging / path))
         kept = out / STAGES_FOLDER
         if kept.is_dir():
-            shutil.copytree(kept, staging / STAGES_FOLDER, copy_function=_link)
+            old = shutil.ignore_patterns(LAST_SCENE)
+            shutil.copytree(kept, staging / STAGES_FOLDER, ignore=old, copy_function=_link, dirs_exist_ok=True)
         replace_folder(staging, out)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -15,16 +15,20 @@ from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.kinds import SUPPORT, kind_of
-from simfoundry.capture.reconstruct import Progress, Reconstruction, fit_segments, footprint
+from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
+from simfoundry.capture.overrides import Overrides
+from simfoundry.capture.reconstruct import Progress, Reconstruction, fit_segments, footprint, nearby_labels
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
+from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner, StaleStageError
+from simfoundry.capture.stated import placed_shape, stated_segmentation
 from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.lower import pose
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.origin import Origin
 from simfoundry.spec.models.scene import SceneSpec
@@ -33,34 +37,57 @@ from simfoundry.spec.models.surroundings import LightSpec
 CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
 
 
+@dataclass(frozen=True, eq=False)
+class Statements:
+    """What is known about an image besides its pixels.
+
+    Attributes:
+        given: Numbers in the image's instance masks, by the names that the capture gives.
+        overrides: Corrections by a person.
+        last: Numbers of the objects in the last run, shape (h, w), or None.
+        last_names: Numbers in ``last``, by the names in the last run.
+    """
+
+    given: Mapping[str, int] = field(default_factory=dict)
+    overrides: Overrides = field(default_factory=Overrides)
+    last: Labels | None = None
+    last_names: Mapping[str, int] = field(default_factory=dict)
+
+
 def reconstruct(
-    name: str, source: StageResult[Frame], given_names: Mapping[str, int], progress: Progress, stages: StageRunner
+    name: str, source: StageResult[Frame], known: Statements, progress: Progress, stages: StageRunner
 ) -> Reconstruction:
     """Reconstruct a scene spec called ``name`` from a single image.
 
     Args:
         name: Name of the scene.
         source: The image, as the stage of frames returns it.
-        given_names: Numbers in the image's instance masks, by the names of objects.
+        known: What is known about the image besides its pixels.
         progress: Called with the current stage and the fraction that is done.
         stages: Runs the stages, or reuses their earlier results.
 
     Raises:
         CaptureError: No support or no object is found in the image.
     """
-    frame = source.value
+    frame, overrides = source.value, known.overrides
     seen = {"image": digest_of([frame.color, frame.depth, frame.K])}
     progress("support", 0.0)
     support = stages.run("support", seen, lambda: find_support(frame))
     progress("objects", 0.1)
-    stated = "" if frame.decomposition is None else frame.decomposition.model_dump_json()
-    inputs = seen | {"support": support.digest, "masks": digest_of(frame.instances), "decomposition": stated}
-    given = frame.instances is not None
-    segmentation = stages.run("segment", inputs, lambda: decompose(frame, support.value), quick=given)
-    objects = fit_objects(frame, support, segmentation.value, seen, progress, stages)
-    inputs = seen | {"segments": segmentation.digest, "shapes": digest_of(list(objects.shapes.values()))}
-    inputs |= {"masks": digest_of(frame.instances), "given": json.dumps(dict(given_names))}
-    names = stages.run("name", inputs, lambda: _names(frame, segmentation.value, objects.shapes, given_names)).value
+    segmentation = _segmented(frame, support, seen, overrides, stages)
+    view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
+    shapes, carriers, findings = _shapes(view, progress)
+    inputs = seen | {"segments": segmentation.digest, "shapes": digest_of(list(shapes.values()))}
+    inputs |= {"masks": digest_of(frame.instances), "given": json.dumps(dict(known.given))}
+    find = partial(found_names, frame, segmentation.value, shapes, known.given)
+    found = stages.run("name", inputs, find, quick=True).value
+    names = _names(found, segmentation.value, known)
+    if overrides.names or any(item.name for item in overrides.objects.values()):
+        stages.overridden.add(("name", ""))
+    keys = {k: overrides.of((names[k], found[k]))[0] for k in shapes}
+    shapes = {k: _placed(view, shape, overrides, keys[k], k) for k, shape in shapes.items()}
+    given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
+    objects = _textured(view, shapes, carriers, given, progress)
     spec = scene_spec(name, frame, support.value, objects, names)
     files = mesh_files(SUPPORT_NAME, objects.top)
     for k, mesh in objects.meshes.items():
@@ -73,12 +100,30 @@ def reconstruct(
         segmentation.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
-        (*unmet, *objects.findings),
+        (*unmet, *findings, *overrides.unused({*found.values(), *names.values()})),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class FittedObjects:
+class SegmentedView:
+    """An image with its support and its segmentation, of which each object is reconstructed.
+
+    ``seen`` contains the digests of the image and of the support.
+    """
+
+    frame: Frame
+    support: SupportSurface
+    segmentation: Segmentation
+    seen: Mapping[str, str]
+    stages: StageRunner
+
+    def mask(self, k: int) -> Mask:
+        """Return the pixels of object ``k``."""
+        return np.asarray(self.segmentation.labels == k)
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedObjects:
     """The objects of an image, by their numbers in the segmentation.
 
     ``supports`` contains the number of the object that supports each of them, or 0. ``support`` is the table beneath
@@ -91,59 +136,115 @@ class FittedObjects:
     support: SupportSurface
     thickness: float | None
     top: Mesh
-    findings: tuple[CaptureFinding, ...]
 
 
-def fit_objects(
+def _segmented(
     frame: Frame,
-    found: StageResult[SupportSurface],
-    segmentation: Segmentation,
+    support: StageResult[SupportSurface],
     seen: Mapping[str, str],
-    progress: Progress,
+    overrides: Overrides,
     stages: StageRunner,
-) -> FittedObjects:
-    """Fit a textured solid to each segment, and extend the support beneath them.
+) -> StageResult[Segmentation]:
+    """Segment an image, or take the masks of a person as they are."""
+    if overrides.masks is not None:
+        masks = overrides.masks
+        inputs = {**seen, "support": support.digest, "override": digest_of(masks)}
+        stages.overridden.add(("segment", ""))
+        return stages.run("segment", inputs, lambda: stated_segmentation(frame, support.value, masks), quick=True)
+    stated = "" if frame.decomposition is None else frame.decomposition.model_dump_json()
+    inputs = {**seen, "support": support.digest, "masks": digest_of(frame.instances), "decomposition": stated}
+    is_quick = frame.instances is not None
+    return stages.run("segment", inputs, lambda: decompose(frame, support.value), quick=is_quick)
 
-    ``seen`` contains the digests of the image.
+
+def _shapes(
+    view: SegmentedView, progress: Progress
+) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
+    """Fit a solid to each segment.
 
     Raises:
         CaptureError: No object could be fitted.
     """
-    labels = segmentation.labels
 
     def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
-        inputs = {**seen, "support": found.digest, "mask": digest_of(mask), "others": digest_of(others)}
+        inputs = {**view.seen, "mask": digest_of(mask), "others": digest_of(others)}
         inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
-        return stages.run(
-            "shape", inputs, lambda: fit_shape(frame, found.value, mask, base_z, labels=others), str(k)
-        ).value
+        compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others)
+        return view.stages.run("shape", inputs, compute, str(k)).value
 
-    shapes, supports, findings = fit_segments(
-        frame, found.value, segmentation, lambda stage, share: progress(stage, 0.3 + 0.4 * share), fit
+    shapes, carriers, findings = fit_segments(
+        view.frame,
+        view.support,
+        view.segmentation,
+        lambda stage, share: progress(stage, 0.3 + 0.4 * share),
+        fit,
     )
     if not shapes:
         raise CaptureError("SF504", "could not fit any object", "; ".join(f.message for f in findings))
+    return shapes, carriers, findings
+
+
+def _names(found: Mapping[int, str], segmentation: Segmentation, known: Statements) -> dict[int, str]:
+    """Return the names of objects in the scene, by number."""
+    labels, overrides = segmentation.labels, known.overrides
+    reference = overrides.masks if overrides.masks is not None else known.last
+    reference = labels if reference is None or reference.shape != labels.shape else reference
+    stated = {k: name for k, name in matched_names(labels, reference, overrides.names).items() if k in found}
+    kept = {} if known.last is None else kept_names(labels, known.last, known.last_names, found)
+    by_capture = {*known.given, *segmentation.pieces}
+    kept = {k: name for k, name in kept.items() if found[k] not in by_capture}
+    return final_names(found, stated, kept, overrides)
+
+
+def _placed(view: SegmentedView, shape: FittedShape, overrides: Overrides, key: str, k: int) -> FittedShape:
+    """Return the solid of an object with the mesh and the pose that a person states, if any."""
+    override, mesh = overrides.objects.get(key), overrides.meshes.get(key)
+    if override is None or (override.pose is None and mesh is None):
+        return shape
+    others = nearby_labels(view.segmentation.labels, k)
+    inputs = {**view.seen, "shape": digest_of(shape), "mesh": digest_of(mesh), "others": digest_of(others)}
+    inputs["pose"] = "" if override.pose is None else override.pose.model_dump_json()
+    stated = None if override.pose is None else pose(override.pose)
+    compute = partial(placed_shape, view.frame, view.support, shape, mesh, stated, others)
+    view.stages.overridden.add(("pose", str(k)))
+    with suppress(StaleStageError):
+        return view.stages.run("pose", inputs, compute, str(k)).value
+    return shape
+
+
+def _textured(
+    view: SegmentedView,
+    shapes: dict[int, FittedShape],
+    carriers: dict[int, int],
+    given: Mapping[int, Mesh],
+    progress: Progress,
+) -> TexturedObjects:
+    """Paint the objects, and extend the support beneath them. ``given`` contains meshes that may have a texture."""
+    frame, labels = view.frame, view.segmentation.labels
     meshes = {}
     for done, (k, shape) in enumerate(shapes.items()):
         progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
-        inputs = {**seen, "support": found.digest, "mask": digest_of(labels == k), "shape": digest_of(shape)}
-        paint = partial(textured_mesh, shape, frame, found.value, labels == k)
+        if k in given and given[k].texture is not None:
+            meshes[k] = given[k]
+            continue
+        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
+        paint = partial(textured_mesh, shape, frame, view.support, view.mask(k))
         with suppress(StaleStageError):
-            meshes[k] = stages.run("texture", inputs, paint, str(k)).value
-    grounded = [footprint(shape) for k, shape in shapes.items() if not supports[k]]
-    support = replace(found.value, outline=beneath(found.value.outline, grounded))
+            meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
+    grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
+    support = replace(view.support, outline=beneath(view.support.outline, grounded))
     thickness = measured_thickness(frame, support)
-    inputs = {**seen, "support": digest_of(support), "labels": digest_of(labels), "thickness": repr(thickness)}
+    inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels), "thickness": repr(thickness)}
     slab = partial(support_mesh, frame, support, labels, thickness or DEFAULT_THICKNESS)
-    top = stages.run("texture", inputs, slab, SUPPORT_NAME).value
-    return FittedObjects(shapes, supports, meshes, support, thickness, top, findings)
+    top = view.stages.run("texture", inputs, slab, SUPPORT_NAME).value
+    return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
 
 
 def scene_spec(
     name: str,
     frame: Frame,
     support: SupportSurface,
-    fitted: FittedObjects,
+    fitted: TexturedObjects,
     names: Mapping[int, str],
 ) -> SceneSpec:
     """Return the scene of the fitted objects, which have the given names."""
@@ -163,24 +264,3 @@ def scene_spec(
         relations=tuple(f"OnTop({names[k]}, {names.get(fitted.supports[k], SUPPORT_NAME)})" for k in fitted.shapes),
         origin=Origin(capture=name, fit_error=describe.meters(support.residual)),
     )
-
-
-def _names(
-    frame: Frame, segmentation: Segmentation, shapes: dict[int, FittedShape], given: Mapping[str, int]
-) -> dict[int, str]:
-    """Name every object.
-
-    An object is named after its name in the capture or, if there is none, after its color and shape.
-    """
-    labels = segmentation.labels
-    wanted: dict[int, str] = {}
-    if frame.instances is not None:
-        for name, number in given.items():
-            covered = labels[(frame.instances == number) & (labels > 0)]
-            if len(covered):
-                wanted[int(np.bincount(covered).argmax())] = name
-    wanted |= {k: name for name, k in segmentation.pieces.items()}
-    for k, shape in shapes.items():
-        color = describe.color_word(dominant_color(frame, labels == k))
-        wanted.setdefault(k, f"{color}_{kind_of(shape).name}")
-    return dict(zip(shapes, describe.unique_names(wanted[k] for k in shapes), strict=True))

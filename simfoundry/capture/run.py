@@ -2,42 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Collection
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.load import checked_frame_name, load_frame, open_capture
-from simfoundry.capture.output_folder import (
-    REPORT,
-    STAGES_FOLDER,
-    ensure_output_replaceable,
-    stage_store,
-    staged_output,
-)
-from simfoundry.capture.overlay import SEGMENTS, segment_image
+from simfoundry.capture.inputs import labels_of, load_stage, statements
+from simfoundry.capture.load import checked_frame_name, open_capture
+from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
+from simfoundry.capture.outputs import write_masks, write_merged
 from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports, without
-from simfoundry.capture.stages.runner import StageResult, StageRunner, StageState
-from simfoundry.capture.stages.status import StageStatus, last_names, listed_states, read_source, write_source
-from simfoundry.capture.stages.store import StageStore
-from simfoundry.errors import SimfoundryError
+from simfoundry.capture.stages.runner import StageRunner, StageState
+from simfoundry.capture.stages.status import write_source
 from simfoundry.runtime.files import file_digests, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
-from simfoundry.spec.diagnostics import SpecError, nearest
+from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.capture import CaptureSpec
@@ -93,82 +82,37 @@ def run_capture(
     """
     loaded = open_capture(path)
     folder = out.resolve()
-    ensure_output_replaceable(folder, loaded.path, force)
     assert isinstance(loaded.spec, CaptureSpec)
-    frames = loaded.spec.frames
     frame_name = checked_frame_name(loaded, frame_name)
-    name = loaded.spec.name if len(frames) == 1 else f"{loaded.spec.name}_{frame_name}"
-    masks = frames[frame_name].masks
+    name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
     scene_name = f"{name}.scene.yaml"
+    previous = previous_output(folder, loaded.path, scene_name, force)
+    labels = labels_of(previous, only)
     try:
         with stage_store(folder) as store:
             write_source(store.folder, loaded.path, frame_name)
-            stages = StageRunner(store, redo_from or ("shape" if only else None), labels_of(store.folder, only))
+            stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
             source = load_stage(loaded, frame_name, stages)
-            given = masks.names if masks is not None else {}
-            built = reconstruct(name, source, given, lambda stage, share: progress(stage, 0.6 * share), stages)
-            with staged_output(folder) as staging:
+            known = statements(loaded, frame_name, previous, source.value)
+            built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
+            with staged_output(previous) as staging:
                 built, scene, settled = _settled(built, staging / scene_name, cache, progress)
+                merged = write_merged(previous, staging / scene_name)
+                if merged.is_edited and not merged.is_broken:
+                    scene = lower(load_scene(staging / scene_name), cache)
+                    settled = _rest(scene, progress)
                 progress("pictures", 0.95)
                 _pictures(built, source.value, scene, settled, staging)
-                write_file(staging / SEGMENTS, segment_image(built.segmentation.labels))
-                findings = ordered_findings((*built.findings, *_restless(settled)))
+                edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
+                edited += (scene_name,) * merged.is_edited
+                findings = ordered_findings((*built.findings, *_restless(settled), *merged.findings))
                 report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
-                report["files"] = file_digests(staging)
+                report |= {"edited": list(edited), "files": _digests(staging)}
                 write_file(staging / REPORT, (json.dumps(report, indent=2) + "\n").encode())
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
     return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states)
-
-
-def labels_of(folder: Path, names: Collection[str]) -> tuple[str, ...]:
-    """Return the labels of the objects that the last run called ``names``.
-
-    Raises:
-        SimfoundryError: There is no such object.
-    """
-    numbers = {name: str(k) for k, name in last_names(folder).items()} | {SUPPORT_NAME: SUPPORT_NAME}
-    for name in names:
-        if name not in numbers:
-            raise SimfoundryError(f"the last run has no object `{name}`; {nearest(name, numbers)}")
-    return tuple(numbers[name] for name in names)
-
-
-def examine(out: Path) -> list[StageStatus]:
-    """Return which stages of the output folder ``out`` a new run would reuse, and which ones it would run again.
-
-    Raises:
-        SimfoundryError: ``out`` was not written by a capture, or the capture is unusable.
-    """
-    folder = out.resolve() / STAGES_FOLDER
-    document, frame_name = read_source(folder)
-    loaded = open_capture(document)
-    assert isinstance(loaded.spec, CaptureSpec)
-    frame_name = checked_frame_name(loaded, frame_name)
-    masks = loaded.spec.frames[frame_name].masks
-    stages = StageRunner(StageStore(folder), examine=True)
-    with suppress(CaptureError):
-        source = load_stage(loaded, frame_name, stages)
-        given = masks.names if masks is not None else {}
-        reconstruct(loaded.spec.name, source, given, lambda stage, share: None, stages)
-    return listed_states(stages.states, {str(k): name for k, name in last_names(folder).items()})
-
-
-def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
-    """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed."""
-    assert isinstance(loaded.spec, CaptureSpec)
-    shot = loaded.spec.frames[frame_name]
-    inputs = {"frame": shot.model_dump_json()}
-    images = [shot.color, shot.depth.image, *([shot.masks.image] if shot.masks is not None else [])]
-    for image in images:
-        try:
-            inputs[image] = hashlib.sha256(loaded.file(image).read_bytes()).hexdigest()
-        except OSError:
-            inputs[image] = ""  # reported by the stage
-    read = partial(load_frame, loaded, frame_name)
-    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None), quick=True)
-    return replace(result, value=replace(result.value, decomposition=shot.decomposition))
 
 
 def _settled(
@@ -201,6 +145,14 @@ def _settled(
     spec = with_supports(spec, {o.name: o.supports for o in settled.objects})
     _write(built, scene_file, spec)
     return replace(built, spec=spec), scene, settled
+
+
+def _rest(scene: Scene, progress: Progress) -> SettleResult:
+    """Settle a scene that a person edited, to find out what does not rest where it is."""
+    from simfoundry.worlds.mujoco_world import MujocoWorld
+
+    with MujocoWorld(scene) as world:
+        return settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
@@ -237,6 +189,12 @@ def _restless(settled: SettleResult) -> list[CaptureFinding]:
     ]
 
 
+def _digests(folder: Path) -> dict[str, str]:
+    """Return the digests of the output, without the results of stages, which may change without being edits."""
+    digests = file_digests(folder)
+    return {path: digest for path, digest in digests.items() if not path.startswith(f"{STAGES_FOLDER}/")}
+
+
 def _report(
     built: Reconstruction,
     settled: SettleResult,
@@ -247,10 +205,18 @@ def _report(
     settle_of = {o["name"]: o for o in settled.to_json()["objects"]}
     objects = {}
     for name, shape in built.shapes.items():
+        if name not in settle_of:  # a person removed it from the scene
+            continue
         pixels = int(np.count_nonzero(built.segmentation.labels == built.names[name]))
         fit, confidence = round(shape.fit_m, 6), round(shape.confidence, 6)
         rest = {k: round(v, 6) if isinstance(v, float) else v for k, v in settle_of[name].items() if k != "name"}
-        objects[name] = {"pixels": pixels, "fit": fit, "confidence": confidence, "settle": rest}
+        objects[name] = {
+            "segment": built.names[name],
+            "pixels": pixels,
+            "fit": fit,
+            "confidence": confidence,
+            "settle": rest,
+        }
     return {
         "source": source,
         "passed": all(f.code in accepted for f in findings),

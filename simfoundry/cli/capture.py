@@ -15,12 +15,12 @@ from simfoundry.cli.scenes import settle_table
 @output.subcommand("status")
 @click.argument("out", type=FOLDER)
 def status_command(out: Path, as_json: bool) -> int:
-    """Tell which stages of a reconstruction are cached and which are stale.
+    """Tell which stages of a reconstruction are cached, stale, or overridden by a person.
 
     OUT is the output folder of `simfoundry capture`. A new run reuses the results of cached stages and runs stale ones
     again. The exit code is 1 if anything is stale.
     """
-    from simfoundry.capture.run import examine
+    from simfoundry.capture.inputs import examine
 
     states = examine(out)
     lines = [f"{s.stage:<10}{s.object:<22}{s.state}" for s in states]
@@ -63,7 +63,8 @@ def capture_command(
     such as an object that was left out or did not settle well, the scene is written all the same, the findings are
     printed and added to the report, and the exit code is 1. `--accept` goes on without the findings of one code.
 
-    A new run repeats only what depends on what has changed. `simfoundry capture status OUT` lists the stages.
+    A new run repeats only what depends on what has changed, and keeps your edits of the scene, of masks.png and of
+    masks.yaml. `simfoundry capture status OUT` lists the stages.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes

@@ -42,6 +42,7 @@ class StageRunner:
         only: Objects, by their labels, for which stages are run again. Empty: all.
         examine: True to run and write nothing: :class:`StaleStageError` is raised instead.
         states: What happened in each stage, by stage and label.
+        overridden: Stages and labels whose results contain statements of a person.
     """
 
     store: StageStore | None = None
@@ -49,6 +50,7 @@ class StageRunner:
     only: Collection[str] = ()
     examine: bool = False
     states: dict[tuple[str, str], StageState] = field(default_factory=dict)
+    overridden: set[tuple[str, str]] = field(default_factory=set)
 
     def run(
         self, name: str, inputs: Mapping[str, str], compute: Callable[[], T], label: str = "", quick: bool = False

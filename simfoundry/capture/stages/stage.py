@@ -48,12 +48,22 @@ STAGES = (
         per_object=True,
     ),
     Stage(
+        "name",
+        "names each object as stated, or after its color and shape",
+        ("naming.py", "describe.py", "kinds.py"),
+    ),
+    Stage(
+        "pose",
+        "places the meshes, and takes the poses, that a person states",
+        ("stated.py", "overlay.py", "shapes/evidence.py"),
+        per_object=True,
+    ),
+    Stage(
         "texture",
         "takes the colors of each object and of the support from the image",
         ("shapes/texture.py", "support_object.py"),
         per_object=True,
     ),
-    Stage("name", "names each object after the capture, or after its color and shape", ("describe.py", "kinds.py")),
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from simfoundry.capture.stages.codec import VALUE, decode
-from simfoundry.capture.stages.stage import STAGES, Stage, stage_index
-from simfoundry.capture.stages.store import ENTRY, stage_folder
+from simfoundry.capture.stages.runner import StageRunner
+from simfoundry.capture.stages.stage import STAGES
 from simfoundry.errors import SimfoundryError
 
 # File in the folder of stages that tells what the last run reconstructed.
 SOURCE = "source.json"
 
-State = Literal["cached", "stale"]
+State = Literal["cached", "stale", "overridden"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,8 @@ class StageStatus:
     """The state of a stage, or of one object in it.
 
     ``object`` is the name of the object, or its number if it has none yet, and empty for a stage that does not run for
-    each object. ``state`` is ``stale`` if a new run would run the stage again, because its inputs or its code changed.
+    each object. ``state`` is ``stale`` if a new run would run the stage again, because its inputs or its code changed,
+    and ``overridden`` if the result contains statements of a person.
     """
 
     stage: str
@@ -36,23 +36,23 @@ class StageStatus:
         return {"stage": self.stage, "object": self.object, "state": self.state}
 
 
-def listed_states(states: Mapping[tuple[str, str], str], names: Mapping[str, str]) -> list[StageStatus]:
+def listed_states(stages: StageRunner, names: Mapping[str, str], complete: bool) -> list[StageStatus]:
     """Return the states of all stages in order.
 
-    A stage that was not reached, because an earlier one is stale, is stale.
-
     Args:
-        states: States by stage and label, of a runner that examined.
+        stages: The runner, which examined.
         names: Names of objects by their labels.
+        complete: False if an early stage was stale, so that later ones, which were not reached, are stale too.
     """
     out = []
     for stage in STAGES:
-        labels = [label for name, label in states if name == stage.name]
-        if stage.per_object:  # an object that is stale in an earlier stage was not examined in this one
-            earlier = {label for (name, label), state in states.items() if state == "stale" and label}
-            labels = sorted({*labels, *earlier}, key=lambda label: (not label.isdigit(), len(label), label))
-        for label in labels or [""]:
-            state: State = "cached" if states.get((stage.name, label)) == "cached" else "stale"
+        labels = [label for name, label in stages.states if name == stage.name]
+        if stage.per_object:
+            labels = sorted(labels, key=lambda label: (not label.isdigit(), len(label), label))
+        for label in labels or ([] if complete and stage.per_object else [""]):
+            state: State = "cached" if stages.states.get((stage.name, label)) == "cached" else "stale"
+            if state == "cached" and (stage.name, label) in stages.overridden:
+                state = "overridden"
             out.append(StageStatus(stage.name, names.get(label, label), state))
     return out
 
@@ -76,15 +76,3 @@ def read_source(folder: Path) -> tuple[Path, str]:
         raise SimfoundryError(
             f"{folder.parent} is not the output of a capture; specify the folder that `simfoundry capture` wrote"
         ) from None
-
-
-def last_names(folder: Path) -> dict[int, str]:
-    """Return the names that the last run gave to the numbers of objects, or nothing if it gave none."""
-    stage: Stage = STAGES[stage_index("name")]
-    own = stage_folder(folder, stage)
-    try:
-        files = json.loads((own / ENTRY).read_bytes())["files"]
-        names: dict[int, str] = decode({name: (own / name).read_bytes() for name in files if name == VALUE})
-        return {int(k): str(name) for k, name in names.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}

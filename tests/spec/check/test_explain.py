@@ -29,6 +29,7 @@ NOT_SHOWN = {
     "SF601": "needs a whole picture of something that cannot be fitted",
     "SF602": "needs a whole picture",
     "SF603": "needs a whole picture of something that does not rest",
+    "SF604": "needs two runs of a capture",
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""

@@ -1,0 +1,97 @@
+"""What a reconstruction is made from: the frame, a person's statements, and what the last run left."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.frame import CaptureError, Frame
+from simfoundry.capture.load import checked_frame_name, load_frame, open_capture
+from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks
+from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
+from simfoundry.capture.overrides import load_overrides
+from simfoundry.capture.pipeline import Statements, reconstruct
+from simfoundry.capture.stages.runner import StageResult, StageRunner
+from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
+from simfoundry.capture.stages.store import StageStore
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import SpecError, nearest
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.capture import CaptureSpec
+
+
+def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
+    """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed."""
+    assert isinstance(loaded.spec, CaptureSpec)
+    shot = loaded.spec.frames[frame_name]
+    inputs = {"frame": shot.model_dump_json()}
+    images = [shot.color, shot.depth.image, *([shot.masks.image] if shot.masks is not None else [])]
+    for image in images:
+        try:
+            inputs[image] = hashlib.sha256(loaded.file(image).read_bytes()).hexdigest()
+        except OSError:
+            inputs[image] = ""  # reported by the stage
+    read = partial(load_frame, loaded, frame_name)
+    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None), quick=True)
+    return replace(result, value=replace(result.value, decomposition=shot.decomposition))
+
+
+def statements(loaded: Loaded, frame_name: str, previous: PreviousOutput, frame: Frame) -> Statements:
+    """Return what is known about a frame besides its pixels.
+
+    Raises:
+        SimfoundryError, SpecError: A correction of a person cannot be used.
+    """
+    assert isinstance(loaded.spec, CaptureSpec)
+    frames = loaded.spec.frames
+    size = (frame.color.shape[0], frame.color.shape[1])
+    overrides = load_overrides(loaded.path, frame_name, frame_name == next(iter(frames)), size, previous)
+    masks = frames[frame_name].masks
+    given = masks.names if masks is not None else {}
+    try:
+        last = read_masks(previous.folder / MASKS, size)
+        return Statements(given, overrides, last, read_mask_names(previous.folder / MASK_NAMES))
+    except (OSError, SimfoundryError, SpecError):  # there was no last run, or its files are damaged
+        return Statements(given, overrides)
+
+
+def labels_of(previous: PreviousOutput, names: Collection[str]) -> tuple[str, ...]:
+    """Return the labels of the objects that the last run called ``names``.
+
+    Raises:
+        SimfoundryError: There is no such object.
+    """
+    numbers = {name: str(k) for name, k in previous.numbers.items()} | {SUPPORT_NAME: SUPPORT_NAME}
+    for name in names:
+        if name not in numbers:
+            raise SimfoundryError(f"the last run has no object `{name}`; {nearest(name, numbers)}")
+    return tuple(numbers[name] for name in names)
+
+
+def examine(out: Path) -> list[StageStatus]:
+    """Return which stages of the output folder ``out`` a new run would reuse, and which ones it would run again.
+
+    Raises:
+        SimfoundryError: ``out`` was not written by a capture, or the capture is unusable.
+    """
+    out = out.resolve()
+    document, frame_name = read_source(out / STAGES_FOLDER)
+    loaded = open_capture(document)
+    assert isinstance(loaded.spec, CaptureSpec)
+    frame_name = checked_frame_name(loaded, frame_name)
+    name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
+    previous = previous_output(out, loaded.path, f"{name}.scene.yaml", force=False)
+    stages = StageRunner(StageStore(out / STAGES_FOLDER), examine=True)
+    complete = False
+    try:
+        source = load_stage(loaded, frame_name, stages)
+        known = statements(loaded, frame_name, previous, source.value)
+        reconstruct(name, source, known, lambda stage, share: None, stages)
+        complete = True
+    except CaptureError:
+        complete = ("name", "") in stages.states  # only the support's texture was stale
+    return listed_states(stages, {str(k): name for name, k in previous.numbers.items()}, complete)

@@ -1,0 +1,68 @@
+"""Take the masks, meshes and poses of a person as they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.overlay import pose_agreement, registered_pose
+from simfoundry.capture.segment.masks import Labels
+from simfoundry.capture.segment.merge_regions import compact
+from simfoundry.capture.segment.regions import pixel_area
+from simfoundry.capture.segment.support_graph import carriers, parts_of
+from simfoundry.capture.shapes.evidence import gather
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Mesh, tessellate
+
+
+def stated_segmentation(frame: Frame, support: SupportSurface, masks: Labels) -> Segmentation:
+    """Return the segmentation that consists of the masks of a person, which are not changed.
+
+    Raises:
+        CaptureError: The masks contain no object.
+    """
+    if not masks.any():
+        hint = "give each object a number of its own; 0 is the background"
+        raise CaptureError("SF504", "the masks of the person contain no object", hint)
+    frame = frame.cleaned()
+    labels = compact(masks)
+    points_W = support.X_WC.apply(frame.points)
+    return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))))
+
+
+def placed_shape(
+    frame: Frame, support: SupportSurface, shape: FittedShape, mesh: Mesh | None, stated: Pose | None, labels: Labels
+) -> FittedShape:
+    """Return the solid of an object with a mesh or a pose that a person states.
+
+    A mesh without a pose is placed where it agrees best with the image, near the fitted solid.
+
+    Args:
+        frame: The image.
+        support: The surface that supports the objects.
+        shape: The fitted solid.
+        mesh: The mesh that replaces it, in its own frame, or None.
+        stated: The pose in the world, or None.
+        labels: 1 at the pixels of the object, 2 at those of others, shape (h, w).
+    """
+    geometry = shape.geometry if mesh is None else Mesh(mesh.vertices, mesh.faces)
+    surface = (np.asarray(tessellate(geometry).vertices), np.asarray(tessellate(geometry).faces))
+    corners = shape.X_WO.apply(tessellate(shape.geometry).vertices)
+    evidence = gather(frame, support, labels == 1, float(corners[:, 2].min()), labels)
+    X_WO = stated
+    if X_WO is None:
+        low, high = surface[0].min(axis=0), surface[0].max(axis=0)
+        middle = np.append((corners.min(axis=0) + corners.max(axis=0))[:2] / 2, corners[:, 2].min())
+        turn = Pose.of(q=shape.X_WO.q)
+        base = np.array([*(low + high)[:2] / 2, low[2]])
+        X_WO = registered_pose(evidence, surface, Pose.of(middle) @ turn @ Pose.of(-base))
+    result = pose_agreement(evidence, surface, X_WO)
+    fit = result.fit if math.isfinite(result.fit) else evidence.scale
+    sure = float(np.clip(result.explained * (1.0 - result.intrusion), 0.0, 1.0))
+    profile = shape.profile if mesh is None else None
+    hollow = shape.hollow if mesh is None else False
+    return replace(shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, hollow=hollow, profile=profile)
