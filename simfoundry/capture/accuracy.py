@@ -1,6 +1,7 @@
 """Measure the accuracy of a reconstruction.
 
-The measures are position, size, mass, Chamfer distance, and F1 score at 1 cm.
+The measures of objects are position, size, mass, Chamfer distance, and F1 score at 1 cm. The measures of images are
+those of :mod:`simfoundry.capture.image_metrics`.
 """
 
 from __future__ import annotations
@@ -9,9 +10,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simfoundry.capture.image_metrics import ImageAgreement, image_agreement
+from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import tessellate
+from simfoundry.render.raycast import Raycast
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds
@@ -44,6 +49,94 @@ class ObjectAccuracy:
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as plain data for JSON."""
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class SceneAccuracy:
+    """A comparison of a reconstruction with the ground truth.
+
+    Attributes:
+        objects: The free objects in the ground truth, with their reconstructions.
+        extra: Names of free objects in the reconstruction that correspond to none of them.
+        image: Agreement of the rendered reconstruction with the color image, over all pixels.
+        scene_image: The same over the pixels at which the reconstruction has a surface; the background has none.
+    """
+
+    objects: tuple[ObjectAccuracy, ...]
+    extra: tuple[str, ...]
+    image: ImageAgreement
+    scene_image: ImageAgreement | None
+
+    @property
+    def found(self) -> list[ObjectAccuracy]:
+        """The objects that have a reconstruction."""
+        return [o for o in self.objects if o.recovered]
+
+    def spread(self, measure: str) -> tuple[float, float]:
+        """Return the mean and the standard deviation of ``chamfer``, ``f1`` or ``position`` over the found objects.
+
+        Both are NaN if none was found.
+        """
+        values = [float(getattr(o, measure)) for o in self.found]
+        return (float(np.mean(values)), float(np.std(values))) if values else (float("nan"), float("nan"))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the comparison as plain data for JSON."""
+        summary: dict[str, Any] = {"true": len(self.objects), "found": len(self.found), "extra": list(self.extra)}
+        for measure in ("chamfer", "f1", "position"):
+            mean, deviation = self.spread(measure)
+            known = bool(self.found)
+            summary[measure] = {"mean": round(mean, 6), "std": round(deviation, 6)} if known else None
+        return {
+            "summary": summary,
+            "objects": [o.to_json() for o in self.objects],
+            "image": self.image.to_json(),
+            "scene_image": None if self.scene_image is None else self.scene_image.to_json(),
+        }
+
+
+def scene_accuracy(
+    truth: Scene, truth_camera: Camera, found: Scene, rendered: Raycast, color: NDArray[np.uint8]
+) -> SceneAccuracy:
+    """Compare a reconstruction with the ground truth, and with the image that it was made from.
+
+    Args:
+        truth: The ground truth.
+        truth_camera: The camera in the ground truth that took the image.
+        found: The reconstruction, whose world frame differs from that of the ground truth.
+        rendered: The reconstruction as seen by the same camera.
+        color: The image, shape (h, w, 3).
+    """
+    objects = compare(truth, truth_camera, found, rendered.camera)
+    recovered = {o.recovered for o in objects}
+    extra = tuple(o.name for o in found.objects if not o.fixed and o.name not in recovered)
+    surface = rendered.objects > 0
+    inside = image_agreement(rendered.color, color, surface) if surface.any() else None
+    return SceneAccuracy(tuple(objects), extra, image_agreement(rendered.color, color), inside)
+
+
+def difference_image(rendered: NDArray[np.uint8], color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the absolute difference of two images in shades of gray, inverted: white where they agree."""
+    difference = np.abs(rendered.astype(np.float64) - color).mean(axis=2)
+    return np.repeat(np.rint(255.0 - difference).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def truth_camera(truth: Scene, frame: str) -> Camera:
+    """Return the camera in the ground truth that took the frame: that of the same name, or the only one.
+
+    Raises:
+        SimfoundryError: There is no such camera.
+    """
+    named = next((c for c in truth.cameras if c.name == frame), None)
+    if named is not None:
+        return named
+    if len(truth.cameras) == 1:
+        return truth.cameras[0]
+    names = ", ".join(f"`{c.name}`" for c in truth.cameras) or "none"
+    raise SimfoundryError(
+        f"the ground truth {truth.name} has no camera `{frame}`, which would relate it to the frame of this name; its "
+        f"cameras: {names}"
+    )
 
 
 def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[ObjectAccuracy]:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import ObjectAccuracy, compare
+from simfoundry.capture.accuracy import SceneAccuracy
+from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.reconstruct import Progress
-from simfoundry.capture.run import CaptureRun, run_capture
+from simfoundry.capture.run import CaptureRun, ReportPage, run_capture
 from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.lower import lower_file
-from simfoundry.scene.model import Scene
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.targets.build import TARGETS, build
@@ -32,7 +32,7 @@ class Demo:
     run: CaptureRun
     worlds: dict[str, Path]
     motions: dict[str, list[ObjectMotion] | str]
-    comparison: list[ObjectAccuracy]
+    comparison: SceneAccuracy | None
     picture: Path
 
     def to_json(self) -> dict[str, Any]:
@@ -43,7 +43,7 @@ class Demo:
             "report": self.run.report,
             "worlds": {k: str(v) for k, v in self.worlds.items()},
             "motions": {k: v if isinstance(v, str) else [asdict(m) for m in v] for k, v in self.motions.items()},
-            "truth": [c.to_json() for c in self.comparison],
+            "truth": [] if self.comparison is None else [o.to_json() for o in self.comparison.objects],
         }
 
 
@@ -52,14 +52,24 @@ def own_capture() -> Path:
     return shipped("specs/captures/desk")
 
 
-def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, force: bool) -> Demo:
+def run_demo(
+    capture: Path, out: Path, frame: str | None, progress: Progress, force: bool, page: ReportPage | None = None
+) -> Demo:
     """Run the demo, and write its results to ``out/scene`` and ``out/worlds``.
+
+    ``page`` makes an HTML page of the report, as in :func:`run_capture`.
 
     Raises:
         SpecError: The capture is unusable.
     """
     cache = Cache.default()
-    run = run_capture(capture, out / "scene", frame, lambda stage, share: progress(stage, 0.7 * share), cache, force)
+    loaded = open_capture(capture)
+    truth = _truth(loaded, checked_frame_name(loaded, frame))
+
+    def watch(stage: str, share: float) -> None:
+        progress(stage, 0.7 * share)
+
+    run = run_capture(capture, out / "scene", frame, watch, cache, force, truth=truth, page=page)
     scene = lower_file(run.scene_file, cache)
     progress("compile", 0.75)
     artifacts = build(scene, TARGETS, out / "worlds", force)
@@ -72,19 +82,13 @@ def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, fo
         except MissingEngineError as error:
             motions[engine] = f"did not run: {error}"
     worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
-    return Demo(run, worlds, motions, _truth(run.document, frame, scene), out / "scene" / "compare.png")
+    return Demo(run, worlds, motions, run.accuracy, out / "scene" / "compare.png")
 
 
-def _truth(loaded: Loaded, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """Compare a reconstruction with the ground-truth scene.
-
-    The result is empty if the capture does not specify a ground-truth scene or if that scene does not contain its
-    camera.
-    """
+def _truth(loaded: Loaded, frame: str) -> Path | None:
+    """Return the ground truth of a capture, or None if there is none or if it does not contain the frame's camera."""
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:
-        return []
-    truth = lower_file(loaded.file(loaded.spec.truth), Cache.default())
-    seen_by = frame or next(iter(loaded.spec.frames))
-    camera = next((c for c in truth.cameras if c.name == seen_by), None)
-    return [] if camera is None else compare(truth, camera, scene, scene.cameras[0])
+        return None
+    path = loaded.file(loaded.spec.truth)
+    return path if any(c.name == frame for c in lower_file(path, Cache.default()).cameras) else None

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.inputs import labels_of, load_stage, statements
@@ -22,9 +24,10 @@ from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports, without
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
+from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
-from simfoundry.scene.lower import lower, pose
-from simfoundry.scene.model import Scene
+from simfoundry.scene.lower import lower, lower_file, pose
+from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
@@ -36,6 +39,12 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
 
+# Makes an HTML page of a report and its pictures, by file name.
+ReportPage = Callable[[Mapping[str, Any], Mapping[str, bytes]], str]
+
+# The page that people look at, with what `report.json` contains.
+PAGE = "report.html"
+
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
@@ -43,7 +52,7 @@ class CaptureRun:
 
     It consists of the scene document and a report that describes how well the scene fits and settles. ``findings``
     lists what is doubtful about the scene, including what the caller accepts. ``states`` tells which stages ran, by
-    stage and object.
+    stage and object. ``accuracy`` compares the scene with the ground truth, if one was given.
     """
 
     document: Loaded
@@ -53,6 +62,7 @@ class CaptureRun:
     report: dict[str, Any]
     findings: tuple[CaptureFinding, ...]
     states: dict[tuple[str, str], StageState]
+    accuracy: SceneAccuracy | None = None
 
 
 def run_capture(
@@ -65,6 +75,8 @@ def run_capture(
     accepted: Collection[str] = (),
     redo_from: str | None = None,
     only: Collection[str] = (),
+    truth: Path | None = None,
+    page: ReportPage | None = None,
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
@@ -75,8 +87,12 @@ def run_capture(
     Stages whose inputs have not changed since the last run to ``out`` are not run again. ``redo_from`` names the first
     stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
 
+    ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
+    report and its pictures, by file name.
+
     Raises:
-        SpecError: The capture is unusable. The error contains all findings.
+        SpecError: The capture or the ground truth is unusable. The error contains all findings.
+        SimfoundryError: The ground truth has no camera that relates it to the frame.
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
@@ -88,6 +104,9 @@ def run_capture(
     scene_name = f"{name}.scene.yaml"
     previous = previous_output(folder, loaded.path, scene_name, force)
     labels = labels_of(previous, only)
+    real = None if truth is None else lower_file(truth, cache)
+    camera = None if real is None else truth_camera(real, frame_name)
+    accuracy = None
     try:
         with stage_store(folder) as store:
             write_source(store.folder, loaded.path, frame_name)
@@ -102,17 +121,24 @@ def run_capture(
                     scene = lower(load_scene(staging / scene_name), cache)
                     settled = _rest(scene, progress)
                 progress("pictures", 0.95)
-                _pictures(built, source.value, scene, settled, staging)
+                ray = _pictures(built, source.value, scene, settled, staging)
+                if real is not None and camera is not None:
+                    accuracy = scene_accuracy(real, camera, scene, ray, source.value.color)
+                    _accuracy_picture(real, camera, ray, source.value.color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
                 edited += (scene_name,) * merged.is_edited
                 findings = ordered_findings((*built.findings, *_restless(settled), *merged.findings))
                 report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
-                report |= {"edited": list(edited), "files": _digests(staging)}
+                report |= {"edited": list(edited)} | ({} if accuracy is None else {"accuracy": accuracy.to_json()})
+                if page is not None:
+                    pictures = {p.name: p.read_bytes() for p in sorted(staging.glob("*.png"))}
+                    write_file(staging / PAGE, page(report, pictures).encode())
+                report["files"] = _digests(staging)
                 write_file(staging / REPORT, (json.dumps(report, indent=2) + "\n").encode())
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states)
+    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states, accuracy)
 
 
 def _settled(
@@ -171,14 +197,23 @@ def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
     write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())
 
 
-def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> None:
+def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> Raycast:
     from simfoundry.render.montage import overlay, save_png, side_by_side
-    from simfoundry.render.raycast import raycast
 
     seen = raycast(scene, scene.cameras[0], settled.state)
     tinted = overlay(frame.color, built.segmentation.labels, 0.45)
     panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
     save_png(folder / "compare.png", side_by_side(panels))
+    return seen
+
+
+def _accuracy_picture(truth: Scene, camera: Camera, rendered: Raycast, color: NDArray[np.uint8], folder: Path) -> None:
+    """Write the image, the reconstruction, their difference, and the ground truth side by side."""
+    from simfoundry.render.montage import save_png, side_by_side
+
+    panels = [("capture", color), ("reconstruction", rendered.color)]
+    panels += [("difference", difference_image(rendered.color, color)), ("ground truth", raycast(truth, camera).color)]
+    save_png(folder / "accuracy.png", side_by_side(panels, columns=2))
 
 
 def _restless(settled: SettleResult) -> list[CaptureFinding]:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, FOLDER, NEW_FOLDER, option
+from simfoundry.cli.options import ANY, FILE, FOLDER, NEW_FOLDER, option
 from simfoundry.cli.scenes import settle_table
 
 
@@ -46,6 +46,9 @@ class _WithStatus(click.Command):
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 @click.option("--from", "redo_from", metavar="STAGE", help="Run this stage and the later ones again, even if cached.")
 @click.option("--only", multiple=True, metavar="OBJECT", help="Run stages again only for this object. Repeatable.")
+@click.option(
+    "--against", type=FILE, metavar="TRUTH", help="Compare the scene with this ground truth, a scene document."
+)
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 def capture_command(
     capture: Path,
@@ -54,6 +57,7 @@ def capture_command(
     force: bool,
     redo_from: str | None,
     only: tuple[str, ...],
+    against: Path | None,
     codes: tuple[str, ...],
     as_json: bool,
 ) -> int:
@@ -65,10 +69,13 @@ def capture_command(
 
     A new run repeats only what depends on what has changed, and keeps your edits of the scene, of masks.png and of
     masks.yaml. `simfoundry capture status OUT` lists the stages.
+
+    `--against` prints the measures of the paper. The camera in TRUTH has the name of the frame, or is the only one.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes
     from simfoundry.capture.run import run_capture
+    from simfoundry.reports.capture import accuracy_text, capture_page
 
     accepted = accepted_codes(codes)
     # A capture is named after its folder, or NAME if its file is called NAME.capture.yaml.
@@ -76,7 +83,19 @@ def capture_command(
     is_named = capture.is_file() and capture.name != "capture.yaml"
     target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
     with output.progress_bar(as_json) as progress:
-        run = run_capture(capture, target, frame, progress, Cache.default(), force, accepted, redo_from, only)
+        run = run_capture(
+            capture,
+            target,
+            frame,
+            progress,
+            Cache.default(),
+            force,
+            accepted,
+            redo_from,
+            only,
+            truth=against,
+            page=capture_page,
+        )
     verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:
         stages = [{"stage": name, "object": label, "state": state} for (name, label), state in run.states.items()]
@@ -85,7 +104,9 @@ def capture_command(
     click.echo(settle_table(run.settled.objects))
     for finding in run.findings:
         click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))
-    click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'compare.png'}")
+    if run.accuracy is not None:
+        click.echo(f"\n{accuracy_text(run.accuracy.to_json())}\n")
+    click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'report.html'}")
     return verdict
 
 
@@ -102,10 +123,11 @@ def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool
     """
     from simfoundry.capture.demo import own_capture, run_demo
     from simfoundry.evaluate.demo import demonstrate
+    from simfoundry.reports.capture import accuracy_text, capture_page
 
     folder = capture or own_capture()
     with output.progress_bar(as_json) as progress:
-        demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
+        demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force, capture_page)
         progress("running a task with an arm", 0.7)
         arm = demonstrate(demo.run.scene_file, out / "arm", force)
     if as_json:
@@ -113,9 +135,10 @@ def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool
         return
     click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
     click.echo(settle_table(demo.run.settled.objects))
-    if demo.comparison:
+    if demo.comparison is not None:
         click.echo("\ncomparison with the ground truth")
-        click.echo(_truth_table([c.to_json() for c in demo.comparison]))
+        click.echo(_truth_table([c.to_json() for c in demo.comparison.objects]))
+        click.echo(f"\n{accuracy_text(demo.comparison.to_json())}")
     click.echo("\nmotion in 2 s of simulation")
     for engine, motions in demo.motions.items():
         text = motions
