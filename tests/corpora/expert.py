@@ -2,8 +2,8 @@
 
     python -m tests.corpora.expert [--tasks NAME ...] [-n 25] [--world mujoco pybullet] [--videos FOLDER] [--shard 1/2]
 
-Several engines begin from the same starts. Needs the robots' models (docs/robots.md). Exits with 1 where a task of
-:data:`BARS` falls short of its bar in MuJoCo, or where an engine wins fewer by more than :data:`APART` of 25.
+Several engines begin from the same starts. Needs the robots' models (docs/robots.md). Exits with 1 where a task falls
+short of :data:`BAR` in MuJoCo, or where an engine wins fewer by more than :data:`APART` of 25.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import Image, ImageSize
 from simfoundry.evaluate.resets.starts import starts
-from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.rollouts.rollout import Video, rollout
 from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.worlds import open_world, world_names
@@ -24,21 +24,11 @@ from simfoundry.worlds import open_world, world_names
 SPECS = Path(__file__).parents[2] / "specs" / "tasks"
 ROLLOUTS = 25
 
-BARS = {"cup_in_bowl": 20, "marker_in_cup": 20, "serve_fruits": 20, "store_marker": 20}
-"""How many of 25 rollouts must be won in MuJoCo."""
+BAR = 20
+"""How many of 25 rollouts of each task must be won in MuJoCo."""
 
 APART = 2
 """By how many of 25 rollouts the engines may differ on a task."""
-
-DRAWER = ("open_drawer", "close_drawer")
-"""Of Store Marker these steps count."""
-
-
-def won(name: str, one: Rollout) -> bool:
-    """Whether a rollout counts for the bar."""
-    if name == "store_marker":
-        return all(one.subtasks[step] is not None for step in DRAWER)
-    return one.success
 
 
 def attempt(
@@ -55,7 +45,7 @@ def attempt(
         for start in all_starts[shard[0] - 1 :: shard[1]]:
             began = time.perf_counter()
             one = rollout(task, start, expert, world, judge, video)
-            good, count = good + won(name, one), count + 1
+            good, count = good + one.success, count + 1
             done = " ".join(f"{step}={at}" for step, at in one.subtasks.items())
             print(
                 f"  {name} {engine} {start.index:2} {'won ' if one.success else 'lost'} {one.steps:4} steps "
@@ -83,7 +73,7 @@ def write_video(path: Path, frames: tuple[Image, ...], hz: float) -> None:
 def main() -> int:
     """Print task by task what was won; 1 where a bar is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="*", default=sorted(BARS), help="names of tasks, or `all`")
+    parser.add_argument("--tasks", nargs="*", default=["all"], help="names of tasks, or `all`")
     parser.add_argument("-n", type=int, default=ROLLOUTS)
     parser.add_argument("--world", nargs="+", default=["mujoco"], choices=world_names(), help="engines to compare")
     parser.add_argument("--videos", type=Path, help="a folder for a video of each rollout")
@@ -101,7 +91,7 @@ def main() -> int:
     missed = [_is_missed(name, world, rows) for name, world in rows]
     for (name, world), miss in zip(rows, missed, strict=True):
         good, count = rows[name, world]
-        bar = BARS.get(name) if world == "mujoco" else None
+        bar = BAR if world == "mujoco" else None
         print(f"{name:28} {world:9} {good:2} of {count:2}{f'  (bar {bar} of 25)' if bar else ''}{'  MISSED' * miss}")
     return int(any(missed))
 
@@ -110,7 +100,7 @@ def _is_missed(name: str, world: str, rows: dict[tuple[str, str], tuple[int, int
     """Whether a task falls short: of its bar in MuJoCo, or of what MuJoCo wins in another engine."""
     good, count = rows[name, world]
     if world == "mujoco":
-        return good * ROLLOUTS < BARS.get(name, 0) * count
+        return good * ROLLOUTS < BAR * count
     reference = rows.get((name, "mujoco"))
     return reference is not None and (reference[0] - good) * ROLLOUTS > APART * count
 

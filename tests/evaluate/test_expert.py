@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from simfoundry.evaluate.expert.candidates import down, grasps
-from simfoundry.evaluate.expert.policy import Skill, steps
-from simfoundry.evaluate.expert.skills import until_height
+from simfoundry.evaluate.expert.joints import DrivenJoint, joint_of
+from simfoundry.evaluate.expert.motion import LINE
+from simfoundry.evaluate.expert.policy import Skill, hands_on, steps
+from simfoundry.evaluate.expert.pushing import PushedEdge
+from simfoundry.evaluate.expert.skills import DROP, until_height
+from simfoundry.evaluate.expert.two_hands import motion_over
 from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
 from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
@@ -102,3 +106,43 @@ def test_a_path_down_ends_where_the_object_is_released(height: float, end: list[
 def test_a_task_becomes_skills_in_its_order(task: str, expected: list[tuple[Skill, str]]) -> None:
     loaded = load_task(REPOSITORY / "specs" / "tasks" / f"{task}.task.yaml")
     assert [(step.skill, step.until) for step in steps(loaded.goal, loaded.subtasks)] == expected
+
+
+@pytest.mark.parametrize(
+    ("task", "thing", "robots"), [("pot_on_stove", "pot", ("left", "right")), ("cup_in_bowl", "cup", ())]
+)
+def test_an_object_that_both_robots_must_grasp_is_moved_with_two_hands(
+    task: str, thing: str, robots: tuple[str, ...]
+) -> None:
+    assert hands_on(load_task(REPOSITORY / "specs" / "tasks" / f"{task}.task.yaml"), thing) == robots
+
+
+def test_an_object_in_two_hands_is_lifted_over_its_placement_in_small_steps() -> None:
+    start, goal = Pose.of([0.2, 0.0, 0.0]), Pose.of([0.5, 0.1, 0.06], quat_from_rpy(0.0, 0.0, 0.3))
+    poses = list(motion_over(start, goal, 0.1))
+    assert poses[0] is start and np.allclose(poses[-1].p, [0.5, 0.1, 0.06 + DROP])
+    points = np.array([X_WO.p for X_WO in poses])
+    assert points[:, 2].max() == pytest.approx(0.16)
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() <= LINE + 1e-9
+    aside = np.linalg.norm(points[:, :2] - start.p[:2], axis=1)
+    moving = (aside > 1e-9) & (aside < np.linalg.norm(goal.p[:2] - start.p[:2]) - 1e-9)
+    assert points[moving, 2].min() == pytest.approx(0.16)
+
+
+def test_a_lid_is_pushed_at_the_edge_of_its_tab_from_below_to_open_and_from_behind_to_close() -> None:
+    scene = lower_file(REPOSITORY / "specs" / "scenes" / "throw_away_trash.scene.yaml")
+    item, state = scene.object("trash_can"), SceneState.initial(scene)
+    lid = DrivenJoint(item, state, joint_of(item, "lid"))
+    edge = PushedEdge.of(lid, lid.ends[1])
+    # The asset's hinge is 9.2 cm behind the center, and the tab ends 21.2 cm from the hinge; it is 6 mm thick.
+    assert edge.reach == pytest.approx(0.212, abs=1e-3) and edge.back == pytest.approx(0.003, abs=1e-4)
+    assert edge.ahead @ Z > 0.999 and state.poses["trash_can"].inverse().apply(edge.p)[0] == pytest.approx(
+        0.12, abs=1e-3
+    )
+    for X_WH in edge.hands(0.15, 0.02):
+        tip = X_WH.apply(0.15 * Z)
+        assert tip[2] == pytest.approx(edge.p[2] - 0.003 - 0.02, abs=1e-3) and X_WH.rotation[2, 2] < 0.11
+    opened = SceneState(state.poses, {**state.joints, "trash_can.lid": lid.ends[1]}, state.motions)
+    back = PushedEdge.of(DrivenJoint(item, opened, joint_of(item, "lid")), lid.ends[0])
+    out = state.poses["trash_can"].rotation[:, 0]
+    assert back.ahead @ out > 0.9  # toward the mouth of the can

@@ -1,4 +1,4 @@
-"""The skill of opening and closing joints by their handles with one hand."""
+"""The skill of opening and closing joints with one hand, which pushes the edge of a lid or holds a handle."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from itertools import islice
 import numpy as np
 
 from simfoundry.evaluate.expert.candidates import Grasp, down, grasps
+from simfoundry.evaluate.expert.joints import DrivenJoint, joint_of
 from simfoundry.evaluate.expert.motion import ArmPlanner, Path
+from simfoundry.evaluate.expert.pushing import pushes
 from simfoundry.evaluate.expert.skills import GraspPlan, before, hand_fits, path_to, seize
 from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array
 from simfoundry.robots.arm import Jaws
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Joint, JointType, SceneObject
+from simfoundry.scene.model import JointType
 from simfoundry.scene.object_shapes import solid
-from simfoundry.scene.state import SceneState
 
 # Maximum number of collision-free grasps of a handle to try with the arm.
 TRIES = 80
@@ -43,14 +44,21 @@ LEVEL = np.array([1.0, 1.0, 0.0])
 
 
 def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script:
-    """Open or close a joint by moving its handle."""
+    """Open or close a joint by pushing the link that it moves, or by moving its handle."""
     owner, _, name = target.partition(".")
     item = worker.scene.object(owner)
-    handle = _Handle(item, worker.now.state, _joint_of(item, name))
+    handle = _Handle(item, worker.now.state, joint_of(item, name))
     closed, opened = handle.ends
     goals = [closed + share * (opened - closed) for share in WIDE] if opening else [closed]
     worker.sync()
     planner, q = worker.planners[robot], worker.q[robot]
+    if (push := next(pushes(planner, q, handle, goals[0]), None)) is not None:
+        worker.share[robot] = 1.0
+        yield from worker.go(robot, push.to)
+        for path in (push.down, push.along, push.back):
+            yield from worker.creep(robot, path)
+        yield from worker.wait(0.3)
+        return
     plan = next((plan for goal in goals for plan in _plans(planner, q, handle, goal)), None)
     if plan is None:
         raise FailedError(f"{robot} could not find a way to move {target} by a handle")
@@ -61,46 +69,9 @@ def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script
     yield from worker.wait(0.3)
 
 
-def _joint_of(item: SceneObject, name: str) -> Joint:
-    """Return the joint with the given name, or the joint that moves the link with that name.
-
-    If the name is empty, the first movable joint of the object is returned.
-    """
-    for joint in item.joints:
-        if joint.has_axis and name in ("", joint.name, joint.child):
-            return joint
-    raise FailedError(f"{item.name} has no movable joint {name}")
-
-
 @dataclass(frozen=True, eq=False)
-class _Handle:
+class _Handle(DrivenJoint):
     """The handle that moves a joint of an object in a given state."""
-
-    item: SceneObject
-    state: SceneState
-    joint: Joint
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The closed position and the fully open position of the joint [rad or m].
-
-        The closed position is closer to zero.
-        """
-        if self.joint.limits is None:
-            raise FailedError(f"joint {self.joint.name} has no limits, so it cannot be opened or closed")
-        low, high = self.joint.limits
-        return (low, high) if abs(low) <= abs(high) else (high, low)
-
-    @property
-    def now(self) -> float:
-        """The current position of the joint [rad or m]."""
-        return self.state.joints[f"{self.item.name}.{self.joint.name}"]
-
-    def motion(self, then: float) -> Pose:
-        """Return the motion of the joint's child link in the world when the joint moves to ``then`` [rad or m]."""
-        X_WO, joints = self.state.poses[self.item.name], self.state.of_object(self.item)
-        X_OC, X_OD = (link_poses(self.item, {**joints, self.joint.name: q})[self.joint.child] for q in (self.now, then))
-        return X_WO @ X_OD @ X_OC.inverse() @ X_WO.inverse()
 
     def front(self, corners: Array) -> Array:
         """Return the direction in which the handle protrudes.

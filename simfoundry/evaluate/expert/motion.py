@@ -264,6 +264,10 @@ class PlanningScene:
         start = self._free[name]
         self._data.qpos[start : start + 7] = [*X_WO.p, *X_WO.q]
 
+    def turn(self, joint: str, position: float) -> None:
+        """Set a joint ``object.joint`` to a position [rad or m]."""
+        self._data.qpos[self._model.joint(joint).qposadr[0]] = position
+
     def _collide(self) -> None:
         import mujoco
 

@@ -11,6 +11,7 @@ import numpy as np
 from simfoundry.evaluate.expert.candidates import PlaceAt, places
 from simfoundry.evaluate.expert.handles import lead
 from simfoundry.evaluate.expert.skills import pick, put
+from simfoundry.evaluate.expert.two_hands import carry
 from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
 from simfoundry.evaluate.policies.base import Observation, Policy
 from simfoundry.evaluate.task import SubtaskGoal, Task
@@ -86,6 +87,12 @@ def _of(condition: Condition) -> Iterator[ExpertStep]:
         yield from _of(item)
 
 
+def hands_on(task: Task, thing: str) -> tuple[str, ...]:
+    """Return the robots that must grasp an object at some point in a task, in the order of their names in the task."""
+    calls = [step.args for goal in task.subtasks.values() for step in _of(goal.goal) if step.skill is Skill.PICK]
+    return tuple(robot for robot in task.robots if (thing, robot) in calls)
+
+
 # Number of actions per response, which take a fifth of a second at 15 Hz, so that a lost grasp is noticed quickly.
 CHUNK = 3
 
@@ -154,6 +161,7 @@ class ExpertPolicy(Policy):
 
     def _do(self, step: ExpertStep) -> Script:
         worker, robot = self._worker, self._task.robots[0]
+        hands = hands_on(self._task, step.args[0])
         match step.skill:
             case Skill.PICK:
                 yield from pick(worker, robot, step.args[0], None)
@@ -165,9 +173,12 @@ class ExpertPolicy(Policy):
                 found = self._good(step, places(worker.scene, worker.now.state, thing, target, inside))
                 if not found:
                     raise FailedError(f"could not find a place for {thing} {'in' if inside else 'on'} {target}")
+                if len(hands) == 2:
+                    yield from carry(worker, hands, thing, found)
+                    return
                 if robot not in worker.held:
                     yield from pick(worker, robot, thing, found)
-                yield from put(worker, robot, found)
+                yield from put(worker, robot, found, inside)
 
     def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
         """Return the placements that would complete the step."""

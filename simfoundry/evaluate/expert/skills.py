@@ -27,6 +27,10 @@ ABOVE = 0.12
 # Height above its placement at which an object is released [m].
 DROP = 0.006
 
+# Heights above a placement inside something at which an object is released [m]; the first one at which the fingers can
+# open without touching the walls is used. A hand that opens deep inside a can gets stuck there and lifts the can.
+DROPS = (DROP, 0.03, 0.06, 0.09, 0.12)
+
 # Additional closing command after contact, as a fraction of the finger travel, which makes the servo grip harder.
 SQUEEZE = 0.04
 
@@ -70,6 +74,7 @@ class PutPlan(NamedTuple):
         down: The path from that waypoint to the placement.
         back: The path away from the placement after the object has been released.
         open: The fraction by which the gripper is closed on the way back.
+        drop: The height above the placement at which the object is released [m].
     """
 
     place: PlaceAt
@@ -77,6 +82,7 @@ class PutPlan(NamedTuple):
     down: Path
     back: Path
     open: float
+    drop: float
 
 
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
@@ -94,11 +100,16 @@ def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | No
     yield from worker.creep(robot, plan.along)
 
 
-def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
-    """Place the held object at the first pose in ``places`` that the arm can reach."""
+def put(worker: ExpertWorker, robot: str, places: list[PlaceAt], inside: bool = False) -> Script:
+    """Place the held object at the first pose in ``places`` that the arm can reach.
+
+    If the places are ``inside`` something, the object may be dropped from a height at which the fingers have space.
+    """
     held = worker.held[robot]
     worker.sync()
-    plan = _plan_put(worker, robot, places)
+    plan = _plan_put(worker, robot, places, DROPS if inside else DROPS[:1])
+    if plan is None and inside:
+        plan = _plan_put(worker, robot, _as_held(worker, held.name, places), DROPS[1:])
     if plan is None:
         raise FailedError(f"{robot} could not find a place for {held.name}")
     yield from worker.go(robot, plan.to)
@@ -230,7 +241,7 @@ def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
     """
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
-    release = _over(plan.place.X_WO, DROP)
+    release = _over(plan.place.X_WO, plan.drop)
     goal = release @ held.X_HO.inverse()
     line = planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held)
     return line or until_height(plan.down, planner.arm.hand, held.X_HO, float(release.p[2]))
@@ -254,26 +265,54 @@ def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: 
     return [*path[:below], path[below - 1] + fraction * (path[below] - path[below - 1])]
 
 
-def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
+def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt], drops: tuple[float, ...]) -> PutPlan | None:
     """Return a plan for the first placement at which the arm can release the object and retreat.
 
-    The result is None if there is no such placement.
+    The lowest of the heights ``drops`` [m] at which the fingers have space to open is used, or the lowest one that the
+    arm can reach. The result is None if there is no such placement.
+    """
+    for place in places:
+        cramped: PutPlan | None = None
+        for drop in drops:
+            plan, fits = _release(worker, robot, place, drop)
+            if plan is not None and fits:
+                return plan
+            cramped = cramped or plan
+        if cramped is not None:
+            return cramped
+    return None
+
+
+def _as_held(worker: ExpertWorker, name: str, places: list[PlaceAt]) -> list[PlaceAt]:
+    """Return placements at which an object has its present orientation.
+
+    An object that has turned in the hand may be out of reach in the orientations that were planned. It can still be
+    dropped into something.
+    """
+    turned = worker.now.state.poses[name].q
+    return [PlaceAt(Pose.of(place.X_WO.p, turned), place.cost) for place in places]
+
+
+def _release(worker: ExpertWorker, robot: str, place: PlaceAt, drop: float) -> tuple[PutPlan | None, bool]:
+    """Return a plan that releases the held object above a placement, and True if the fingers have space to open.
+
+    The plan is None if the arm cannot reach the placement.
     """
     planner, q, name = worker.planners[robot], worker.q[robot], worker.held[robot].name
     reading = worker.now.robots[robot]
     held, share = Held(name, reading.X_WH.inverse() @ worker.now.state.poses[name]), reading.gripper
     width = float(np.interp(share, planner.jaws.share, planner.jaws.width))
     opened = planner.jaws.at_width(min(width + 2 * RELEASE, planner.jaws.opening))[0]
-    for place in places:
-        goal = _over(place.X_WO, DROP) @ held.X_HO.inverse()
-        worker.cell.pose(robot, planner.arm.home, share)
-        if _clashes(planner, _over(place.X_WO, DROP), held):
-            continue
-        posture = _posture(planner, goal, q, held, share)
-        rise = None if posture is None else planner.line(posture, _over(goal, ABOVE), share, held)
-        way = None if rise is None else planner.way(q, rise[-1], share, held)
-        if posture is not None and rise is not None and way is not None:
-            worker.cell.put(name, place.X_WO)
-            leave = planner.line(posture, before(goal), opened, ignore=[name]) or rise
-            return PutPlan(place, way, rise[::-1], leave, opened)
-    return None
+    release = _over(place.X_WO, drop)
+    goal = release @ held.X_HO.inverse()
+    worker.cell.pose(robot, planner.arm.home, share)
+    if _clashes(planner, release, held):
+        return None, False
+    posture = _posture(planner, goal, q, held, share)
+    rise = None if posture is None else planner.line(posture, _over(goal, ABOVE), share, held)
+    way = None if rise is None else planner.way(q, rise[-1], share, held)
+    if posture is None or rise is None or way is None:
+        return None, False
+    worker.cell.put(name, release)
+    leave = planner.line(posture, before(goal), opened, ignore=[name])
+    return PutPlan(place, way, rise[::-1], leave or rise, opened, drop), leave is not None

@@ -89,6 +89,10 @@ PATIENCE = 12
 CORRECTION, MOST = 0.6, 0.05
 
 
+# Maximum time to wait for a gripper [s]: that of the YAM arm needs 4 s from open to closed.
+CLOSING = 5.0
+
+
 class FailedError(Exception):
     """An error raised if a skill fails.
 
@@ -186,7 +190,7 @@ class ExpertWorker:
         """Close the gripper until it is closed by the fraction ``share`` or stops moving."""
         self.share[robot] = share
         last = -1.0
-        for k in range(round(1.5 * self.hz)):
+        for k in range(round(CLOSING * self.hz)):
             yield
             gripper = self.now.robots[robot].gripper
             if k > 0.4 * self.hz and abs(gripper - last) < 0.002:
