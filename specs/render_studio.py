@@ -5,6 +5,7 @@ Each is what a browser without a display shows of the studio. It needs Chromium,
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
@@ -89,7 +90,6 @@ def edit(window: Window) -> None:
     window.view.submit(MoveObject("bowl", Pose.of((0.53, -0.02, 0.1))))
     window.until(lambda: window.server.session.is_modified)
     window.select("bowl")
-    window.page.get_by_text("Diff to the file").click()
     window.look((1.25, 0.55, 0.6), (0.48, 0.0, 0.05))
 
 
@@ -142,6 +142,7 @@ def main() -> int:
             shutil.copytree(SPECS / "captures" / "desk", Path(temporary) / "capture")
             run_capture(Path(temporary) / "capture", captured.parent)
         for name in names:
+            os.environ["XDG_STATE_HOME"] = f"{temporary}/{name}"  # so that no picture offers the edits of another one
             with opened(TASK if name in OF_TASK else captured) as window:
                 (OF_TASK | OF_CAPTURE)[name](window)
                 data = small(window.picture(), WIDTH, 0.0)

@@ -76,6 +76,8 @@ class Journal:
         """Take the first free slot, and lock those that contain something and belong to nobody."""
         for k in range(1, SLOTS + 1):
             slot = folder / str(k)
+            if self._stream is not None and not slot.exists():
+                continue
             slot.mkdir(parents=True, exist_ok=True, mode=0o700)  # texts may be confidential
             with ExitStack() as locks:
                 try:

@@ -15,6 +15,9 @@ from simfoundry.studio.disk import DiskChanges, DiskFile, DiskQuestion, encoded,
 
 Texts = Mapping[Path, str]
 
+# Number of lines around a change in a diff, so that the change of one value fits beside the scene without scrolling.
+CONTEXT = 1
+
 
 class OpenFiles:
     """The files of the documents that a session has opened.
@@ -70,7 +73,7 @@ class OpenFiles:
     def diff(self, texts: Texts) -> str:
         """Return the unified diff from the files to the texts, which is empty if there is nothing to save."""
         shown = ((self.shown_path(path), path, file) for path, file in sorted(self._files.items()))
-        return "".join(unified_diff(file.text, texts[path], name, name) for name, path, file in shown)
+        return "".join(unified_diff(file.text, texts[path], name, name, CONTEXT) for name, path, file in shown)
 
     def stamps(self, also: Iterable[Path]) -> Mapping[Path, tuple[int, ...]]:
         """Return what identifies the states of the files, and of others."""

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from simfoundry.studio.view.window import PANEL_PX
+
 if TYPE_CHECKING:
     from simfoundry.studio.server import StudioServer
 
@@ -100,6 +102,15 @@ class StudioPage:
             self.page.wait_for_timeout(30)  # which also handles the events of the page
         return found
 
+    def is_laid_out(self) -> bool:
+        """True if the panels are beside the view, and the server knows the size of the view that remains.
+
+        Until then, points of the world are elsewhere on the screen than :meth:`screen_point` says.
+        """
+        width = self.page.evaluate("() => document.querySelector('canvas')?.clientWidth ?? 0")
+        views = [client.camera.image_width for client in self.server.viser.get_clients().values()]
+        return abs(SIZE["width"] - PANEL_PX - width) < 20 and all(view == width for view in views)
+
     def tab(self, name: str) -> None:
         """Open a tab of the panels."""
         self.page.get_by_role("tab", name=name, exact=True).click()
@@ -165,4 +176,5 @@ def opened_page(browser: Any, server: StudioServer) -> StudioPage:
     # Messages must not catch clicks that are meant for what is below them.
     page.add_style_tag(content=".mantine-Notifications-root { pointer-events: none; opacity: 0.3 }")
     studio.until(lambda: len(server.viser.get_clients()) > before, "a connection")
+    studio.until(studio.is_laid_out, "the panels beside the view")
     return studio

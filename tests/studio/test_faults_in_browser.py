@@ -32,18 +32,9 @@ def begin_drag(studio: StudioPage, name: str) -> None:
     window = studio.server.window
     item = studio.server.session.scene.objects[name]  # type: ignore[union-attr]
     tip = studio.screen_point(tuple((item.X_WO.p + item.X_WO.rotation[:, 0] * window.gizmo.size * 0.8).tolist()))
-    node, start, mouse = f"/objects/{name}", item.X_WO.p.tolist(), studio.page.mouse
-    for _ in range(8):  # with two windows and a software renderer, the gizmo may notice the mouse late
-        mouse.move(*tip)
-        studio.page.wait_for_timeout(1000)
-        mouse.down()
-        for k in range(30):
-            mouse.move(tip[0] + 2 * k, tip[1])
-            studio.page.wait_for_timeout(50)
-            if window.canvas.nodes[node].X_PN.p.tolist() != start and k > 15:
-                return
-        mouse.up()
-    raise AssertionError("the gizmo was not dragged")
+    node, start = f"/objects/{name}", item.X_WO.p.tolist()
+    studio.drag(tip, (tip[0] + 60, tip[1]), steps=30, release=False)
+    studio.until(lambda: window.canvas.nodes[node].X_PN.p.tolist() != start, "the preview of the drag")
 
 
 def test_a_browser_that_is_closed_during_a_drag_changes_nothing(desk: Path, open_studio: OpenStudio) -> None:

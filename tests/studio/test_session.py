@@ -59,6 +59,7 @@ def test_the_diff_is_what_saving_writes(desk: Path) -> None:
     assert session.diff() == ""
     session.apply(SetProperties("mug", {"mass": 0.25}))
     assert "-    mass: 0.3\n+    mass: 0.25\n" in session.diff()
+    assert len(session.diff().splitlines()) == 7  # so few that the panel shows them without scrolling
     session.save()
     assert session.diff() == ""
 

@@ -66,6 +66,9 @@ PANELS: dict[str, tuple[type[Panel], ...]] = {
     "Try": (TrialPanel, PhysicsPanel, RolloutPanel, PlayerPanel, CousinsPanel),
 }
 
+# Width of the panels [px], with which the names of all tabs fit into one line.
+PANEL_PX = 400
+
 # Seconds that a message stays; long enough to read two sentences.
 MESSAGE_S = 8.0
 
@@ -348,6 +351,7 @@ class StudioWindow:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         server.gui.set_panel_label("SimFoundry Studio")
         server.gui.main_panel.dock_right()  # a floating panel would cover objects
+        server.gui.main_panel.set_width(PANEL_PX)  # it otherwise depends on which message comes first
         scene = self.session.scene
         if scene is None:
             prepare_view(server, None)

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 # Number of lines of a diff that are shown; a longer one is easier to read in an editor.
 MAX_LINES = 400
 
-# Height of the diff, which is always visible, and must leave room for the tabs below it.
-HEIGHT = "11em"
+# Height of the diff, which is always visible, and must leave room for the tabs below it: the change of one value with
+# the lines around it.
+HEIGHT = "12em"
 
 _COLORS = {"+": "#d7f5dd", "-": "#fbdada", "@": "#e4ecf7"}
 
@@ -89,7 +90,9 @@ def diff_html(diff: str) -> str:
     if not lines:
         return '<p style="margin:0.4em">The file contains everything.</p>'
     rows = []
-    for line in lines[:MAX_LINES]:
+    for k, line in enumerate(lines[:MAX_LINES]):
+        if line.startswith("+++ ") and k and lines[k - 1] == f"---{line[3:]}":
+            continue  # the name of the file, once more
         color = "" if line.startswith(("+++", "---")) else _COLORS.get(line[:1], "")
         style = f' style="background:{color};color:#111"' if color else ""
         rows.append(f"<div{style}>{html.escape(line) or '&nbsp;'}</div>")
