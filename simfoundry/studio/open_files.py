@@ -102,9 +102,14 @@ class OpenFiles:
             raise SimfoundryError("answer the questions about changes on disk before you save")
         deleted = [path for path in self._files if not path.exists()]
         changed = {p: f for p, f in self._files.items() if f.text != texts[p] and p not in deleted}
-        write_all_in_place({p: (f.data, encoded(texts[p])) for p, f in changed.items()})
-        for path in deleted:
-            write_in_place(path, encoded(texts[path]))
+        try:
+            write_all_in_place({p: (f.data, encoded(texts[p])) for p, f in changed.items()})
+            for path in deleted:
+                write_in_place(path, encoded(texts[path]))
+        except OSError as error:
+            folder = Path(error.filename).parent if error.filename else self.root
+            reason = f"a file in {folder} cannot be written ({error.strerror or error})"
+            raise SimfoundryError(f"{reason}; the edits stay in the studio") from None
         for path in (*changed, *deleted):
             self._files[path] = DiskFile.read(path)
         return (*changed, *deleted)

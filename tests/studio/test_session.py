@@ -297,3 +297,16 @@ def test_listeners_hear_of_each_change(desk: Path) -> None:
     stop()
     session.redo()
     assert heard[:2] == ["move ball", "move ball"] and heard[2:] in ([], ["examine"])
+
+
+def test_a_folder_that_cannot_be_written_is_named_and_the_edits_stay(desk: Path) -> None:
+    session = StudioSession(desk)
+    session.apply(SetProperties("mug", {"mass": 0.25}))
+    shutil.rmtree(desk.parent)
+    desk.parent.touch()  # not even root can write below a file
+    with pytest.raises(SimfoundryError, match=r"a file in .* cannot be written .*; the edits stay in the studio"):
+        session.save()
+    assert "mass: 0.25" in session.text and session.is_modified
+    desk.parent.unlink()
+    session.save()
+    assert desk.read_text() == session.text

@@ -210,8 +210,12 @@ class StudioWindow:
     def _guarded(self, work: Callable[[], object]) -> None:
         try:
             work()
-        except (SimfoundryError, OSError) as error:
+        except SimfoundryError as error:
             self.tell("Not possible", str(error), is_error=True)
+        except OSError as error:
+            where = f" in {Path(error.filename).parent}" if error.filename else ""  # the file may be a temporary one
+            reason = f"a file{where} cannot be read or written: {error.strerror or error}"
+            self.tell("Not possible", reason, is_error=True)
         except Exception as error:
             _log.exception("an act failed")
             self.tell("Something went wrong", f"{type(error).__name__}: {error}", is_error=True)
