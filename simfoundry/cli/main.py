@@ -23,6 +23,7 @@ COMMANDS = {
         "Find the joints of drawers, doors and lids in two captures or a mesh.",
     ),
     "augment": ("data", "Generate demonstrations from recorded ones, in other states, scenes and tasks."),
+    "background": ("background", "Convert splats, and align the background of a scene."),
     "capture": ("capture", "Turn a capture folder into a scene."),
     "check": ("documents", "Check documents and show every finding with its location."),
     "compile": ("compile", "Compile a scene for simulators."),

@@ -64,8 +64,8 @@ class Similarity:
         return np.asarray(np.linalg.norm(self.apply(p_B) - np.asarray(p_A), axis=1))
 
 
-def fit_similarity(p_B: Array, p_A: Array) -> Similarity:
-    """Return the similarity from B to A with the least sum of squared residuals between paired points.
+def fit_similarity(p_B: Array, p_A: Array, weights: Array | None = None) -> Similarity:
+    """Return the similarity from B to A with the least weighted sum of squared residuals between paired points.
 
     The closed form is that of S. Umeyama, "Least-squares estimation of transformation parameters between two point
     patterns", PAMI 13(4), 1991. It never mirrors, also if the points lie in a plane, as three points always do.
@@ -73,25 +73,32 @@ def fit_similarity(p_B: Array, p_A: Array) -> Similarity:
     Args:
         p_B: Points in B, shape (n, 3), n >= 3.
         p_A: Their counterparts in A, shape (n, 3).
+        weights: Weights of the pairs, at least zero, shape (n,). By default, all are equal.
 
     Raises:
-        ValueError: If there are fewer than three pairs, or if the points of either frame coincide or lie on a line.
+        ValueError: If there are fewer than three pairs with a weight, or if the points of either frame coincide or lie
+            on a line.
     """
     source, target = np.asarray(p_B, dtype=np.float64), np.asarray(p_A, dtype=np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise ValueError(f"at least three pairs of points are needed, got {source.shape} and {target.shape}")
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise ValueError("the coordinates of the points must be finite")
-    middle_of_b, middle_of_a = source.mean(axis=0), target.mean(axis=0)
-    b, a = source - middle_of_b, target - middle_of_a
+    share = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if share.shape != (len(source),) or not np.isfinite(share).all() or (share < 0).any() or (share > 0).sum() < 3:
+        raise ValueError("each pair needs a weight, at least zero, and three pairs need more than zero")
+    share = share / share.sum()
+    middle_of_b, middle_of_a = share @ source, share @ target
+    root = np.sqrt(share)[:, None]
+    b, a = root * (source - middle_of_b), root * (target - middle_of_a)
     for points in (b, a):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= MIN_SPREAD * spread[0]:  # also if all coincide
             raise ValueError("the points lie on a line, so they do not determine a rotation; choose them farther apart")
-    u, stretch, vt = np.linalg.svd(a.T @ b / len(b))
+    u, stretch, vt = np.linalg.svd(a.T @ b)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = (u * signs) @ vt
-    scale = float(stretch @ signs / (b**2).sum(axis=1).mean())
+    scale = float(stretch @ signs / (b**2).sum())
     if scale <= 0:
         raise ValueError("the pairs contradict each other; check that each point is paired with its own counterpart")
     q = Pose.from_matrix(rotation).q
