@@ -25,6 +25,33 @@ MOVED = "SF603"
 # An edit of the scene that a new reconstruction contradicts.
 CONFLICTING_EDIT = "SF604"
 
+# An object that is held in place, as none of its solids comes to rest.
+HELD = "SF620"
+
+# An object whose solid explains little of what was seen of it.
+UNSURE = "SF621"
+
+# A surface that could be the support as well as the one that was chosen.
+SUPPORT_DOUBT = "SF622"
+
+# A hole in the depth on the support, as glass leaves.
+HOLE = "SF623"
+
+# An object at the border of the image.
+BORDER = "SF624"
+
+# Something that stands on the support and belongs to no object.
+UNEXPLAINED = "SF625"
+
+# A color image that does not match the depth.
+OFFSET = "SF626"
+
+# A depth image with more noise than common cameras have.
+NOISY = "SF627"
+
+# Sizes and distances that no tabletop has.
+IMPLAUSIBLE = "SF628"
+
 
 @dataclass(frozen=True)
 class CaptureFinding:

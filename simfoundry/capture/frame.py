@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.spec.models.capture import Decomposition
+from simfoundry.spec.models.capture import Decomposition, SupportChoice
 
 NEAREST, FARTHEST = 0.1, 5.0  # Measuring range of tabletop sensors [m]
 MIN_PIXELS = 200  # Minimum number of pixels with depth; a plane cannot be found with fewer
@@ -50,6 +50,7 @@ class Frame:
         instances: Number of the object at each pixel, shape (h, w), where 0 is the background. The value is None if the
             capture has no masks.
         decomposition: Constraints on the division into objects, or None.
+        support: The surface that a person chose as the support, or None.
     """
 
     color: NDArray[np.uint8]
@@ -57,6 +58,7 @@ class Frame:
     K: Array
     instances: NDArray[np.int32] | None = None
     decomposition: Decomposition | None = None
+    support: SupportChoice | None = None
 
     @property
     def points(self) -> Array:
@@ -95,6 +97,20 @@ class Frame:
         return replace(self, depth=np.where(valid, self.depth, np.nan))
 
 
+@dataclass(frozen=True)
+class SupportRival:
+    """Another surface that could be the support.
+
+    ``share`` is its evidence relative to that for the chosen surface, ``height`` [m] its position above the chosen
+    surface, negative below, ``area`` its visible area [m²], and ``pixel`` (column, row) is on it.
+    """
+
+    share: float
+    height: float
+    area: float
+    pixel: tuple[int, int]
+
+
 @dataclass(frozen=True, eq=False)
 class SupportSurface:
     """The surface that supports the objects.
@@ -105,12 +121,14 @@ class SupportSurface:
             counterclockwise polygon whose first point is not repeated at the end.
         residual: Median distance of the surface points from the plane [m].
         inliers: Mask of the surface pixels, shape (h, w).
+        rivals: Other surfaces that could be the support, with the best evidence first.
     """
 
     X_WC: Pose
     outline: Array
     residual: float
     inliers: NDArray[np.bool_]
+    rivals: tuple[SupportRival, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,8 @@ def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageRes
         except OSError:
             inputs[image] = ""  # reported by the stage
     read = partial(load_frame, loaded, frame_name)
-    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None), quick=True)
-    return replace(result, value=replace(result.value, decomposition=shot.decomposition))
+    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None, support=None), quick=True)
+    return replace(result, value=replace(result.value, decomposition=shot.decomposition, support=shot.support))
 
 
 def statements(loaded: Loaded, frame_name: str, previous: PreviousOutput, frame: Frame) -> Statements:

@@ -16,7 +16,7 @@ from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_capture
-from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
+from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Pixel, Shot
 
 # Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
 NUMBERS_MAX = 178_956_970
@@ -130,16 +130,18 @@ class _Reader:
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
-        return Frame(color, depth, matrix(shot.camera), masks, shot.decomposition)
+        return Frame(color, depth, matrix(shot.camera), masks, shot.decomposition, shot.support)
 
     def pixels(self, width: int, height: int) -> None:
-        """Add a finding for each pixel of the decomposition that is not in the image."""
-        given = self.shot.decomposition
-        if given is None:
-            return
-        marked = [(("decomposition", "pieces", name), pixels) for name, pixels in given.pieces.items()]
-        for path, pixels in [*marked, (("decomposition", "ignore"), given.ignore)]:
-            for u, v in pixels:
+        """Add a finding for each stated pixel that is not in the image."""
+        marked: list[tuple[tuple[str, ...], tuple[Pixel, ...]]] = []
+        if (given := self.shot.decomposition) is not None:
+            marked += [(("decomposition", "pieces", name), pixels) for name, pixels in given.pieces.items()]
+            marked += [(("decomposition", "ignore"), given.ignore)]
+        if self.shot.support is not None and self.shot.support.pixel is not None:
+            marked += [(("support", "pixel"), (self.shot.support.pixel,))]
+        for path, stated in marked:
+            for u, v in stated:
                 if u >= width or v >= height:
                     message = f"the pixel [{u}, {v}] is not in the image, which has {width} x {height} pixels"
                     self.fail("SF104", path, message, "pixels are [column, row], counted from the top left")

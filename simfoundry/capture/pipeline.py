@@ -12,6 +12,7 @@ import numpy as np
 
 from simfoundry.capture import describe
 from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
+from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.kinds import SUPPORT, kind_of
@@ -72,7 +73,8 @@ def reconstruct(
     frame, overrides = source.value, known.overrides
     seen = {"image": digest_of([frame.color, frame.depth, frame.K])}
     progress("support", 0.0)
-    support = stages.run("support", seen, lambda: find_support(frame))
+    chosen = "" if frame.support is None else frame.support.model_dump_json()
+    support = stages.run("support", seen | {"chosen": chosen}, lambda: find_support(frame))
     progress("objects", 0.1)
     segmentation = _segmented(frame, support, seen, overrides, stages)
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
@@ -92,6 +94,7 @@ def reconstruct(
     files = mesh_files(SUPPORT_NAME, objects.top)
     for k, mesh in objects.meshes.items():
         files |= mesh_files(names[k], mesh)
+    doubts = image_doubts(frame, support.value, segmentation.value)
     unmet = (CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in segmentation.value.unmet)
     return Reconstruction(
         spec,
@@ -100,7 +103,7 @@ def reconstruct(
         segmentation.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
-        (*unmet, *findings, *overrides.unused({*found.values(), *names.values()})),
+        (*unmet, *findings, *overrides.unused({*found.values(), *names.values()}), *doubts),
     )
 
 

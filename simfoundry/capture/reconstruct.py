@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from simfoundry.capture.describe import SUPPORT_NAME
-from simfoundry.capture.findings import LEFT_OUT, CaptureFinding
+from simfoundry.capture.findings import LEFT_OUT, UNSURE, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.constraints import without_occluders
-from simfoundry.capture.segment.masks import Labels, Mask
+from simfoundry.capture.segment.masks import Labels, Mask, outline_of
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
@@ -37,33 +35,6 @@ class Reconstruction:
     names: dict[str, int]
     shapes: dict[str, FittedShape]
     findings: tuple[CaptureFinding, ...] = ()
-
-
-def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
-    """Return the reconstruction without some of its objects.
-
-    Objects that rested on a removed object are now supported by the table.
-    """
-    gone = set(names)
-    files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
-    relations = []
-    for text in built.spec.relations:
-        call = parse_call(text)
-        upper, lower = call.args
-        if upper not in gone:
-            relations.append(f"{call.predicate}({upper}, {SUPPORT_NAME if lower in gone else lower})")
-    objects = {name: item for name, item in built.spec.objects.items() if name not in gone}
-    used = {item.material for item in objects.values()}
-    materials = {name: item for name, item in built.spec.materials.items() if name in used}
-    update = {"objects": objects, "materials": materials, "relations": tuple(relations)}
-    return replace(
-        built,
-        spec=built.spec.model_copy(update=update),
-        files=files,
-        names={n: k for n, k in built.names.items() if n not in gone},
-        shapes={n: s for n, s in built.shapes.items() if n not in gone},
-        findings=(*built.findings, *(left_out(built.segmentation, built.names[n], reason, n) for n in sorted(gone))),
-    )
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:
@@ -138,9 +109,7 @@ def fit_segments(
             findings.append(left_out(segmentation, k, error.message))
             continue
         if shape.confidence < DOUBTFUL:
-            reason = f"no shape fits well enough (confidence {shape.confidence:.2f})"
-            findings.append(left_out(segmentation, k, reason))
-            continue
+            findings.append(unsure(segmentation, k, shape.confidence))
         shapes[k] = shape
         if carriers[k]:
             shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
@@ -174,6 +143,13 @@ def left_out(segmentation: Segmentation, k: int, reason: str, name: str = "") ->
     corners = ((int(columns.min()), int(rows.min())), (int(columns.max()), int(rows.max()))) if len(rows) else ()
     subject = f"`{name}`" if name else f"the object with the number {k} in segments.png"
     return CaptureFinding(LEFT_OUT, f"{subject} was left out: {reason}", LEFT_OUT_HINT, outline=corners)
+
+
+def unsure(segmentation: Segmentation, k: int, confidence: float) -> CaptureFinding:
+    """Return the finding that the solid of segment ``k`` is little more than a guess."""
+    message = f"the solid of the object with the number {k} in segments.png is a guess (confidence {confidence:.2f})"
+    hint = "show it from closer or from another side, or replace its shape in the scene"
+    return CaptureFinding(UNSURE, message, hint, outline=outline_of(segmentation.labels == k))
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,18 @@ from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
 from simfoundry.capture.outputs import write_masks, write_merged
 from simfoundry.capture.pipeline import reconstruct
-from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports, without
+from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
+from simfoundry.capture.standing import settle_objects
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
-from simfoundry.scene.lower import lower, lower_file, pose
+from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Camera, Scene
-from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.capture import CaptureSpec
-from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.yaml.write import to_yaml
-from simfoundry.worlds.base import World
-from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
 
 # Makes an HTML page of a report and its pictures, by file name.
@@ -115,7 +110,8 @@ def run_capture(
             known = statements(loaded, frame_name, previous, source.value)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
-                built, scene, settled = _settled(built, staging / scene_name, cache, progress)
+                standing = settle_objects(built, source.value, staging / scene_name, cache, progress)
+                built, scene, settled = standing.reconstruction, standing.scene, standing.settled
                 merged = write_merged(previous, staging / scene_name)
                 if merged.is_edited and not merged.is_broken:
                     scene = lower(load_scene(staging / scene_name), cache)
@@ -141,60 +137,12 @@ def run_capture(
     return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states, accuracy)
 
 
-def _settled(
-    built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
-) -> tuple[Reconstruction, Scene, SettleResult]:
-    """Settle a scene and write it.
-
-    The meshes are written along with the spec, which is written to ``scene_file`` with the settled poses and relations.
-    If an object's fitted solid does not come to rest, the object is left out and the other objects are settled again.
-    The same applies to an object that moves away from the pose that was written. Rounding by 0.1 mm, for example, may
-    tip over an object that is balanced on the edge of its base.
-    """
-    from simfoundry.worlds.mujoco_world import MujocoWorld
-
-    while True:
-        _write(built, scene_file, built.spec)
-        loaded = load_scene(scene_file)
-        scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
-        with MujocoWorld(scene) as world:
-            settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
-            spec = with_poses(built.spec, settled.state.poses)
-            lost = settled.lost or _leaving(world, spec)
-        if not lost:
-            break
-        if len(lost) == len(built.shapes):
-            message = f"none of the {len(built.shapes)} detected objects stays on the support"
-            raise CaptureError("SF504", message, "show the objects and the table around them from higher up")
-        built = without(built, lost, "its fitted solid does not stay on the support")
-        shutil.rmtree(scene_file.parent / "meshes")
-    spec = with_supports(spec, {o.name: o.supports for o in settled.objects})
-    _write(built, scene_file, spec)
-    return replace(built, spec=spec), scene, settled
-
-
 def _rest(scene: Scene, progress: Progress) -> SettleResult:
     """Settle a scene that a person edited, to find out what does not rest where it is."""
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
     with MujocoWorld(scene) as world:
         return settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
-
-
-def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
-
-    The result is a tuple, which is empty if no object moves.
-    """
-    state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
-    motions = [m for m in simulate(world, 2.0, state) if not m.stays]
-    return tuple(m.name for m in sorted(motions, key=lambda m: (-m.moved, m.name))[:1])
-
-
-def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
-    for relative, data in built.files.items():
-        write_file(scene_file.parent / relative, data)
-    write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())
 
 
 def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> Raycast:
@@ -240,11 +188,12 @@ def _report(
     settle_of = {o["name"]: o for o in settled.to_json()["objects"]}
     objects = {}
     for name, shape in built.shapes.items():
-        if name not in settle_of:  # a person removed it from the scene
+        if name not in settle_of and not built.spec.objects[name].fixed:  # a person removed it from the scene
             continue
         pixels = int(np.count_nonzero(built.segmentation.labels == built.names[name]))
         fit, confidence = round(shape.fit_m, 6), round(shape.confidence, 6)
-        rest = {k: round(v, 6) if isinstance(v, float) else v for k, v in settle_of[name].items() if k != "name"}
+        result = settle_of.get(name, {})  # empty for an object that is held in place
+        rest = {k: round(v, 6) if isinstance(v, float) else v for k, v in result.items() if k != "name"}
         objects[name] = {
             "segment": built.names[name],
             "pixels": pixels,

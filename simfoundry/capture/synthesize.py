@@ -43,6 +43,7 @@ class SensorModel:
     edge_band: int = 2  # Distance from an edge within which the farther surface has no depth [px]
     grazing_deg: float = 78.0  # Maximum tilt relative to the image plane [deg]; steeper surfaces return no depth
     dropout: float = 0.002  # Probability that a pixel returns no depth for no particular reason
+    correlation: float = 0.0  # Standard deviation of the kernel that correlates the noise of neighboring pixels [px]
     nearest: float = 0.25  # Minimum depth [m]
     farthest: float = 4.0  # Maximum depth [m]
 
@@ -51,6 +52,21 @@ class SensorModel:
 ACTIVE_STEREO = SensorModel(
     axial_base=0.0004, axial_growth=0.0019, axial_origin=0.0, lateral=0.6, disparity_step=0.03125
 )
+
+# Sensors by name. Matching windows of a stereo camera correlate the noise of neighbors, and widen the blind band beside
+# objects. A time-of-flight camera has no disparity; its noise grows linearly, and its edges are smeared.
+SENSORS = {
+    "active_stereo": ACTIVE_STEREO,
+    "structured_light": SensorModel(),
+    "stereo": SensorModel(
+        axial_base=0.0003, axial_growth=0.0022, axial_origin=0.0, lateral=1.2, disparity_step=0.03125, baseline=0.05,
+        edge_band=5, dropout=0.01, correlation=2.0,
+    ),
+    "time_of_flight": SensorModel(
+        axial_base=0.0012, axial_growth=0.0006, axial_origin=0.0, lateral=1.0, disparity_step=0.0, edge_band=1,
+        grazing_deg=82.0, correlation=0.7,
+    ),
+}  # fmt: skip
 
 
 def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Array:
@@ -61,7 +77,7 @@ def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
     tilt = _tilt(ray)
     edge, behind = _edges(ray, tilt, model)
     depth = np.where(edge, _jittered(ray.depth, rng, model.lateral), ray.depth)
-    depth = depth + _axial_spread(ray.depth, tilt, model) * rng.standard_normal(depth.shape)
+    depth = depth + _axial_spread(ray.depth, tilt, model) * _noise(rng, depth.shape, model.correlation)
     if model.disparity_step > 0:
         disparity = ray.camera.fx * model.baseline / np.maximum(depth, 1e-6)
         steps = np.maximum(np.rint(disparity / model.disparity_step), 1.0)
@@ -147,6 +163,17 @@ def _axial_spread(z: Array, tilt: Array, model: SensorModel) -> Array:
     t = np.minimum(tilt, math.radians(85.0))  # the model diverges at 90 degrees
     facing = model.axial_base + model.axial_growth * (z - model.axial_origin) ** 2
     return np.asarray(facing + model.axial_tilt / np.sqrt(z) * t**2 / (math.pi / 2 - t) ** 2)
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, ...], correlation: float) -> Array:
+    """Return noise of unit variance that is correlated over ``correlation`` [px], as an array of ``shape``."""
+    from scipy.ndimage import gaussian_filter
+
+    white = rng.standard_normal(shape)
+    if correlation <= 0:
+        return white
+    smooth: Array = gaussian_filter(white, correlation, mode="wrap")
+    return smooth / float(smooth.std())
 
 
 def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.segment import merge_by_color, merge_regions
 from simfoundry.capture.segment.constraints import constrained
+from simfoundry.capture.segment.learned_merging import divide_regions, join_regions
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
 from simfoundry.capture.segment.merge_regions import TOUCHING, compact, renamed
 from simfoundry.capture.segment.regions import Crop, borders, cut, edges_of, flood, pixel_area, reach_of
@@ -74,31 +77,56 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurfac
 def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     """Segment the image at the resolution of the depth noise, then extend the regions to the actual silhouettes."""
     depth = frame.depth
-    standing = _standing(depth, points_W, support)
-    if not standing.any():
+    survey = survey_regions(frame, points_W, support)
+    if survey is None:
         return np.zeros(depth.shape, np.int32)
-    step = max(1, round(reach_of(depth[standing], frame.K) / WORKING_REACH))
-    K = np.array(frame.K, dtype=np.float64)
-    K[:2] /= step
+    step, crop = survey.step, survey.crop
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
-    crop = _crop(Frame(_averaged(frame.color, step), depth[::step, ::step], K), points_W[::step, ::step], support)
-    if crop is not None:
-        coarse[crop.window] = _instances(crop, support)
+    regions = divide_regions(survey.regions, survey.initial, crop)
+    for stage in (
+        *(merge_regions.join_containers, merge_regions.join_hidden, merge_by_color.split_necks),
+        *(merge_by_color.join_kin, merge_regions.join_hanging, join_regions, _without_specks),
+    ):
+        regions = stage(regions, crop)
+    coarse[crop.window] = _without_foreign_regions(regions, crop, support)
     labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
     labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
     labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
     return close_silhouettes(labels, depth, points_W, step + 1)
 
 
-def _instances(crop: Crop, support: SupportSurface) -> Labels:
-    """Cut the surface into regions, merge the regions of each object, and drop regions that are not objects."""
-    regions = merge_regions.merge_smooth(cut(crop), crop, edge=0.5)
-    for stage in (
-        *(merge_regions.merge_smooth, _without_specks, merge_regions.join_containers, merge_regions.join_hidden),
-        *(merge_by_color.split_necks, merge_by_color.join_kin, merge_regions.join_hanging, _without_specks),
-    ):
-        regions = stage(regions, crop)
-    return _without_foreign_regions(regions, crop, support)
+@dataclass(frozen=True, eq=False)
+class RegionSurvey:
+    """The regions of an image before the network judges them.
+
+    ``step`` is the factor by which the image of ``crop`` is smaller than the original. ``initial`` are the regions
+    before most merging.
+    """
+
+    step: int
+    crop: Crop
+    initial: Labels
+    regions: Labels
+
+
+def survey_regions(frame: Frame, points_W: Array, support: SupportSurface) -> RegionSurvey | None:
+    """Cut the surface above the support into regions, and merge those that meet smoothly.
+
+    The result is None if nothing stands on the support.
+    """
+    depth = frame.depth
+    standing = _standing(depth, points_W, support)
+    if not standing.any():
+        return None
+    step = max(1, round(reach_of(depth[standing], frame.K) / WORKING_REACH))
+    K = np.array(frame.K, dtype=np.float64)
+    K[:2] /= step
+    crop = _crop(Frame(_averaged(frame.color, step), depth[::step, ::step], K), points_W[::step, ::step], support)
+    if crop is None:
+        return None
+    initial = merge_regions.merge_smooth(cut(crop), crop, edge=0.5)
+    regions = _without_specks(merge_regions.merge_smooth(initial, crop), crop)
+    return RegionSurvey(step, crop, initial, regions)
 
 
 def _crop(frame: Frame, points_W: Array, support: SupportSurface) -> Crop | None:

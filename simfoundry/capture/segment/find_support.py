@@ -5,50 +5,28 @@ Candidate planes are found with RANSAC.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simfoundry.capture.frame import CaptureError, Frame, SupportSurface, depth_sigma
+from simfoundry.capture.frame import CaptureError, Frame, SupportRival, SupportSurface, depth_sigma
 from simfoundry.capture.segment.masks import Mask, Plan, closed, components, disk, filled, opened, simplified, thinned
+from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, refine, world_on
 from simfoundry.capture.segment.regions import normals_of, tangents
+from simfoundry.capture.segment.support_evidence import carried_pixels
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.spec.models.capture import SupportChoice
 
-TALLEST = 0.35  # [m] maximum height of points that count as objects on a plane; tables are higher above the floor
 DENSE = 0.5  # minimum mean fraction of inliers within 2 px of an inlier; lower values occur by chance
 CROSSING = 0.6  # minimum cosine between surface and plane normals; below this, the surface crosses the plane
 SURVEY_WIDTH = 240  # [px] width of the image used for comparing candidates
 MIN_POINTS = 50  # minimum number of pixels in a plane
-MAX_PLANES = 8  # maximum number of candidates: a room has a table, floor, walls, shelves and box tops
-HYPOTHESES = 1500  # RANSAC draws: local triples hit a plane with 10% of the points with a probability of 0.999
-MAX_POINTS = 6000  # maximum number of points used for testing hypotheses
-SAMPLE, FINALISTS = 1200, 60  # points used to test all hypotheses; hypotheses then tested on all points
-TOLERANCE = 3.0  # inlier tolerance in standard deviations of the depth
-STEEPEST_ROLL = 0.47  # tangent of the maximum camera roll; a plane tilted more than this is a wall beside the camera
-ROLL_SLACK = 0.15  # sideways component of the normal that is always allowed, however steeply the camera looks down
-SMALLEST_SHARE = 0.01  # minimum fraction of all points in a plane
 MAX_CELLS = 700  # maximum number of cells along the longer side of a plan: 5 mm cells on a table of 3.5 m
 COARSE, FINE = 0.01, 0.005  # [m] cell size of a plan when comparing planes, and in the result
 OUTLINE_TOLERANCE = 0.01  # [m] tolerance of the simplified outline
+RIVAL = 0.1  # minimum evidence for another surface, relative to the best one, that is kept
+AROUND = 4  # [px] radius around a stated pixel, in the survey's image, in which the plane is fitted
 SHADOW = 0.25  # [m] maximum width of the hidden strip behind an object that is bridged to connect two visible parts
-
-
-@dataclass(frozen=True, eq=False)
-class Plane:
-    """The plane ``normal @ p = offset`` in the camera frame [m].
-
-    The normal points toward the camera.
-    """
-
-    normal: Array
-    offset: float
-
-    def height(self, points: Array) -> Array:
-        """Return the signed distance of points from the plane [m].
-
-        The points are in the camera frame and have shape (..., 3). The distance is positive toward the camera.
-        """
-        return np.asarray(points @ self.normal - self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,133 +68,70 @@ def find_support(frame: Frame) -> SupportSurface:
     both. The floor scores lower because it is farther away and the objects on a table are too high above the floor to
     count as standing on it.
 
+    A person's choice in ``frame.support`` takes precedence over all evidence.
+
     Raises:
         CaptureError: The depth is unusable, or no plane is found.
     """
+    chosen = frame.support
     frame = frame.cleaned()
-    small = _view(frame, step=max(1, frame.depth.shape[1] // SURVEY_WIDTH))
+    step = max(1, frame.depth.shape[1] // SURVEY_WIDTH)
+    small = _view(frame, step)
+    if chosen is not None:
+        return _chosen(frame, small, step, chosen)
     points = small.points[np.isfinite(small.depth)]
     planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= MIN_POINTS else []
     found = [surface for plane in planes if (surface := _survey(small, plane, COARSE)) is not None]
-    for surface in sorted(found, key=lambda surface: -surface.score):
+    ranked = sorted(found, key=lambda surface: -surface.score)
+    for k, surface in enumerate(ranked):
         support = _measured(_view(frame), surface)
         if support is not None:
-            return support
+            rivals = (_rival(surface, other, small, step) for other in ranked[k + 1 :])
+            return replace(support, rivals=tuple(rival for rival in rivals if rival.share > RIVAL))
     hint = "show at least 10 cm of the tabletop around the objects, and hold the camera upright above it"
     raise CaptureError("SF503", "could not find a flat surface, seen from above, that objects could stand on", hint)
 
 
-def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
-    """Return the planes through ``points`` that could be a tabletop, starting with the largest one.
+def _chosen(frame: Frame, small: _View, step: int, choice: SupportChoice) -> SupportSurface:
+    """Return the surface that a person stated.
 
-    The points are in the camera frame [m] and have shape (n, 3). A plane qualifies if the camera is above it, the
-    camera's up direction does not point below it, and it is not seen edge-on from the side, like a wall beside the
-    camera. A single camera cannot distinguish a wall straight ahead from a table straight below, so both of them
-    qualify.
+    Raises:
+        CaptureError: There is no surface at the stated pixel or plane.
     """
-    rest = points[rng.choice(len(points), min(len(points), MAX_POINTS), replace=False)]
-    fewest = max(30, int(SMALLEST_SHARE * len(rest)))
-    planes = []
-    for _ in range(MAX_PLANES):
-        if len(rest) < fewest:
-            break
-        plane = _best_plane(rest, rng)
-        if plane is None:
-            break
-        inlier = np.abs(plane.height(rest)) < TOLERANCE * depth_sigma(rest[:, 2])
-        if inlier.sum() < fewest:
-            break
-        planes.append(refine(plane, rest))
-        rest = rest[~(np.abs(planes[-1].height(rest)) < TOLERANCE * depth_sigma(rest[:, 2])) & ~inlier]
-    return planes
+    points = small.points[np.isfinite(small.depth)]
+    if choice.plane is not None:
+        normal, offset = np.array(choice.plane[:3]), choice.plane[3]
+        length = float(np.linalg.norm(normal)) * (1 if offset < 0 else -1)  # toward the camera, which is at the origin
+        plane = Plane(normal / length, offset / length)
+        where = "in the stated plane"
+    else:
+        assert choice.pixel is not None
+        u, v = (x // step for x in choice.pixel)
+        where = f"at the pixel {list(choice.pixel)}"
+        around = small.points[max(0, v - AROUND) : v + AROUND + 1, max(0, u - AROUND) : u + AROUND + 1]
+        near = around[np.isfinite(around[..., 2])]
+        if len(near) < AROUND**2:
+            raise CaptureError("SF503", f"there is no depth {where}", "state another pixel on the bare surface")
+        center = near.mean(axis=0)
+        normal = np.linalg.eigh((near - center).T @ (near - center))[1][:, 0]
+        normal = normal if normal @ center < 0 else -normal
+        plane = Plane(normal, float(normal @ center))
+        plane = refine(plane, near)
+    surface = _survey(small, refine(plane, points), COARSE) or _survey(small, plane, COARSE)
+    support = None if surface is None else _measured(_view(frame), surface)
+    if support is None:
+        raise CaptureError("SF503", f"there is no flat surface {where}", "state a pixel on the bare surface")
+    return support
 
 
-def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
-    """Return the qualifying hypothesis with the most inliers, weighted by proximity.
-
-    Nearer points have more weight because each of their pixels covers less surface. The result is None if no hypothesis
-    qualifies.
-    """
-    normals, offsets = _hypotheses(points, rng)
-    if not len(normals):
-        return None
-    sample = thinned(points, SAMPLE)
-    promising = np.argsort(-_support_of(sample, normals, offsets), kind="stable")[:FINALISTS]
-    best = promising[int(np.argmax(_support_of(points, normals[promising], offsets[promising])))]
-    return Plane(normals[best], float(offsets[best]))
-
-
-def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
-    """Return the total weight of the points in each plane, as an array of shape (m,)."""
-    tolerance = TOLERANCE * depth_sigma(points[:, 2])
-    weight = 1.0 / points[:, 2]
-    parts = zip(np.array_split(normals, 16), np.array_split(offsets, 16), strict=True)
-    return np.concatenate([(np.abs(points @ n.T - d) < tolerance[:, None]).T @ weight for n, d in parts])
-
-
-def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Sample triples of nearby points, and return the qualifying planes through them.
-
-    Returns:
-        Unit normals, as an array of shape (m, 3), and offsets [m], as an array of shape (m,).
-    """
-    from scipy.spatial import cKDTree
-
-    pixels = points[:, :2] / points[:, 2:]
-    seeds = rng.integers(len(points), size=HYPOTHESES)
-    _, near = cKDTree(pixels).query(pixels[seeds], k=min(len(points), max(60, len(points) // 40)))
-    columns = rng.integers(near.shape[1], size=(HYPOTHESES, 2))
-    a = points[seeds]
-    b = points[near[np.arange(HYPOTHESES), columns[:, 0]]]
-    c = points[near[np.arange(HYPOTHESES), columns[:, 1]]]
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
-    ok = length > 1e-6
-    normals, a = normals[ok] / length[ok, None], a[ok]
-    offsets = np.einsum("ij,ij->i", normals, a)
-    away = offsets > 0  # the camera, located at the origin, must be on the positive side
-    normals[away], offsets[away] = -normals[away], -offsets[away]
-    up = -normals[:, 1]
-    plausible = (np.abs(normals[:, 0]) < ROLL_SLACK + STEEPEST_ROLL * np.maximum(up, 0)) & (up > -0.1)
-    return normals[plausible], offsets[plausible]
-
-
-def refine(plane: Plane, points: Array, rounds: int = 6) -> Plane:
-    """Refit ``plane`` to its inliers among ``points`` by iteratively reweighted least squares.
-
-    The points [m] have shape (n, 3).
-    """
-    for _ in range(rounds):
-        sigma = depth_sigma(points[:, 2])
-        residual = np.abs(plane.height(points)) / sigma
-        # Tukey's biweight: points near the bottom of objects are gradually downweighted so as not to pull the plane up.
-        weight = np.where(residual < TOLERANCE, (1 - (residual / TOLERANCE) ** 2) ** 2, 0.0) / sigma**2
-        if np.count_nonzero(weight) < 10:
-            return plane
-        center = weight @ points / weight.sum()
-        moment = (points - center).T @ ((points - center) * weight[:, None])
-        normal = np.linalg.eigh(moment)[1][:, 0]
-        if normal @ center > 0:
-            normal = -normal
-        plane = Plane(np.asarray(normal), float(normal @ center))
-    return plane
-
-
-def world_on(plane: Plane) -> Pose:
-    """Return the camera pose ``X_WC`` in a world frame on ``plane``.
-
-    The origin is straight below the camera, and x points along its viewing direction, or along the image's up direction
-    if the camera looks straight down.
-    """
-    z = plane.normal
-    x = np.array([0.0, 0.0, 1.0]) - z[2] * z
-    if np.linalg.norm(x) < 0.2:
-        x = np.array([0.0, -1.0, 0.0]) + z[1] * z
-    x = x / np.linalg.norm(x)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([x, np.cross(z, x), z])
-    matrix[2, 3] = -plane.offset
-    return Pose.from_matrix(matrix)
+def _rival(best: _Surface, other: _Surface, view: _View, step: int) -> SupportRival:
+    """Return what is known about a surface that was not chosen."""
+    rows, columns = np.nonzero(other.inliers)
+    middle = int(np.argmin((rows - np.median(rows)) ** 2 + (columns - np.median(columns)) ** 2))
+    height = float(np.median(best.X_WC.apply(view.points[other.inliers])[:, 2]))
+    area = float(other.plan.mask.sum() * other.plan.cell**2)
+    pixel = int(columns[middle]) * step, int(rows[middle]) * step
+    return SupportRival(other.score / max(best.score, 1e-9), height, area, pixel)
 
 
 def _view(frame: Frame, step: int = 1) -> _View:
@@ -267,7 +182,7 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
     # image but has nothing on it is not a support. Near pixels have more weight because the subject of an image is
     # usually close to the camera. A plane that an upright camera would see as a wall straight ahead has less weight.
     area = int(inliers.sum())
-    carried = int((above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)).sum())
+    carried = carried_pixels(view.depth, above & (points_W[..., 2] > 2 * tolerance), points_W)
     amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area
     score = amount / float(np.median(view.depth[inliers])) ** 2 * (1.0 if plane.normal[1] < -0.3 else 0.3)
     return _Surface(plane, X_WC, inliers, plan, score)

@@ -107,6 +107,26 @@ def in_hull(hull: NDArray[np.float32], points: Array) -> Mask:
     return np.array(inside, dtype=bool)
 
 
+def solidity(mask: Mask) -> float:
+    """Return the fraction of its convex hull that a mask fills."""
+    import cv2
+
+    hull = cv2.convexHull(np.argwhere(mask)[:, ::-1].astype(np.int32))
+    return float(mask.sum()) / max(1.0, float(cv2.contourArea(hull)))
+
+
+def outline_of(mask: Mask) -> tuple[tuple[int, int], ...]:
+    """Return at most 12 pixels (column, row) around the largest part of a mask."""
+    import cv2
+
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    contour = max(contours, key=cv2.contourArea)
+    tolerance = 2.0
+    while len(corners := cv2.approxPolyDP(contour, tolerance, True)) > 12:
+        tolerance *= 1.5
+    return tuple((int(u), int(v)) for u, v in corners[:, 0])
+
+
 def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
     """Simplify an outline to at most MAX_CORNERS corners.
 

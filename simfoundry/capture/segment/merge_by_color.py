@@ -7,9 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.masks import Labels, Mask, components, disk, grown, hull_mm, opened, thinned
+from simfoundry.capture.segment.masks import (
+    Labels,
+    Mask,
+    components,
+    disk,
+    grown,
+    hull_mm,
+    opened,
+    solidity,
+    thinned,
+)
 from simfoundry.capture.segment.merge_regions import compact, renamed
-from simfoundry.capture.segment.regions import Border, Crop, borders, flood
+from simfoundry.capture.segment.regions import Border, Crop, adjacent_pairs, borders, flood
 from simfoundry.capture.segment.support_graph import RegionPart, below, carriers, parts_of, shared_footprint
 
 VIVID = 80  # minimum saturation of a vivid pixel, out of 255
@@ -107,7 +117,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
     while True:
         parts = parts_of(labels, crop.points_W, crop.pixel_area)
         hues = {p.label: Hue.of(labels == p.label, hue, vivid) for p in parts}
-        family = _Family(hues, carriers(parts), below(labels, crop), borders(labels, crop), _adjacent_pairs(labels))
+        family = _Family(hues, carriers(parts), below(labels, crop), borders(labels, crop), adjacent_pairs(labels))
         pair = _first_kin(parts, family)
         if pair is None:
             return labels
@@ -121,14 +131,6 @@ def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | No
         if kin:
             return part.label, min(kin, key=lambda other: (_distance(part, other), other.label)).label
     return None
-
-
-def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
-    """Return the pairs (low, high) of labels of adjacent regions."""
-    sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
-    pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    return frozenset((int(a), int(b)) for a, b in pairs if a > 0)
 
 
 def _is_lid(part: RegionPart, other: RegionPart) -> bool:
@@ -177,7 +179,7 @@ def split_necks(labels: Labels, crop: Crop) -> Labels:
     out = labels.copy()
     for k in range(1, int(labels.max()) + 1):
         mask = labels == k
-        if _solidity(mask) > HOLLOW:
+        if solidity(mask) > HOLLOW:
             continue
         bright, dull = (_largest(opened(mask & tone, kernel)) for tone in (vivid, ~vivid))
         large = min(bright.sum(), dull.sum()) >= SHARE * mask.sum()
@@ -198,13 +200,6 @@ def _neck(one: Mask, other: Mask, reach: int) -> float:
     gap = max(2, reach // 2)
     width = float((grown(one, disk(gap)) & other).sum()) / gap
     return width / float(np.sqrt(min(one.sum(), other.sum()))) if width >= gap else np.inf
-
-
-def _solidity(mask: Mask) -> float:
-    import cv2
-
-    hull = cv2.convexHull(np.argwhere(mask)[:, ::-1].astype(np.int32))
-    return float(mask.sum()) / max(1.0, float(cv2.contourArea(hull)))
 
 
 def _largest(mask: Mask) -> Mask:

@@ -186,6 +186,14 @@ def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
     return {(a, b): Border(a, b, *row) for (a, b), row in zip(unique.tolist(), values.tolist(), strict=True)}
 
 
+def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
+    """Return the pairs (low, high) of labels of adjacent regions."""
+    sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
+    pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return frozenset((int(a), int(b)) for a, b in pairs if a > 0)
+
+
 def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None = None) -> Array:
     """Return affine fits of the disparity around every pixel.
 

@@ -96,9 +96,14 @@ def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
 
 def shared_footprint(one: RegionPart, other: RegionPart) -> float:
     """Return the overlap between the convex footprints of two parts, as a fraction of the smaller footprint."""
+    return footprint_overlap(one.points_W, other.points_W)
+
+
+def footprint_overlap(one: Array, other: Array) -> float:
+    """Return the overlap between the convex footprints of two sets of points, as a fraction of the smaller one."""
     import cv2
 
-    a, b = hull_mm(one.points_W), hull_mm(other.points_W)
+    a, b = hull_mm(one), hull_mm(other)
     smaller = min(cv2.contourArea(a), cv2.contourArea(b))
     return float(cv2.intersectConvexConvex(a, b)[0]) / smaller if smaller > 0 else 0.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ FEW_POINTS = 50  # with fewer points than this, a curved side cannot be distingu
 OVERSIZE = 2.0  # maximum size relative to the visible part; a nearly flat side could be part of a huge cylinder
 GAIN = 0.03  # minimum fraction of the object that a completed shape must explain in addition to a simple one
 
+MAX_ALTERNATIVES = 2  # each one that is tried costs a settling of the entire scene
+# Families of shapes with a level base, which stand if anything does.
+STABLE = frozenset({"box", "cylinder", "lathe", "hollow"})
+
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
@@ -34,6 +38,7 @@ class FittedShape:
         confidence: Confidence in the fit, in [0, 1]. See :func:`confidence`.
         hollow: True for an open container that is modeled with its cavity.
         profile: Pairs (radius, height) [m], shape (k, 2), or None if the mesh is not a body of revolution.
+        alternatives: The next best solids, which replace this one if it does not come to rest.
     """
 
     geometry: Geometry
@@ -42,6 +47,7 @@ class FittedShape:
     confidence: float
     hollow: bool
     profile: Array | None = None
+    alternatives: tuple[FittedShape, ...] = ()
 
 
 def fit_shape(
@@ -73,9 +79,16 @@ def fit_shape(
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(evidence)
     best = choose([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1])
-    fit_m = best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale
-    hollow = best.family == "hollow"
-    return FittedShape(best.geometry, best.X_WO, fit_m, confidence(best, evidence), hollow, best.profile)
+    others = sorted((c for c in found if c is not best and c.family in STABLE), key=lambda c: c.cost)
+    alternatives = tuple(_fitted(c, evidence) for c in others[:MAX_ALTERNATIVES])
+    return replace(_fitted(best, evidence), alternatives=alternatives)
+
+
+def _fitted(candidate: FitCandidate, evidence: Evidence) -> FittedShape:
+    fit_m = candidate.agreement.fit if math.isfinite(candidate.agreement.fit) else evidence.scale
+    hollow = candidate.family == "hollow"
+    sure = confidence(candidate, evidence)
+    return FittedShape(candidate.geometry, candidate.X_WO, fit_m, sure, hollow, candidate.profile)
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:

@@ -95,6 +95,23 @@ class Decomposition(Model):
                     raise fault("sf107", f"`occludes` names `{each}`, which `pieces` does not define", "occludes")
 
 
+class SupportChoice(Model):
+    """The surface that supports the objects, stated by a person."""
+
+    pixel: Pixel | None = Field(None, description="A pixel (column, row) [px] on the bare surface.")
+    plane: tuple[float, float, float, float] | None = Field(
+        None,
+        description="The plane `a x + b y + c z = d` in the camera frame (x right, y down, z forward) [m].",
+    )
+
+    @consistent
+    def _one_statement(self) -> None:
+        if (self.pixel is None) == (self.plane is None):
+            raise fault("sf107", "state either the `pixel` or the `plane` of the support")
+        if self.plane is not None and not sum(x * x for x in self.plane[:3]) > 1e-12:
+            raise fault("sf107", "the normal of the plane must not be zero", "plane")
+
+
 class Shot(Model):
     """A view of the scene: color image, depth image, camera, and optional masks."""
 
@@ -107,6 +124,9 @@ class Shot(Model):
         "move, such as that of a tracker; `simfoundry articulate` relates two captures by it.",
     )
     masks: Masks | None = Field(None, description="Instance masks.")
+    support: SupportChoice | None = Field(
+        None, description="The surface that supports the objects, if another one was found."
+    )
     decomposition: Decomposition | None = Field(
         None, description="Constraints on the division of the image into objects."
     )

@@ -30,6 +30,7 @@ NOT_SHOWN = {
     "SF602": "needs a whole picture",
     "SF603": "needs a whole picture of something that does not rest",
     "SF604": "needs two runs of a capture",
+    **{f"SF{k}": "needs a whole picture" for k in range(620, 629)},
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""

@@ -1,0 +1,191 @@
+"""Doubts about an image and its segmentation: what the pictures show that a scene cannot be right about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simfoundry.capture.findings import BORDER, HOLE, NOISY, OFFSET, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
+from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
+from simfoundry.capture.size_priors import intrinsics_doubt, scale_doubt
+from simfoundry.geometry.frames import Array
+
+RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35
+ON_TOP, LARGE = 0.3, 0.1  # [m], [m²] maximum height and area of the top of an object on the support
+SAME = 0.02  # [m] maximum height of a second plane through the same surface, which is not flat
+INSIDE = 0.02  # [m] width of the zone along the outline of the support where walls and its own edge appear
+CLEARLY_ABOVE = 0.015  # [m] minimum height of what is no noise of the support; a plate is higher
+TALLEST = 0.5  # [m] maximum height of what is reported; lamps and walls are higher
+SEEN = 1.0e-3  # [m²] minimum visible area of something that is reported, a square of 3 cm
+HOLE_AREA = 1.2e-3  # [m²] minimum area of a hole on the support, the base of a small glass
+HOLE_RADIUS = 0.011  # [m] minimum radius of a disk inside a hole; gaps beside objects are narrower
+BASELINE = 0.1  # [m] maximum distance between the camera and a projector or second camera: 7.5 cm in a Kinect
+SHADOW_RIM = 6  # [px] width of the zone beside an object in which a matching window loses depth
+BORDER_PX = 3  # [px] distance from the border of the image at which an object is cut off; resampling loses pixels there
+BORDER_SHARE = 0.08  # minimum fraction of an object's outline along the border of the image
+SHIFTS = 24  # [px] maximum offset between color and depth that is searched
+SHIFT_STEP = 2  # [px] step of this search; smaller offsets do no harm
+MIN_SHIFT = 5  # [px] minimum offset that is reported: 1 cm at 1 m
+GAIN = 1.2  # minimum ratio of the color contrast along silhouettes after and before shifting
+NOISE = 2.0  # maximum distance of the support's points from its plane, in units of the expected noise
+
+
+def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentation) -> tuple[CaptureFinding, ...]:
+    """Return what is doubtful about an image and its division into objects."""
+    frame = frame.cleaned()
+    labels = segmentation.labels
+    points_W = support.X_WC.apply(frame.points)
+    inside = _inside_outline(frame, support)
+    found = [
+        *_support(support),
+        *_unexplained(frame, labels, points_W, support),
+        *_holes(frame, support, labels, inside),
+        *_cut_off(labels),
+        *_offset(frame, labels),
+        *scale_doubt(frame, support, labels, points_W),
+        *intrinsics_doubt(frame),
+    ]
+    noise = support.residual / (0.67 * float(np.median(depth_sigma(frame.depth[support.inliers]))))
+    if noise > NOISE:
+        message = f"the depth of the support is {noise:.1f} times as noisy as that of common depth cameras"
+        found.append(CaptureFinding(NOISY, message, "average several images, or move the camera closer"))
+    return tuple(found)
+
+
+def _support(support: SupportSurface) -> Iterator[CaptureFinding]:
+    """Yield a finding if another surface could be the support as well."""
+    for rival in support.rivals:
+        on_top = 0 < rival.height < ON_TOP and rival.area < LARGE
+        if rival.share < RIVAL or on_top or (abs(rival.height) < SAME and rival.area < LARGE):
+            continue
+        where = f"{abs(rival.height) * 100:.0f} cm {'above' if rival.height > 0 else 'below'} the chosen one"
+        message = f"a surface {where} could be the support as well ({rival.share:.0%} of the evidence)"
+        hint = f"state `support: {{pixel: [{rival.pixel[0]}, {rival.pixel[1]}]}}` in the frame to choose it"
+        yield CaptureFinding(SUPPORT_DOUBT, message, hint, outline=(rival.pixel,))
+
+
+def _inside_outline(frame: Frame, support: SupportSurface) -> Mask:
+    """Return a mask of the pixels whose rays meet the support at least :data:`INSIDE` within its outline."""
+    import cv2
+    import shapely
+
+    polygon = shapely.Polygon(support.outline).buffer(-INSIDE)
+    out = np.zeros(frame.depth.shape, np.uint8)
+    X_CW = support.X_WC.inverse()
+    for part in getattr(polygon, "geoms", [polygon]):
+        if part.is_empty:
+            continue
+        ring = np.array(shapely.segmentize(part, 0.05).exterior.coords)
+        in_camera = X_CW.apply(np.column_stack([ring, np.zeros(len(ring))]))
+        depth = np.maximum(in_camera[:, 2:], 0.05)
+        pixels = in_camera[:, :2] / depth * [frame.K[0, 0], frame.K[1, 1]] + [frame.K[0, 2], frame.K[1, 2]]
+        cv2.fillPoly(out, [np.clip(np.round(pixels), -20000, 20000).astype(np.int32)], 1)
+    return out > 0
+
+
+def _unexplained(frame: Frame, labels: Labels, points_W: Array, support: SupportSurface) -> Iterator[CaptureFinding]:
+    """Yield a finding for everything that stands on the support but belongs to no object."""
+    import shapely
+
+    height = points_W[..., 2]
+    lowest = np.maximum(CLEARLY_ABOVE, 3 * depth_sigma(frame.depth))
+    free = (height > lowest) & (height < TALLEST) & ~grown(labels > 0, times=4)
+    area = frame.depth**2 / (frame.K[0, 0] * frame.K[1, 1])
+    parts, sizes = components(opened(free, disk(2)))
+    surface = shapely.Polygon(support.outline).buffer(-INSIDE)
+    for k in np.flatnonzero(sizes > 100):
+        part = parts == k
+        if float(np.nansum(area[part])) < SEEN:
+            continue
+        xy = points_W[part][:: max(1, int(sizes[k]) // 400), :2]
+        if shapely.contains_xy(surface, xy).mean() < 0.7:
+            continue
+        message = f"something up to {float(np.nanmax(height[part])) * 100:.0f} cm high belongs to no object"
+        hint = "name its pixels under `decomposition`, or show it entirely"
+        yield CaptureFinding(UNEXPLAINED, message, hint, outline=outline_of(part))
+
+
+def _holes(frame: Frame, support: SupportSurface, labels: Labels, inside: Mask) -> Iterator[CaptureFinding]:
+    """Yield a finding for each area on the support at which the sensor returned no depth, as at glass."""
+    import cv2
+
+    h, w = frame.depth.shape
+    u, v = np.meshgrid(np.arange(w), np.arange(h))
+    rays = np.stack([(u - frame.K[0, 2]) / frame.K[0, 0], (v - frame.K[1, 2]) / frame.K[1, 1], np.ones((h, w))], -1)
+    falling = rays @ support.X_WC.rotation[2]
+    distance = np.where(falling < -0.05, -support.X_WC.p[2] / np.minimum(falling, -0.05), np.inf)
+    pixel = distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1])  # width of a pixel on a surface that faces the camera
+    missing = inside & ~np.isfinite(frame.depth) & (labels == 0)
+    missing &= ~_in_shadow(frame, missing, distance)
+    missing = closed(missing, 1) & (labels == 0)
+    parts, sizes = components(opened(missing, disk(2)))
+    radius = cv2.distanceTransform(missing.astype(np.uint8), cv2.DIST_L2, 3)
+    for k in np.flatnonzero(sizes > 60):
+        part = parts == k
+        width = float(np.median(pixel[part]))
+        if float(radius[part].max()) * width < HOLE_RADIUS or sizes[k] * width**2 < HOLE_AREA:
+            continue
+        message = "the support has a hole in the depth, as glass and reflections leave"
+        hint = "if something stands there, add it by hand or make it matt"
+        yield CaptureFinding(HOLE, message, hint, outline=outline_of(part))
+
+
+def _in_shadow(frame: Frame, missing: Mask, distance: Array) -> Mask:
+    """Return a mask of the pixels that an object may hide from the projector or the second camera.
+
+    They are beside a nearer surface, by at most its parallax over :data:`BASELINE`. ``distance`` is the depth of the
+    support [m].
+    """
+    nearness = np.nan_to_num(1.0 / frame.depth) - 1.0 / distance
+    reach = frame.K[0, 0] * BASELINE
+    out = np.zeros(missing.shape, np.bool_)
+    widest = min(int(reach * float(nearness.max(initial=0.0))), missing.shape[1] - 1)
+    for shift in range(1, widest + 1):
+        hides = nearness * reach + SHADOW_RIM > shift
+        hides &= nearness > 0.02
+        out[:, shift:] |= hides[:, :-shift]
+        out[:, :-shift] |= hides[:, shift:]
+    return out & missing
+
+
+def _cut_off(labels: Labels) -> Iterator[CaptureFinding]:
+    """Yield a finding for each object that the border of the image cuts off."""
+    frame = np.zeros(labels.shape, np.bool_)
+    frame[:BORDER_PX], frame[-BORDER_PX:], frame[:, :BORDER_PX], frame[:, -BORDER_PX:] = True, True, True, True
+    for k in range(1, int(labels.max()) + 1):
+        mask = labels == k
+        rim = int((mask & ~shrunk(mask, np.ones((3, 3), np.uint8))).sum())
+        if (mask & frame).sum() > BORDER_SHARE * BORDER_PX * max(1, rim):
+            message = f"the border of the image cuts off the object with the number {k} in segments.png"
+            yield CaptureFinding(BORDER, message, "show the entire object", outline=outline_of(mask))
+
+
+def _offset(frame: Frame, labels: Labels) -> Iterator[CaptureFinding]:
+    """Yield a finding if silhouettes in the depth are elsewhere in the color image."""
+    shift, gain = color_offset(frame, labels)
+    if np.hypot(*shift) >= MIN_SHIFT and gain > GAIN:
+        message = f"the color image seems to be shifted by {shift} px (columns, rows) against the depth image"
+        yield CaptureFinding(OFFSET, message, "check `pose` and `camera` under `depth`, and the images' times")
+
+
+def color_offset(frame: Frame, labels: Labels) -> tuple[tuple[int, int], float]:
+    """Return the offset [px] at which silhouettes match color edges best, and the gain in contrast over none."""
+    import cv2
+
+    mask = labels > 0
+    rim = mask & ~shrunk(mask, np.ones((3, 3), np.uint8))
+    margin = SHIFTS + 1
+    rim[:margin], rim[-margin:], rim[:, :margin], rim[:, -margin:] = False, False, False, False
+    rows, columns = np.nonzero(rim)
+    if len(rows) < 200:
+        return (0, 0), 1.0
+    smooth = cv2.GaussianBlur(frame.color, (0, 0), 1.5).astype(np.float32)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)).max(axis=-1)
+    slope = np.minimum(slope, np.quantile(slope, 0.98))
+    steps = range(-SHIFTS, SHIFTS + 1, SHIFT_STEP)
+    scores = {(du, dv): float(slope[rows + dv, columns + du].mean()) for du in steps for dv in steps}
+    best = max(scores, key=lambda s: (scores[s], -abs(s[0]) - abs(s[1])))
+    near = max(scores[(du, dv)] for du in (-2, 0, 2) for dv in (-2, 0, 2))
+    return best, scores[best] / max(near, 1e-6)

@@ -1,0 +1,123 @@
+"""Bring every object of a reconstruction to rest: with its best solid, with its next best one, or held in place."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from simfoundry.assets.cache import Cache
+from simfoundry.capture import describe
+from simfoundry.capture.describe import mesh_files
+from simfoundry.capture.findings import HELD, CaptureFinding
+from simfoundry.capture.frame import Frame
+from simfoundry.capture.kinds import kind_of
+from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.texture import textured_mesh
+from simfoundry.runtime.files import write_file
+from simfoundry.scene.lower import lower, pose
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState, with_poses
+from simfoundry.spec.load import load_scene
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.predicate import parse_call
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.worlds.base import World
+from simfoundry.worlds.rest import simulate
+from simfoundry.worlds.settle import SettleResult, settle
+
+HELD_HINT = "correct its shape or pose in the studio, and remove `fixed`"
+HELD_NOTE = "held in place: none of its fitted solids comes to rest"
+
+
+@dataclass(frozen=True, eq=False)
+class StandingScene:
+    """A reconstruction at rest, with the lowered scene and the result of settling it."""
+
+    reconstruction: Reconstruction
+    scene: Scene
+    settled: SettleResult
+
+
+def settle_objects(
+    built: Reconstruction, frame: Frame, scene_file: Path, cache: Cache | None, progress: Progress
+) -> StandingScene:
+    """Settle a scene, and write it with its meshes and the poses and relations at rest to ``scene_file``.
+
+    An object whose solid does not come to rest, or which moves away from the pose that was written, gets its next best
+    solid. If it has none left, it is held in place by ``fixed``, so that nothing that was seen is missing, and reported
+    as a finding. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base.
+    """
+    from simfoundry.worlds.mujoco_world import MujocoWorld
+
+    while True:
+        _write(built, scene_file, built.spec)
+        loaded = load_scene(scene_file)
+        scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
+        with MujocoWorld(scene) as world:
+            settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
+            spec = with_poses(built.spec, settled.state.poses)
+            lost = settled.lost or _leaving(world, spec)
+        if not lost:
+            break
+        for name in lost:
+            built = _supported(built, name, frame)
+        shutil.rmtree(scene_file.parent / "meshes")
+    supports = {o.name: o.supports for o in settled.objects}
+    spec = with_supports(spec, supports)
+    _write(built, scene_file, spec)
+    return StandingScene(replace(built, spec=spec), scene, settled)
+
+
+def _supported(built: Reconstruction, name: str, frame: Frame) -> Reconstruction:
+    """Return the reconstruction in which an object has its next best solid, or is held in place."""
+    shape = built.shapes[name]
+    if not shape.alternatives:
+        return _held(built, name)
+    following = replace(shape.alternatives[0], alternatives=shape.alternatives[1:])
+    return _reshaped(built, name, following, frame)
+
+
+def _reshaped(built: Reconstruction, name: str, shape: FittedShape, frame: Frame) -> Reconstruction:
+    k = built.names[name]
+    mesh = textured_mesh(shape, frame, built.support, built.segmentation.labels == k)
+    stem = f"meshes/{name}."
+    files = {path: data for path, data in built.files.items() if not path.startswith(stem)} | mesh_files(name, mesh)
+    item = describe.object_spec(built.spec.name, name, shape, k)
+    prior = kind_of(shape).material
+    material = Material(density=prior.density, friction=prior.friction)
+    materials = {**built.spec.materials, prior.name: material}
+    update = {"objects": {**built.spec.objects, name: item}, "materials": materials}
+    spec = built.spec.model_copy(update=update)
+    return replace(built, spec=spec, files=files, shapes={**built.shapes, name: shape})
+
+
+def _held(built: Reconstruction, name: str) -> Reconstruction:
+    """Return the reconstruction with an object that does not move, and the finding that says so."""
+    item = built.spec.objects[name]
+    origin = None if item.origin is None else item.origin.model_copy(update={"note": HELD_NOTE})
+    held = item.model_copy(update={"fixed": True, "origin": origin})
+    relations = tuple(text for text in built.spec.relations if parse_call(text).args[0] != name)
+    spec = built.spec.model_copy(update={"objects": {**built.spec.objects, name: held}, "relations": relations})
+    finding = CaptureFinding(
+        HELD, "none of its fitted solids comes to rest, so it is held in place", HELD_HINT, (name,)
+    )
+    return replace(built, spec=spec, findings=(*built.findings, finding))
+
+
+def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
+    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
+
+    The result is a tuple, which is empty if no object moves.
+    """
+    state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
+    motions = [m for m in simulate(world, 2.0, state) if not m.stays]
+    return tuple(m.name for m in sorted(motions, key=lambda m: (-m.moved, m.name))[:1])
+
+
+def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
+    for relative, data in built.files.items():
+        write_file(scene_file.parent / relative, data)
+    write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())
