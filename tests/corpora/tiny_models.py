@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from simfoundry.models.tasks.masks import BundleMasks, SegmentationPrompt
 from simfoundry.models.transports.process import ProcessTransport
 from tests.conftest import REPOSITORY
 
-SCRIPT = Path(__file__).parent / "readers" / "tiny_models.py"
+SCRIPT = "tests.corpora.readers.tiny_models"
 SERVERS = REPOSITORY / "examples" / "servers"
 LIMIT_S = 300.0
 
@@ -37,7 +36,7 @@ def main(python: str) -> int:
     mask[0, 30:60, 40:90], mask[1, 70:110, 20:60] = True, True
 
     def masks(name: str) -> BundleMasks:
-        return BundleMasks(ModelClient(ProcessTransport((python, str(SCRIPT), name, str(SERVERS)), LIMIT_S)))
+        return BundleMasks(ModelClient(ProcessTransport((python, "-m", SCRIPT, name, str(SERVERS)), LIMIT_S)))
 
     def segment() -> np.ndarray:
         prompt = SegmentationPrompt(phrases=("blue mug", "box"))

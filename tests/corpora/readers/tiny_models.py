@@ -1,4 +1,4 @@
-"""Answer one request with a tiny model of random weights: ``python tiny_models.py sam3|sam2 SERVERS < in > out``.
+"""Answer one request with a tiny model of random weights: ``python -m tests.corpora.readers.tiny_models NAME SERVERS``.
 
 It runs in an environment with torch, torchvision and transformers (see ``tests.corpora.tiny_models``). The model is
 built from the classes of transformers, saved, and loaded again by the example server in the folder SERVERS, whose own
@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cpu_torch import define_operators
+from tests.corpora.readers.cpu_torch import define_operators
 
 # Width of all layers, and size of the images that the models see [px]. SAM 2 splits object pointers of at least 128
 # channels into memories of 64.
