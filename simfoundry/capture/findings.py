@@ -25,6 +25,9 @@ MOVED = "SF603"
 # An edit of the scene that a new reconstruction contradicts.
 CONFLICTING_EDIT = "SF604"
 
+# A frame whose depth or pose contradicts the others.
+UNUSED_FRAME = "SF605"
+
 # An object that is held in place, as none of its solids comes to rest.
 HELD = "SF620"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.findings import CaptureFinding
 from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.spec.models.capture import Decomposition, SupportChoice
@@ -51,6 +52,7 @@ class Frame:
             capture has no masks.
         decomposition: Constraints on the division into objects, or None.
         support: The surface that a person chose as the support, or None.
+        findings: What is doubtful about the images.
     """
 
     color: NDArray[np.uint8]
@@ -59,6 +61,7 @@ class Frame:
     instances: NDArray[np.int32] | None = None
     decomposition: Decomposition | None = None
     support: SupportChoice | None = None
+    findings: tuple[CaptureFinding, ...] = ()
 
     @property
     def points(self) -> Array:

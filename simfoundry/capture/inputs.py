@@ -10,7 +10,8 @@ from pathlib import Path
 
 from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.load import checked_frame_name, load_frame, open_capture
+from simfoundry.capture.fusion import fused_frames, load_fused_frame
+from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks
 from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
 from simfoundry.capture.overrides import load_overrides
@@ -19,25 +20,35 @@ from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
 from simfoundry.capture.stages.store import StageStore
 from simfoundry.errors import SimfoundryError
+from simfoundry.models.setup import load_setup
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.models.capture import CaptureSpec, Shot
 
 
 def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
     """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed."""
     assert isinstance(loaded.spec, CaptureSpec)
     shot = loaded.spec.frames[frame_name]
-    inputs = {"frame": shot.model_dump_json()}
-    images = [shot.color, shot.depth.image, *([shot.masks.image] if shot.masks is not None else [])]
-    for image in images:
+    used = {name: loaded.spec.frames[name] for name in (frame_name, *fused_frames(loaded.spec, frame_name))}
+    inputs = {name: each.model_dump_json() for name, each in used.items()}
+    for image in sorted({image for each in used.values() for image in images_of(each)}):
         try:
             inputs[image] = hashlib.sha256(loaded.file(image).read_bytes()).hexdigest()
         except OSError:
             inputs[image] = ""  # reported by the stage
-    read = partial(load_frame, loaded, frame_name)
+    if shot.depth is None:
+        inputs["model"] = str(load_setup(loaded.path).source("depth" if shot.stereo is None else "stereo"))
+    read = partial(load_fused_frame, loaded, frame_name)
     result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None, support=None), quick=True)
     return replace(result, value=replace(result.value, decomposition=shot.decomposition, support=shot.support))
+
+
+def images_of(shot: Shot) -> list[str]:
+    """Return the images of a frame, as they are named in the capture."""
+    depth = [] if shot.depth is None else [shot.depth.image]
+    stereo = [] if shot.stereo is None else [shot.stereo.right]
+    return [shot.color, *depth, *stereo, *([] if shot.masks is None else [shot.masks.image])]
 
 
 def statements(loaded: Loaded, frame_name: str, previous: PreviousOutput, frame: Frame) -> Statements:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -11,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
+from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.models.contract import ModelError
+from simfoundry.models.setup import load_setup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_capture
-from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Pixel, Shot
+from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Pixel, Shot
 
 # Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
 NUMBERS_MAX = 178_956_970
@@ -26,6 +30,10 @@ FEWEST = 100  # Minimum number of pixels with usable depth
 USABLE_SHARE = 0.1  # Minimum fraction of usable readings; with fewer, the unit is wrong or no table is visible
 
 CLOSEST_MEDIAN = 0.15  # Minimum median depth of a table [m]; below this, the unit is wrong if a different unit fits
+
+DEPTH_HINT = (
+    "add a measured `depth` image or the `stereo` pair, or configure a model of the task `depth` (docs/models.md)"
+)
 
 CHECK_INVALID = "check `invalid`, and make sure that the sensor returned depth"
 
@@ -103,14 +111,18 @@ class _Reader:
             return None
 
     def frame(self) -> Frame:
-        shot, color, depth, masks = self.shot, self.read(self.color), self.read(self.depth), self.read(self.masks)
+        shot, color, masks = self.shot, self.read(self.color), self.read(self.masks)
+        depth = None if color is None else self.read(partial(self.any_depth, color))
+        measured = shot.depth
         if color is not None:
             self.intrinsics(shot.camera, color.shape[1], color.shape[0], ("camera",), shot.color)
-        if depth is not None and shot.depth.camera is not None:
+        elif measured is not None:  # its own problems are reported, too
+            self.read(partial(self.depth, measured))
+        if depth is not None and measured is not None and measured.camera is not None:
             height, width = depth.shape
-            self.intrinsics(shot.depth.camera, width, height, ("depth", "camera"), shot.depth.image)
-        elif depth is not None and color is not None and depth.shape != color.shape[:2]:
-            message = f"{shot.depth.image} is {_size(depth)}, but {shot.color} is {_size(color)}"
+            self.intrinsics(measured.camera, width, height, ("depth", "camera"), measured.image)
+        elif depth is not None and measured is not None and color is not None and depth.shape != color.shape[:2]:
+            message = f"{measured.image} is {_size(depth)}, but {shot.color} is {_size(color)}"
             hint = "register depth to color, or specify the `camera` and `pose` of the depth camera"
             self.fail("SF501", ("depth", "image"), message, hint)
         if masks is not None and color is not None and masks.shape != color.shape[:2]:
@@ -121,16 +133,21 @@ class _Reader:
             self.pixels(color.shape[1], color.shape[0])
         if self.findings or color is None or depth is None:
             raise SpecError(self.findings)
-        if shot.depth.camera is not None and shot.depth.pose is not None:
-            X_color_depth = pose(shot.depth.pose)
-            size = (color.shape[0], color.shape[1])
-            depth = register(depth, matrix(shot.depth.camera), X_color_depth, matrix(shot.camera), size)
+        K, lens = matrix(shot.camera), shot.camera.distortion
+        color = undistorted(color, K, lens, smooth=True)
+        masks = None if masks is None else undistorted(masks, K, lens)
+        if measured is None or measured.camera is None or measured.pose is None:
+            depth = depth if shot.stereo is not None else undistorted(depth, K, lens)
+        else:
+            X_color_depth, K_depth = pose(measured.pose), matrix(measured.camera)
+            depth = undistorted(depth, K_depth, measured.camera.distortion)
+            depth = register(depth, K_depth, X_color_depth, K, (color.shape[0], color.shape[1]))
             if np.isfinite(depth).sum() < FEWEST:
-                message = f"almost none of the points in {shot.depth.image} are visible in {shot.color}"
+                message = f"almost none of the points in {measured.image} are visible in {shot.color}"
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
-        return Frame(color, depth, matrix(shot.camera), masks, shot.decomposition, shot.support)
+        return Frame(color, depth, K, masks, shot.decomposition, shot.support)
 
     def pixels(self, width: int, height: int) -> None:
         """Add a finding for each stated pixel that is not in the image."""
@@ -156,24 +173,49 @@ class _Reader:
             self.refuse("SF501", ("color",), f"{self.shot.color} is not a color image", "provide a PNG or a JPEG")
         return picture.astype(np.uint8, copy=False)
 
-    def depth(self) -> Array:
-        """Return the depth [m].
+    def any_depth(self, color: NDArray[np.uint8]) -> Array:
+        """Return the depth [m] of the image ``color``: measured, computed from a stereo pair, or estimated by a model.
 
         Pixels without a reading are NaN.
         """
-        shot = self.shot
+        if self.shot.depth is not None:
+            return self.depth(self.shot.depth)
+        setup, K = load_setup(self.loaded.path), matrix(self.shot.camera)
+        stereo = self.shot.stereo
+        try:
+            if stereo is None:
+                return estimated_depth(color, K, setup)
+            right = self.stored(stereo.right, ("stereo", "right"), mode="RGB").astype(np.uint8, copy=False)
+            if right.shape != color.shape:
+                message = f"{stereo.right} is {_size(right)}, but {self.shot.color} is {_size(color)}"
+                self.refuse("SF501", ("stereo", "right"), message, "rectify both images to the same camera")
+            lens = self.shot.camera.distortion
+            if lens:
+                hint = "rectify the pair, and state the intrinsics of the rectified images without `distortion`"
+                self.refuse("SF501", ("camera", "distortion"), "a stereo pair must be rectified", hint)
+            return stereo_depth(color, right, K, stereo.baseline, setup)
+        except ModelError as error:
+            place = ("depth",) if stereo is None else ("stereo",)
+            missing = "the frame has neither `depth` nor `stereo`: " if stereo is None else ""
+            self.refuse("SF502", () if stereo is None else place, f"{missing}{error}", DEPTH_HINT)
+
+    def depth(self, measured: DepthImage) -> Array:
+        """Return the measured depth [m].
+
+        Pixels without a reading are NaN.
+        """
         hint = "provide raw distances as a 16-bit PNG, TIFF or .npy file, not a depth image rendered for viewing"
-        raw = self.raw(shot.depth.image, ("depth", "image"), hint)
+        raw = self.raw(measured.image, ("depth", "image"), hint)
         values = raw.astype(np.float64)
-        valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, shot.depth.invalid)
+        valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, measured.invalid)
         if not valid.any():
-            message = f"{shot.depth.image} contains no measurements: all values are invalid"
+            message = f"{measured.image} contains no measurements: all values are invalid"
             self.refuse("SF502", ("depth", "image"), message, CHECK_INVALID)
-        meters = np.where(valid, values * shot.depth.scale, np.nan)
+        meters = np.where(valid, values * measured.scale, np.nan)
         usable = (meters >= NEAREST) & (meters <= FARTHEST)
         median = float(np.median(values[valid]))
-        fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
-        too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
+        fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != measured.scale]
+        too_close = bool(fitting) and median * measured.scale < CLOSEST_MEDIAN
         if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
             hint = (
                 f"its values seem to be in {UNITS[fitting[0]]}; use `scale: {fitting[0]:g}`"
@@ -181,10 +223,10 @@ class _Reader:
                 else "check `scale`"
             )
             percent = 100 * usable.sum() / valid.sum()
-            share = f"{percent:.0f}% of {shot.depth.image} is between {NEAREST:g} and {FARTHEST:g} m"
-            self.refuse("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
+            share = f"{percent:.0f}% of {measured.image} is between {NEAREST:g} and {FARTHEST:g} m"
+            self.refuse("SF502", ("depth", "scale"), f"{share}; its median is {median * measured.scale:.4g} m", hint)
         if usable.sum() < FEWEST:
-            message = f"{shot.depth.image} has {usable.sum()} usable pixels; at least {FEWEST} are required"
+            message = f"{measured.image} has {usable.sum()} usable pixels; at least {FEWEST} are required"
             self.refuse("SF502", ("depth", "image"), message, CHECK_INVALID)
         return np.where(usable, meters, np.nan)
 

@@ -103,7 +103,7 @@ def reconstruct(
         segmentation.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
-        (*unmet, *findings, *overrides.unused({*found.values(), *names.values()}), *doubts),
+        (*frame.findings, *unmet, *findings, *overrides.unused({*found.values(), *names.values()}), *doubts),
     )
 
 

@@ -14,6 +14,10 @@ from simfoundry.spec.diagnostics import nearest
 _CAPTURE = Path(__file__).parents[1]
 
 
+# Suffixes of the files that decide what a stage does: modules, and the weights of small networks beside them.
+CODE = (".py", ".npz", ".onnx")
+
+
 @dataclass(frozen=True)
 class Stage:
     """A stage of a reconstruction.
@@ -38,7 +42,11 @@ class Stage:
 
 # Each stage may use the results of those above it. The order is that in which they run and are listed.
 STAGES = (
-    Stage("frames", "reads and checks the images, and registers the depth to the color image", ("load.py", "frame.py")),
+    Stage(
+        "frames",
+        "reads, checks and undistorts the images, and registers, computes or fuses their depth",
+        ("load.py", "frame.py", "sensors.py", "fusion.py"),
+    ),
     Stage("support", "finds the plane that supports the objects, its outline, and the world frame", ("segment",)),
     Stage("segment", "finds the pixels of each object, and which object stands on which", ("segment",)),
     Stage(
@@ -84,6 +92,7 @@ def _code_digest(modules: tuple[str, ...]) -> str:
     h = hashlib.sha256(simfoundry.__version__.encode())
     for module in modules:
         path = _CAPTURE / module
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+        files = (file for file in path.rglob("*") if file.suffix in CODE) if path.is_dir() else [path]
+        for file in sorted(files):
             h.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
     return h.hexdigest()[:12]

@@ -61,7 +61,8 @@ def check_capture(c: Checker, spec: CaptureSpec) -> None:
         path = ("frames", name)
         check_intrinsics(c, shot.camera, (*path, "camera"))
         c.file(shot.color, (*path, "color"), PICTURE_SUFFIXES)
-        c.file(shot.depth.image, (*path, "depth", "image"), PICTURE_SUFFIXES)
+        c.file(shot.depth.image if shot.depth is not None else None, (*path, "depth", "image"), PICTURE_SUFFIXES)
+        c.file(shot.stereo.right if shot.stereo is not None else None, (*path, "stereo", "right"), PICTURE_SUFFIXES)
         c.file(shot.masks.image if shot.masks is not None else None, (*path, "masks", "image"), PICTURE_SUFFIXES)
     c.file(spec.truth, ("truth",), (".yaml",))
 

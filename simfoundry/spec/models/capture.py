@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
 
 from simfoundry.spec.models.base import (
     DocumentSpec,
@@ -19,17 +20,60 @@ from simfoundry.spec.models.base import (
 
 # Largest focal length and principal point [px]. The widest image then spans 0.05 degrees, as through a telescope.
 MAX_FOCAL = 10_000_000
+# Numbers of coefficients for which OpenCV has a model of a lens.
+DISTORTION_COUNTS = (0, 4, 5, 8, 12, 14)
+
 FocalLength = Annotated[float, Field(gt=0, le=MAX_FOCAL, allow_inf_nan=False)]
 ImagePoint = Annotated[float, Field(ge=-MAX_FOCAL, le=MAX_FOCAL, allow_inf_nan=False)]
 
 
 class Intrinsics(Model):
-    """The intrinsics of an undistorted pinhole camera [px]."""
+    """The intrinsics of a camera: those of a pinhole [px], and the distortion of its lens, if any."""
 
     fx: FocalLength = Field(description="Focal length in x [px].")
     fy: FocalLength = Field(description="Focal length in y [px].")
     cx: ImagePoint = Field(description="Principal point in x [px].")
     cy: ImagePoint = Field(description="Principal point in y [px].")
+    distortion: Annotated[tuple[Annotated[float, Field(ge=-100, le=100)], ...], Field(max_length=14)] = Field(
+        (),
+        description="Coefficients of the lens in the order of OpenCV: k1, k2, p1, p2, and then k3 or k3 to k6, and so "
+        "on. The images are undistorted with it. Without coefficients, the images are undistorted already.",
+    )
+
+    @consistent
+    def _known_count(self) -> None:
+        if len(self.distortion) not in DISTORTION_COUNTS:
+            counts = ", ".join(map(str, DISTORTION_COUNTS))
+            raise fault("sf103", f"`distortion` has {len(self.distortion)} values; OpenCV knows {counts}", "distortion")
+
+
+def _of_matrix(value: Any) -> Any:
+    """Return the intrinsics that a matrix `K` contains, given as nine numbers or as three rows, as a mapping."""
+    if not isinstance(value, tuple | list):
+        return value
+    rows = [row if isinstance(row, tuple | list) else (row,) for row in value]
+    numbers = [number for row in rows for number in row]
+    is_number = all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
+    if len(numbers) != 9 or not is_number or {len(row) for row in rows} not in ({1}, {3}):
+        raise fault("sf103", "a camera matrix has nine numbers: `[fx, 0, cx, 0, fy, cy, 0, 0, 1]`")
+    fx, skew, cx, below, fy, cy, *last = numbers
+    if (skew, below, *last) != (0, 0, 0, 0, 1):
+        raise fault("sf104", "a camera matrix must be `[fx, 0, cx, 0, fy, cy, 0, 0, 1]`, without skew")
+    return {"fx": float(fx), "fy": float(fy), "cx": float(cx), "cy": float(cy)}
+
+
+class _MatrixSchema:
+    """A schema that also accepts a camera matrix, which the model itself stores as intrinsics."""
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        own, number = handler(core), {"type": "number"}
+        flat = {"type": "array", "items": number, "minItems": 9, "maxItems": 9}
+        row = {"type": "array", "items": number, "minItems": 3, "maxItems": 3}
+        return {"anyOf": [own, flat, {"type": "array", "items": row, "minItems": 3, "maxItems": 3}]}
+
+
+# Intrinsics, or a camera matrix as nine numbers or as three rows of three.
+CameraIntrinsics = Annotated[Intrinsics, BeforeValidator(_of_matrix), _MatrixSchema()]
 
 
 class DepthImage(Model):
@@ -38,7 +82,7 @@ class DepthImage(Model):
     image: FileName = Field(description="Depth image, relative to this document.")
     scale: Positive = Field(0.001, description="Length of one image unit [m]; 0.001 for millimeters.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mark missing measurements.")
-    camera: Intrinsics | None = Field(None, description="The depth camera, if it is not the color camera.")
+    camera: CameraIntrinsics | None = Field(None, description="The depth camera, if it is not the color camera.")
     pose: PoseSpec | None = Field(
         None, description="Pose of the depth camera in the color camera's frame (x right, y down, z forward)."
     )
@@ -47,6 +91,13 @@ class DepthImage(Model):
     def _both(self) -> None:
         if (self.camera is None) != (self.pose is None):
             raise fault("sf107", "`camera` and `pose` of a depth camera must be set together")
+
+
+class StereoPair(Model):
+    """The right image of a rectified stereo pair, whose left image is the color image."""
+
+    right: FileName = Field(description="Color image of the right camera, relative to this document.")
+    baseline: Positive = Field(description="Distance between the two cameras [m].")
 
 
 class Masks(Model):
@@ -116,12 +167,16 @@ class Shot(Model):
     """A view of the scene: color image, depth image, camera, and optional masks."""
 
     color: FileName = Field(description="Color image, relative to this document.")
-    depth: DepthImage
-    camera: Intrinsics = Field(description="The color camera.")
+    depth: DepthImage | None = Field(
+        None, description="Measured depth. Without it and without `stereo`, a model of the task `depth` is required."
+    )
+    stereo: StereoPair | None = Field(None, description="The right image of a stereo pair, instead of `depth`.")
+    camera: CameraIntrinsics = Field(description="The color camera: intrinsics, or a matrix of nine numbers.")
     pose: PoseSpec | None = Field(
         None,
         description="Pose of the color camera (x right, y down, z forward) in a frame in which the scene does not "
-        "move, such as that of a tracker; `simfoundry articulate` relates two captures by it.",
+        "move, such as that of a tracker; `simfoundry articulate` relates two captures by it, and `simfoundry capture` "
+        "fuses the depth of all frames that have one.",
     )
     masks: Masks | None = Field(None, description="Instance masks.")
     support: SupportChoice | None = Field(
@@ -130,6 +185,11 @@ class Shot(Model):
     decomposition: Decomposition | None = Field(
         None, description="Constraints on the division of the image into objects."
     )
+
+    @consistent
+    def _one_source(self) -> None:
+        if self.depth is not None and self.stereo is not None:
+            raise fault("sf107", "`depth` and `stereo` exclude each other: the depth of a pair is computed", "stereo")
 
 
 class CaptureSpec(DocumentSpec):

@@ -31,6 +31,7 @@ NOT_SHOWN = {
     "SF603": "needs a whole picture of something that does not rest",
     "SF604": "needs two runs of a capture",
     **{f"SF{k}": "needs a whole picture" for k in range(620, 629)},
+    "SF605": "needs several whole pictures",
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""

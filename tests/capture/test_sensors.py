@@ -1,0 +1,230 @@
+"""Sensors: camera matrices, distorted images, stereo pairs, color alone, and several posed frames."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from simfoundry.capture.fusion import fused_depth, fused_frames, load_fused_frame
+from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.sensors import undistorted
+from simfoundry.capture.synthesize import simulate_frame, write_capture
+from simfoundry.geometry.frames import Pose, look_at
+from simfoundry.render.raycast import raycast
+from simfoundry.scene.lower import lower_file, pose
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import pose_spec
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.yaml.write import to_yaml
+from tests.capture import captures
+from tests.capture.conftest import SCENE
+
+CAMERA = "camera: {fx: 150, fy: 150, cx: 79.5, cy: 59.5}"
+K = np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]])
+LENS = (-0.28, 0.09, 0.001, -0.002, 0.0)
+
+
+def changed(folder: Path, old: str, new: str) -> Path:
+    captures.write(folder)
+    captures.edit(folder, old, new)
+    return folder
+
+
+def error_of(action: Callable[[], object]) -> str:
+    with pytest.raises(SpecError) as caught:
+        action()
+    return "\n".join(f"{d.code} {d.line} {d.message}; {d.hint}" for d in caught.value.diagnostics)
+
+
+# -- cameras ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "matrix", ["[150, 0, 79.5, 0, 150, 59.5, 0, 0, 1]", "[[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]"]
+)
+def test_a_camera_may_be_a_matrix(tmp_path: Path, matrix: str) -> None:
+    folder = changed(tmp_path / "a", CAMERA, f"camera: {matrix}")
+    assert np.array_equal(load_frame(open_capture(folder)).K, K)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        ("[150, 0, 79.5]", "nine numbers"),
+        ("[[150, 0], [79.5, 0], [150, 59.5, 0, 0, 1]]", "nine numbers"),
+        ("[150, 0, 79.5, 0, 150, 59.5, 0, 0, x]", "nine numbers"),
+        ("[150, 2, 79.5, 0, 150, 59.5, 0, 0, 1]", "without skew"),
+        ("{fx: 150, fy: 150, cx: 79.5, cy: 59.5, distortion: [0.1, 0.2]}", "has 2 values; OpenCV knows 0, 4, 5"),
+    ],
+)
+def test_a_wrong_camera_is_an_error(tmp_path: Path, matrix: str, message: str) -> None:
+    folder = changed(tmp_path / "a", CAMERA, f"camera: {matrix}")
+    assert message in error_of(lambda: load_frame(open_capture(folder)))
+
+
+def distorted(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An image as a camera with the lens would take it, by the inverse of the mapping that is tested."""
+    import cv2
+
+    height, width = image.shape[:2]
+    v, u = np.mgrid[:height, :width]
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    x, y = (
+        cv2.undistortPoints(pixels, K, np.array(LENS), P=K)
+        .reshape(height, width, 2)
+        .astype(np.float32)
+        .transpose(2, 0, 1)
+    )
+    return np.asarray(cv2.remap(image.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def test_images_are_undistorted(tmp_path: Path) -> None:
+    """A tilted plane, seen through a lens: its depth is that of the plane only after the correction."""
+    true = captures.plane()
+    camera = f"camera: {{fx: 150, fy: 150, cx: 79.5, cy: 59.5, distortion: {list(LENS)}}}"
+    folder = captures.write(tmp_path / "a", depth=distorted(true))
+    raw = load_frame(open_capture(folder)).depth
+    captures.edit(folder, CAMERA, camera)
+    frame = load_frame(open_capture(folder))
+    inner = np.s_[8:-8, 8:-8]
+    assert np.nanmax(np.abs(raw - true)[inner]) > 0.02
+    assert np.nanmax(np.abs(frame.depth - true)[inner]) < 0.014  # 1.5 pixels at the far edge, each 9 mm deep
+    assert np.nanmedian(np.abs(frame.depth - true)[inner]) < 0.002
+    assert frame.color.shape == (120, 160, 3) and frame.color.dtype == np.uint8
+
+
+def test_labels_and_holes_are_not_blended() -> None:
+    labels = np.zeros((120, 160), np.int32)
+    labels[40:80, 60:100] = 7
+    assert set(np.unique(undistorted(labels, K, LENS))) == {0, 7}
+    depth = np.full((120, 160), 0.8)
+    depth[50:60, 70:80] = np.nan
+    out = undistorted(depth, K, LENS)
+    assert np.isnan(out[54, 75]) and np.nanmax(np.abs(out - 0.8)) < 1e-6 and out.dtype == np.float64
+    assert undistorted(depth, K, (0.0, 0.0, 0.0, 0.0)) is depth
+
+
+# -- stereo and color alone ---------------------------------------------------------------------------------------
+
+STEREO = "stereo: {right: right.png, baseline: 0.06}"
+DEPTH = "depth:\n      image: depth.png\n      scale: 0.001"
+
+
+def stereo_pair(folder: Path, distance: float = 0.6) -> Path:
+    """A textured wall at a distance."""
+    changed(folder, DEPTH, STEREO)
+    shift = round(150 * 0.06 / distance)
+    wide = np.random.default_rng(0).integers(0, 255, (120, 160 + shift, 3)).astype(np.uint8)
+    Image.fromarray(wide[:, :160]).save(folder / "color.png")
+    Image.fromarray(wide[:, shift:]).save(folder / "right.png")
+    return folder
+
+
+def test_a_stereo_pair_gives_depth(tmp_path: Path) -> None:
+    frame = load_frame(open_capture(stereo_pair(tmp_path / "a")))
+    measured = frame.depth[np.isfinite(frame.depth)]
+    assert len(measured) > 0.6 * frame.depth.size and np.abs(measured - 0.6).max() < 0.02
+
+
+def test_what_is_wrong_with_a_stereo_pair(tmp_path: Path) -> None:
+    folder = stereo_pair(tmp_path / "a")
+    Image.new("RGB", (80, 60)).save(folder / "right.png")
+    assert "right.png is 80 x 60, but color.png is 160 x 120" in error_of(lambda: load_frame(open_capture(folder)))
+    for name in ("color.png", "right.png"):
+        Image.new("RGB", (160, 120)).save(folder / name)
+    assert "SF502 6 stereo matching found no depth" in error_of(lambda: load_frame(open_capture(folder)))
+    (folder / "right.png").unlink()
+    assert "right.png" in error_of(lambda: open_capture(folder))
+    both = changed(tmp_path / "b", DEPTH, f"{DEPTH}\n    {STEREO}")
+    assert "exclude each other" in error_of(lambda: open_capture(both))
+
+
+def test_color_alone_says_what_is_missing(tmp_path: Path) -> None:
+    message = error_of(lambda: load_frame(open_capture(changed(tmp_path / "a", DEPTH, "pose: {}"))))
+    assert "SF502" in message and "the frame has neither `depth` nor `stereo`" in message
+    assert "configure a model of the task `depth`" in message
+
+
+# -- several frames -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("several") / "two.scene.yaml"
+    path.write_text(SCENE)
+    return lower_file(path)
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
+    """A capture with six noisy frames of one scene."""
+    folder = tmp_path_factory.mktemp("posed")
+    shots = {}
+    for k in range(6):
+        position = np.array([-0.6 + 0.02 * k, 0.1 - 0.05 * k, 0.6 + 0.01 * k])
+        camera = replace(scene.cameras[0], X_WC=look_at(position, np.array([0.02, 0, 0.02])))
+        frame = replace(simulate_frame(raycast(scene, camera), np.random.default_rng(k)), instances=None)
+        shot = write_capture(folder / f"f{k}", frame)
+        assert shot.depth is not None
+        depth = shot.depth.model_copy(update={"image": f"f{k}/{shot.depth.image}"})
+        update = {"color": f"f{k}/{shot.color}", "depth": depth, "pose": pose_spec(camera.X_WC)}
+        shots[f"f{k}"] = shot.model_copy(update=update)
+    spec = CaptureSpec(simfoundry="capture/1", name="posed", frames=shots)
+    (folder / "capture.yaml").write_text(to_yaml(spec))
+    return folder
+
+
+def test_several_frames_have_less_noise_and_fewer_holes(posed: Path, scene: Scene) -> None:
+    loaded = open_capture(posed)
+    one, all_six = load_frame(loaded, "f0"), load_fused_frame(loaded, "f0")
+    true = raycast(
+        scene, replace(scene.cameras[0], X_WC=look_at(np.array([-0.6, 0.1, 0.6]), np.array([0.02, 0, 0.02])))
+    ).depth
+    error_one, error_six = (np.abs(f.depth - true) for f in (one, all_six))
+    both = np.isfinite(error_one)
+    assert np.median(error_six[both]) < 0.8 * np.median(error_one[both])
+    assert np.isfinite(all_six.depth).sum() > np.isfinite(one.depth).sum()
+    assert np.nanquantile(error_six[~both], 0.9) < 0.01, "what fills the holes is true"
+    assert all_six.findings == () and np.array_equal(all_six.color, one.color)
+
+
+def test_a_frame_with_a_wrong_pose_is_left_out_and_reported(posed: Path, tmp_path: Path) -> None:
+    shutil.copytree(posed, tmp_path / "a")
+    loaded = open_capture(tmp_path / "a")
+    assert isinstance(loaded.spec, CaptureSpec)
+    shot = loaded.spec.frames["f3"]
+    assert shot.pose is not None
+    off = Pose.of([0.1, 0.0, 0.05])
+    frames = {**loaded.spec.frames, "f3": shot.model_copy(update={"pose": pose_spec(off @ pose(shot.pose))})}
+    (tmp_path / "a" / "capture.yaml").write_text(to_yaml(loaded.spec.model_copy(update={"frames": frames})))
+    fused, good = load_fused_frame(open_capture(tmp_path / "a"), "f0"), load_fused_frame(open_capture(posed), "f0")
+    (finding,) = fused.findings
+    assert finding.code == "SF605" and "the frame `f3` was not used" in finding.message
+    assert np.nanmedian(np.abs(fused.depth - good.depth)) < 0.001
+
+
+def test_frames_without_a_pose_are_not_fused(posed: Path) -> None:
+    loaded = open_capture(posed)
+    assert isinstance(loaded.spec, CaptureSpec)
+    assert fused_frames(loaded.spec, "f2") == ("f0", "f1", "f3", "f4", "f5")
+    frames = {name: shot.model_copy(update={"pose": None}) for name, shot in loaded.spec.frames.items()}
+    assert (
+        fused_frames(loaded.spec.model_copy(update={"frames": {**frames, "f2": loaded.spec.frames["f2"]}}), "f2") == ()
+    )
+    many = {f"f{k}": loaded.spec.frames["f0"] for k in range(100)}
+    assert len(set(fused_frames(loaded.spec.model_copy(update={"frames": many}), "f7"))) == 16
+
+
+def test_fused_depth() -> None:
+    nan = np.nan
+    depth = np.array([[0.800, nan, nan, 0.8]])
+    views = [np.array([[0.804, 0.9, 0.7, nan]]), np.array([[0.801, 0.902, nan, nan]]), np.array([[2.0, nan, nan, nan]])]
+    assert fused_depth(depth, views)[0] == pytest.approx([0.801, 0.901, nan, 0.8], nan_ok=True)
