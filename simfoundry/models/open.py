@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from simfoundry.models.client import ModelClient
 from simfoundry.models.contract import ModelError
 from simfoundry.models.offline import OfflineDepth, OfflineImages, OfflineMasks, OfflineMeshes
+from simfoundry.models.offline_splats import OfflineSplats
 from simfoundry.models.provenance import provider_identity, require_commercial
 from simfoundry.models.setup import ModelSetup, variable
 from simfoundry.models.tasks.depth import BundleDepth, DepthCompletionModel, DepthModel, MultiviewModel, StereoModel
@@ -42,6 +43,7 @@ OFFLINE: Mapping[str, tuple[Callable[[], Any], str]] = {
     "inpaint": (OfflineImages, "Telea's method"),
     "inpaint_video": (OfflineImages, "Telea's method, frame by frame"),
     "parts": (OfflineMeshes, "pieces that are not connected"),
+    "splat_image": (OfflineSplats, "rasterization on a CPU"),
 }
 
 # The tasks that a provider's vision-language model can solve.

@@ -35,6 +35,12 @@ _SAME = 0.03
 # The same, as a multiple of the distance of neighbors on one side, for clouds that are sparser than that.
 _GAPS = 2.0
 
+# Least fraction of A that must be in B. Otherwise, a cloud shrunk to a point on a wall would be the best fit.
+_COVERED = 0.3
+
+# Largest change of the scale by which the fit to planes may correct that of nearest neighbors.
+_CORRECTED = 0.1
+
 # Distance of pairs, as a fraction of the spread, below which the points of one cloud are those of the other.
 _EXACT = 1e-7
 
@@ -106,6 +112,9 @@ def align_clouds(cloud_b: ColorCloud, cloud_a: ColorCloud, seed: int = 0) -> Clo
     distances = np.sort(_nearest(S_AB, many_b, many_a)[1])
     error = float(distances[: max(1, int(_USED * len(distances)))].max())
     same = max(_SAME, _GAPS * _gap(many_a))
+    covered = float((_nearest(S_AB.inverse(), many_a, many_b)[1] * S_AB.scale < same).mean())
+    if covered < _COVERED:
+        raise AlignmentError(f"the two sides do not show the same surroundings: only {covered:.0%} of one is in both")
     if not error < same:
         shown = f"after the best alignment, {1 - _USED:.0%} of the points are more than {error * spread_a:.3g} m apart"
         raise AlignmentError(f"the two sides do not show the same surroundings: {shown}")
@@ -203,6 +212,7 @@ def _fitted_to_planes(S_AB: Similarity, cloud_b: ColorCloud, cloud_a: ColorCloud
     middles = near.mean(axis=1)
     spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near - middles[:, None], near - middles[:, None]))
     planar = spread[:, 0] < _PLANAR**2 * spread[:, 1]
+    first = S_AB
     normals = axes[:, :, 0]
     for _ in range(_PLANE_STEPS):
         p = S_AB.apply(cloud_b.points)
@@ -210,13 +220,15 @@ def _fitted_to_planes(S_AB: Similarity, cloud_b: ColorCloud, cloud_a: ColorCloud
         away = np.einsum("ni,ni->n", normals[index], p - middles[index])
         on = planar[index]
         if on.sum() < 100:  # too few for planes in all directions
-            return S_AB
+            return first
         on &= np.abs(away) <= np.quantile(np.abs(away[on]), _USED)
         n, at = normals[index][on], p[on]
         rows = np.concatenate([np.cross(at, n), n, (n * at).sum(axis=1, keepdims=True)], axis=1)
         change = np.linalg.lstsq(rows, -away[on], rcond=1e-6)[0]
         turn, angle = change[:3], float(np.linalg.norm(change[:3]))
         X_AA = Pose.about(turn / angle, angle) if angle > 0 else Pose.of()
+        if not abs(S_AB.scale * (1.0 + change[6]) / first.scale - 1.0) < _CORRECTED:
+            return first
         S_AB = Similarity(Pose.of(change[3:6]), 1.0) @ Similarity(X_AA, 1.0 + float(change[6])) @ S_AB
         if np.abs(change).max() < 1e-10:
             break
