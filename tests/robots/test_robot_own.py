@@ -15,6 +15,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
 from simfoundry.spec.models.robot_file import OWN_ROBOTS, find_robot
 from simfoundry.worlds import open_world
+from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import ARM, SCENE, write_bench
@@ -158,3 +159,15 @@ def test_a_folder_of_robot_files_makes_them_known_by_name(bench: Path, monkeypat
     assert (arm.reach, arm.payload, dict(arm.home)) == (0.4, 0.5, {"joint1": 0.1, "joint2": 0.0})
     lowered = lower_file(scene).robot("arm")
     assert (lowered.kind, lowered.reach) == ("my_arm", 0.4)
+
+
+def test_a_gripper_reaches_the_force_that_its_file_states(bench: Path) -> None:
+    """A servo of 50 N/m reaches 1.5 N over its travel of 3 cm; the robot file states 20 N."""
+    file = bench.parent / "robots/my_arm.yaml"
+    file.write_text(FILE + "  effort: {left: 20, turn: 3}\n")
+    with open_world(lower_file(bench.with_name("bench.scene.yaml")), "mujoco") as world:
+        assert isinstance(world, MujocoWorld)
+        ranges = {name: world.model.actuator(f"arm.{name}").forcerange.tolist() for name in ("left", "right", "turn")}
+        gain = float(world.model.actuator("arm.left").gainprm[0])
+    assert ranges["left"] == [-20, 20] and ranges["right"] == ranges["turn"] == [0, 0]  # an arm keeps its servos
+    assert gain * 0.03 > 20

@@ -84,7 +84,11 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
             spec.assets = files
             model = spec.compile()
             servos = tuple(_add_servos(spec, model, {prefix + name: force for name, force in native.effort.items()}))
-            model = spec.compile() if servos else model
+            grip = native.gripper.joints if native.gripper is not None and not servos else {}
+            strong = {prefix + name: force for name, force in native.effort.items() if name in grip}
+            if strong:
+                _set_grip(spec, model, strong)
+            model = spec.compile() if servos or strong else model
             if robot.has_own_gains:
                 _scale_gains(spec, model, robot, {prefix + name for name in native.joints.values()})
                 model = spec.compile()
@@ -206,6 +210,18 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
         servo.set_to_position(kp=limit / _SERVO_ERROR, dampratio=1.0)
         servo.forcerange = [-limit, limit]
         yield joint.name
+
+
+def _set_grip(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str, float]) -> None:
+    """Give the position servos of a gripper's joints the stated forces, which the model may not reach."""
+    import mujoco
+
+    on_joint = int(mujoco.mjtTrn.mjTRN_JOINT)
+    for k, actuator in enumerate(spec.actuators):
+        joint = model.joint(int(model.actuator_trnid[k][0])).name
+        if int(model.actuator_trntype[k]) == on_joint and joint in effort:
+            actuator.set_to_position(kp=effort[joint] / _SERVO_ERROR, dampratio=1.0)
+            actuator.forcerange = [-effort[joint], effort[joint]]
 
 
 def _scale_gains(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, arm: Set[str]) -> None:
