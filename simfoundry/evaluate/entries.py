@@ -27,7 +27,12 @@ from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 @dataclass(frozen=True)
 class ExpertChoice:
-    """The scripted expert, which is created separately for each task."""
+    """The scripted expert, which is created separately for each task.
+
+    ``noise`` is the standard deviation of the joint noise on its way through free space [rad or m].
+    """
+
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,10 @@ Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | CheckpointCho
 # The content of the folder of each kind of policy that is stored in one, and a name of such a folder, for messages.
 _FOLDERS = {"augment": ("demonstrations", "demos"), "baseline": ("a trained policy", "build/train/policy")}
 
+# Largest standard deviation of the expert's joint noise [rad or m]: 0.02 moves a hand by about 1 cm, which is half of
+# the clearance that the planner prefers.
+MOST_EXPERT_NOISE = 0.02
+
 # Policies that are created separately for each task.
 TASK_CHOICES = (ExpertChoice, CheckpointChoice)
 
@@ -57,7 +66,7 @@ def parse_policy(text: str) -> Choice:
 
     The text is one of the following:
 
-    - ``random`` or ``expert``
+    - ``random``, or ``expert``, optionally followed by its noise as ``?noise=0.01``
     - ``replay:FILE``
     - ``baseline:FOLDER``, or ``augment:DEMOS``, optionally followed by options as ``?name=value&…``
     - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
@@ -71,6 +80,8 @@ def parse_policy(text: str) -> Choice:
     """
     if text in ("random", "expert"):
         return RandomChoice() if text == "random" else ExpertChoice()
+    if text.startswith("expert?"):
+        return _expert(text.removeprefix("expert?"))
     kind, _, rest = text.partition(":")
     if kind == "teleop":
         raise PolicyError("people act only in `simfoundry teleop`, which records demonstrations")
@@ -124,8 +135,18 @@ def create_policy(choice: Choice, task: Task, judge: Judge) -> Policy:
     if isinstance(choice, ExpertChoice):
         from simfoundry.evaluate.expert.policy import ExpertPolicy
 
-        return ExpertPolicy(task, judge)
+        return ExpertPolicy(task, judge, choice.noise)
     return open_policy(choice)
+
+
+def _expert(query: str) -> ExpertChoice:
+    said = dict(_arguments(query, "expert", "?noise=0.01"))
+    noise = said.pop("noise", 0.0)
+    if said:
+        raise PolicyError(f"`expert` has no option `{next(iter(said))}`; its only option is `noise`")
+    if isinstance(noise, str) or not 0 <= noise <= MOST_EXPERT_NOISE:
+        raise PolicyError(f"`noise` of `expert` must be between 0 and {MOST_EXPERT_NOISE:g} rad, not {noise}")
+    return ExpertChoice(float(noise))
 
 
 def _python(rest: str) -> PythonClass:

@@ -12,7 +12,7 @@ from simfoundry.evaluate.expert.policy import Skill, hands_on, steps
 from simfoundry.evaluate.expert.pushing import PushedEdge
 from simfoundry.evaluate.expert.skills import DROP, until_height
 from simfoundry.evaluate.expert.two_hands import motion_over
-from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
+from simfoundry.evaluate.expert.worker import HAND, JOINT, paced, wobbled
 from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
@@ -76,6 +76,16 @@ def test_a_path_is_gone_from_rest_to_rest_within_the_speeds() -> None:
     assert np.abs(steps_taken).max() <= JOINT / hz * 1.01
     assert np.abs(0.5 * steps_taken[:, 0]).max() <= HAND / hz * 1.01
     assert np.abs(steps_taken[[0, -1]]).max() < 0.25 * np.abs(steps_taken).max()
+
+
+def test_noise_bends_a_path_but_not_its_end() -> None:
+    targets = [np.array([0.1 * k, -0.2]) for k in range(1, 41)]
+    assert wobbled(targets, 0.0, np.random.default_rng(0)) is targets
+    first, again, other = (np.array(wobbled(targets, 0.01, np.random.default_rng(seed))) for seed in (0, 0, 1))
+    assert np.array_equal(first, again) and not np.allclose(first, other)
+    off = np.abs(first - np.array(targets))
+    assert off[-1].max() < 1e-9 and 0.002 < off.max() < 0.06
+    assert np.abs(np.diff(off, axis=0)).max() < 0.01  # smooth: no jump from one step to the next
 
 
 @pytest.mark.parametrize("height, end", [(0.3, [0.35]), (0.02, [0.07]), (0.5, [0.4]), (0.0, [0.06])])

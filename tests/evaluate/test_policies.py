@@ -116,6 +116,7 @@ def test_a_recording_of_another_robot(tmp_path: Path) -> None:
 def test_words_and_files() -> None:
     assert parse_policy("random") == RandomChoice()
     assert parse_policy("expert") == ExpertChoice()
+    assert parse_policy("expert?noise=0.01") == ExpertChoice(0.01)
     assert parse_policy("replay:a/b:c.npz") == ReplayChoice(Path("a/b:c.npz"))
 
 
@@ -160,6 +161,10 @@ def test_the_cameras_of_the_short_form_are_those_of_the_droid_cell(protocol: str
         ("replay:", "`replay` requires a recording"),
         ("pi0:localhost", "`pi0:localhost` is not a valid policy; use `random`"),
         ("", "`` is not a valid policy"),
+        ("expert?noise=1", "between 0 and 0.02 rad, not 1"),
+        ("expert?noise=nan", "between 0 and 0.02 rad, not nan"),
+        ("expert?nois=0.01", "`expert` has no option `nois`; its only option is `noise`"),
+        ("expert?noise=0.01&noise=0.01", "specify each argument once, such as `?noise=0.01`"),
         ("openpi:http://a?action_space=joint_position", "start with `ws://` or `wss://`, not `http://`"),
         ("openpi:a b?action_space=joint_position", "`a b` is not a valid address"),
         ("openpi:a:99999?action_space=joint_position", "port 99999 is invalid"),

@@ -107,17 +107,18 @@ class ExpertPolicy(Policy):
     """A scripted policy that plans with MuJoCo and mink.
 
     The policy has access to the true state, without the noise and latency of observations, and does not use cameras.
-    The noise and latency of actions act on it like on any other policy.
+    The noise and latency of actions act on it like on any other policy. With ``noise`` [rad or m], it also wobbles on
+    its way through free space, so that rollouts differ in more than their initial states.
     """
 
     name = "expert"
     action_space = ActionSpace.JOINT_POSITION
 
-    def __init__(self, task: Task, judge: Judge | None = None) -> None:
+    def __init__(self, task: Task, judge: Judge | None = None, noise: float = 0.0) -> None:
         need_extra("expert", "the scripted expert")
         self._task = task
         self._judge = judge or Judge(task.scene)
-        self._worker = ExpertWorker(task.scene, task.robots, task.control_hz)
+        self._worker = ExpertWorker(task.scene, task.robots, task.control_hz, noise)
         self._script: Script | None = None
         self.log: list[str] = []
 

@@ -26,6 +26,9 @@ AROUND = 0.4
 # Maximum hand speed near objects [m/s].
 CAREFUL = 0.12
 
+# Number of waves of the noise on a path; faster ones would look like a tremor.
+WAVES = 3
+
 # Time to accelerate from rest to full speed [s].
 RAMP = 0.35
 
@@ -57,6 +60,22 @@ def paced(
     start, end = time**2 / (2 * RAMP), length - (total - time) ** 2 / (2 * RAMP)
     gone = np.select([time < ramp, time > total - ramp], [start, end], top * (time - ramp / 2))
     return list(np.column_stack([np.interp(gone, at, joint) for joint in points.T]))
+
+
+def wobbled(targets: list[Array], noise: float, rng: np.random.Generator) -> list[Array]:
+    """Add smooth noise to joint targets, which vanishes at their end.
+
+    Args:
+        targets: The joint targets at each control step.
+        noise: The standard deviation of the slowest wave of each joint [rad or m]; without noise, nothing is drawn.
+        rng: The source of the noise.
+    """
+    if not noise or not targets:
+        return targets
+    # Waves with fixed ends, the amplitudes of which fall with their frequency as in a Brownian bridge.
+    numbers = np.arange(1, WAVES + 1)
+    waves = np.sin(np.pi * np.outer(np.arange(1, len(targets) + 1) / len(targets), numbers))
+    return list(np.array(targets) + waves @ rng.normal(0.0, noise / numbers[:, None], (WAVES, len(targets[0]))))
 
 
 def _dense(path: Path) -> Array:
@@ -106,8 +125,8 @@ class ExpertWorker:
     For each arm, the worker stores the commands and the latest observation.
     """
 
-    def __init__(self, scene: Scene, robots: Sequence[str], hz: float) -> None:
-        self.scene, self.hz = scene, hz
+    def __init__(self, scene: Scene, robots: Sequence[str], hz: float, noise: float = 0.0) -> None:
+        self.scene, self.hz, self.noise = scene, hz, noise
         self.cell = PlanningScene(scene)
         self.arms = {name: Arm(scene.robot(name)) for name in robots}
         self.now: Observation
@@ -152,7 +171,9 @@ class ExpertWorker:
     def go(self, robot: str, path: Path) -> Script:
         """Follow a path through free space, slowing down if it has corners, then settle."""
         share = 1.0 if len(path) <= 2 else AROUND
-        yield from self.follow(robot, path, share * HAND, share * JOINT)
+        yield from self._track(
+            robot, wobbled(self._paced(robot, path, share * HAND, share * JOINT), self.noise, self.rng)
+        )
         yield from self.settle(robot)
 
     def creep(self, robot: str, path: Path) -> Script:
@@ -168,7 +189,13 @@ class ExpertWorker:
             speed: The maximum speed of the hand [m/s].
             joint: The maximum speed of each joint [rad/s].
         """
-        for q in paced(path, self.arms[robot].hand, self.hz, speed, joint):
+        yield from self._track(robot, self._paced(robot, path, speed, joint))
+
+    def _paced(self, robot: str, path: Path, speed: float, joint: float) -> list[Array]:
+        return paced(path, self.arms[robot].hand, self.hz, speed, joint)
+
+    def _track(self, robot: str, targets: list[Array]) -> Script:
+        for q in targets:
             self.q[robot] = q
             yield
             self.check(robot)
