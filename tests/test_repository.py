@@ -24,8 +24,10 @@ from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse
+from simfoundry.splats.files import splat_bytes
 from tests.conftest import of_the_checkout
 from tests.scenes import checker_png
+from tests.splats.random_splats import random_splat
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -43,16 +45,17 @@ def documents(page: Path) -> list[dict[str, Any]]:
 
 # The smallest images of some formats.
 PICTURES = {".png": checker_png(), ".hdr": b"#?RADIANCE\n\n-Y 1 +X 1\n\x80\x80\x80\x80"}
+SPLATS = {".spz": splat_bytes(random_splat(3, 0, 0), "a.spz")}
 
 
 def files_named(data: Any) -> set[str]:
-    """Meshes and pictures that a document refers to."""
+    """Meshes, splats and pictures that a document refers to."""
     match data:
         case dict():
             return set().union(*(files_named(v) for v in data.values()))
         case tuple() | list():
             return set().union(*(files_named(v) for v in data))
-        case str() if data.endswith((*MESH_SUFFIXES, *PICTURE_SUFFIXES, *PANORAMA_SUFFIXES)):
+        case str() if data.endswith((*MESH_SUFFIXES, *PICTURE_SUFFIXES, *PANORAMA_SUFFIXES, *SPLATS)):
             return {data}
     return set()
 
@@ -66,7 +69,7 @@ def test_documents_in_the_pages_are_without_findings(page: Path, tmp_path: Path)
         paths.append(tmp_path / f"{document['name']}.{kind}.yaml")
         paths[-1].write_text(document["text"])
         for name in files_named(document):
-            (tmp_path / name).write_bytes(PICTURES.get(Path(name).suffix, b""))
+            (tmp_path / name).write_bytes((PICTURES | SPLATS).get(Path(name).suffix, b""))
     for path in paths:
         loaded = load(path)
         assert [(d.code, d.line, d.message) for d in loaded.all_findings()] == []

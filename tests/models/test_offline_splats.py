@@ -28,7 +28,7 @@ def test_the_offline_renderer_keeps_the_contract(tmp_path: object) -> None:
     assert view.image.shape == (36, 48, 3) and view.image.dtype == np.uint8 and view.made_by.commercial
     assert view.depth.dtype == view.alpha.dtype == np.float32 and 0.5 < view.alpha.max() <= 1.0
     answer = {"depth": view.depth, "alpha": view.alpha}
-    _check_view(Bundle({}, {"world_to_camera": pose}), Bundle({}, answer))  # type: ignore[arg-type]
+    _check_view(Bundle({}, {"world_to_camera": pose}), Bundle({}, answer))
     at = np.unravel_index(view.alpha.argmax(), view.alpha.shape)
     assert 0.5 < view.depth[at] < 3.5
 
