@@ -150,6 +150,29 @@ class StudioPage:
         scale = height / 2 / np.tan(client.camera.fov / 2)
         return float(width / 2 + scale * x / z), float(height / 2 + scale * y / z)
 
+    def look(self, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
+        """Look from one point [m] at another in the first window."""
+        import numpy as np
+
+        client = next(iter(self.server.viser.get_clients().values()))
+        client.camera.position, client.camera.look_at = eye, target
+        self.page.wait_for_timeout(2000)
+        self.until(lambda: np.allclose(client.camera.position, eye, atol=1e-3), "the view")
+        self.page.evaluate(SEVERAL_FRAMES)
+
+    def tip_of_arrow(self, name: str) -> tuple[float, float]:
+        """Look at the gizmo of a selected object from its side, and return where the tip of its red arrow is [px].
+
+        From afar, or along the arrow, the tip is in front of a ring, which would be dragged instead.
+        """
+        import numpy as np
+
+        item, size = self.server.session.scene.objects[name], self.server.window.gizmo.size  # type: ignore[union-attr]
+        along = item.X_WO.rotation[:, 0]
+        eye = item.X_WO.p + max(0.4, 4 * size) * (np.cross(along, (0.0, 0.0, 1.0)) + (0.0, 0.0, 0.5))
+        self.look(tuple(eye.tolist()), tuple(item.X_WO.p.tolist()))
+        return self.screen_point(tuple((item.X_WO.p + along * size * 0.95).tolist()))
+
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 12, release: bool = True) -> None:
         """Drag with the mouse from one point of the screen to another [px], as slowly as a person."""
         mouse = self.page.mouse

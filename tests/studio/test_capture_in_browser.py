@@ -92,14 +92,6 @@ def test_a_gizmo_drag_on_the_cloud_refines_the_pose_with_its_fit(scene: Path, op
     assert studio.problems == []
 
 
-def look(studio: StudioPage, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
-    """Look from one point [m] at another."""
-    (client,) = studio.server.viser.get_clients().values()
-    client.camera.position, client.camera.look_at = eye, target
-    studio.page.wait_for_timeout(2000)
-    studio.until(lambda: np.allclose(client.camera.position, eye, atol=1e-3), "the view")
-
-
 def cloud(studio: StudioPage) -> CloudContent | None:
     """The cloud that is shown, or None while it is replaced."""
     node = studio.server.window.canvas.nodes.get("/capture/cloud")
@@ -197,7 +189,7 @@ def test_the_background_is_dragged_and_aligned_by_pairs(desk: Path, open_studio:
     studio.press("+x")
     studio.until(lambda: "xyz: [-0.999, -0.5, -0.8]" in studio.text, "the step")
     stepped = studio.text
-    look(studio, (-0.6, -2.2, 0.8), (-0.8, -0.5, -0.7))
+    studio.look((-0.6, -2.2, 0.8), (-0.8, -0.5, -0.7))
     drag_arrow(studio, background_pose(studio), (40.0, 0.0))
     studio.until(lambda: studio.text != stepped, "the drag")
     (line,) = [line for line in studio.text.splitlines() if line not in stepped.splitlines()]
@@ -232,7 +224,7 @@ def test_a_splat_is_aligned_by_pairs_of_points_that_are_clicked(desk: Path, open
     studio = open_studio(desk)
     studio.page.set_default_timeout(PATIENCE_MS)
     studio.until(lambda: "/background" in studio.server.window.canvas.nodes, "the splat")
-    look(studio, (0.3, -0.6, 2.4), (0.3, 0.1, -0.4))
+    studio.look((0.3, -0.6, 2.4), (0.3, 0.1, -0.4))
     studio.tab("Capture")
     studio.control("Pick pairs").check()
     studio.page.get_by_text("Click on the background").first.wait_for()  # then the browser reports clicks

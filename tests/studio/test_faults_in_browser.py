@@ -30,9 +30,8 @@ def select(studio: StudioPage, name: str) -> None:
 def begin_drag(studio: StudioPage, name: str) -> None:
     """Drag the red arrow of the selected object until its preview moves, without letting go."""
     window = studio.server.window
-    item = studio.server.session.scene.objects[name]  # type: ignore[union-attr]
-    tip = studio.screen_point(tuple((item.X_WO.p + item.X_WO.rotation[:, 0] * window.gizmo.size * 0.8).tolist()))
-    node, start = f"/objects/{name}", item.X_WO.p.tolist()
+    node, tip = f"/objects/{name}", studio.tip_of_arrow(name)
+    start = window.canvas.nodes[node].X_PN.p.tolist()
     studio.drag(tip, (tip[0] + 60, tip[1]), steps=30, release=False)
     studio.until(lambda: window.canvas.nodes[node].X_PN.p.tolist() != start, "the preview of the drag")
 

@@ -32,9 +32,7 @@ def _select(studio: StudioPage, name: str) -> None:
 
 def _drag_gizmo(studio: StudioPage, name: str, by: tuple[float, float]) -> None:
     """Drag the red arrow of the gizmo, along x of the object, by a distance along x and y of the screen [px]."""
-    item = studio.server.session.scene.objects[name]  # type: ignore[union-attr]
-    size = studio.server.window.gizmo.size
-    tip = studio.screen_point(tuple((item.X_WO.p + item.X_WO.rotation[:, 0] * size * 0.8).tolist()))
+    tip = studio.tip_of_arrow(name)
     studio.drag(tip, (tip[0] + by[0], tip[1] + by[1]))
 
 
