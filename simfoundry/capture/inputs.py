@@ -16,6 +16,7 @@ from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, re
 from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
 from simfoundry.capture.overrides import load_overrides
 from simfoundry.capture.pipeline import Statements, reconstruct
+from simfoundry.capture.settle_stage import settle_inputs
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
 from simfoundry.capture.stages.store import StageStore
@@ -24,6 +25,15 @@ from simfoundry.models.setup import load_setup
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Shot
+
+
+def never() -> None:
+    """Stand for what a runner that only examines does not compute.
+
+    Raises:
+        AssertionError: Always.
+    """
+    raise AssertionError("a runner that only examines computes nothing")
 
 
 def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
@@ -101,8 +111,10 @@ def examine(out: Path) -> list[StageStatus]:
     try:
         source = load_stage(loaded, frame_name, stages)
         known = statements(loaded, frame_name, previous, source.value)
-        reconstruct(name, source, known, lambda stage, share: None, stages)
+        built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True
+        if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing
+            stages.run("settle", settle_inputs(built), never)
     except CaptureError:
         complete = ("name", "") in stages.states  # only the support's texture was stale
     return listed_states(stages, {str(k): name for name, k in previous.numbers.items()}, complete)

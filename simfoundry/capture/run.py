@@ -21,9 +21,9 @@ from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_out
 from simfoundry.capture.outputs import write_masks, write_merged
 from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction
+from simfoundry.capture.settle_stage import standing_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
-from simfoundry.capture.standing import settle_objects
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
 from simfoundry.scene.lower import lower, lower_file
@@ -110,7 +110,8 @@ def run_capture(
             known = statements(loaded, frame_name, previous, source.value)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
-                standing = settle_objects(built, source.value, staging / scene_name, cache, progress)
+                scene_file = staging / scene_name
+                standing = standing_scene(built, source.value, scene_file, cache, progress, stages)
                 built, scene, settled = standing.reconstruction, standing.scene, standing.settled
                 merged = write_merged(previous, staging / scene_name)
                 if merged.is_edited and not merged.is_broken:

@@ -53,7 +53,7 @@ def settle_objects(
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
     while True:
-        _write(built, scene_file, built.spec)
+        write_scene(built, scene_file, built.spec)
         loaded = load_scene(scene_file)
         scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
         with MujocoWorld(scene) as world:
@@ -67,7 +67,7 @@ def settle_objects(
         shutil.rmtree(scene_file.parent / "meshes")
     supports = {o.name: o.supports for o in settled.objects}
     spec = with_supports(spec, supports)
-    _write(built, scene_file, spec)
+    write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
 
 
@@ -117,7 +117,8 @@ def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
     return tuple(m.name for m in sorted(motions, key=lambda m: (-m.moved, m.name))[:1])
 
 
-def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
+def write_scene(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
+    """Write a scene with its meshes."""
     for relative, data in built.files.items():
         write_file(scene_file.parent / relative, data)
     write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())

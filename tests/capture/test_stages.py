@@ -54,7 +54,7 @@ def test_a_changed_mask_touches_only_its_object(folder: Path) -> None:
     assert states["support", ""] == "cached" and states["segment", ""] == "stale" and states["name", ""] == "stale"
     assert states["shape", "green_box"] == "cached" and states["shape", "red_box"] == "stale"
     run = again(folder)
-    changed = {("shape", str(red)), ("texture", str(red)), ("texture", "table"), ("name", "")}
+    changed = {("shape", str(red)), ("texture", str(red)), ("texture", "table"), ("name", ""), ("settle", "")}
     assert ran(run) == {("frames", ""), ("segment", ""), *changed}
     assert len(columns) and len(run.reconstruction.shapes) == 2
 

@@ -17,6 +17,8 @@ from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportS
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds.settle import ObjectSettle, SettleResult
 
 # The file with the structure of a result; all other files are named in it.
 VALUE = "value.json"
@@ -27,6 +29,7 @@ TYPES: dict[str, type[Any]] = {
     for each in (
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
         *(Frame, SupportSurface, SupportRival, Segmentation, FittedShape, CaptureFinding),
+        *(SettleResult, ObjectSettle, SceneState),
     )
 }
 

@@ -72,6 +72,11 @@ STAGES = (
         ("shapes/texture.py", "support_object.py"),
         per_object=True,
     ),
+    Stage(
+        "settle",
+        "brings all objects to rest in a simulation, and states their masses and materials",
+        ("standing.py", "kinds.py", "../worlds/settle.py", "../worlds/rest.py"),
+    ),
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
 

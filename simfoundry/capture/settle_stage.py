@@ -1,0 +1,88 @@
+"""Bring a reconstruction to rest, or reuse how an equal one came to rest before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from simfoundry.assets.cache import Cache
+from simfoundry.capture.findings import CaptureFinding
+from simfoundry.capture.frame import Frame
+from simfoundry.capture.reconstruct import Progress, Reconstruction
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.stages.codec import digest_of
+from simfoundry.capture.stages.runner import StageRunner
+from simfoundry.capture.standing import StandingScene, settle_objects
+from simfoundry.runtime.files import write_file, write_files
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import Scene
+from simfoundry.spec.load import load_scene
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.worlds.settle import SettleResult
+
+# What is kept of a scene at rest: its document, the files and the solids that settling replaced, the findings that it
+# added, and the result of the simulation.
+_Kept = tuple[bytes, Mapping[str, bytes], Mapping[str, FittedShape], tuple[CaptureFinding, ...], SettleResult]
+
+
+def standing_scene(
+    built: Reconstruction,
+    frame: Frame,
+    scene_file: Path,
+    cache: Cache | None,
+    progress: Progress,
+    stages: StageRunner,
+) -> StandingScene:
+    """Return a reconstruction at rest, and write it with its meshes to ``scene_file``.
+
+    Raises:
+        CaptureError: The objects cannot be brought to rest.
+    """
+    scenes: list[Scene] = []
+
+    def compute() -> _Kept:
+        standing = settle_objects(built, frame, scene_file, cache, progress)
+        scenes.append(standing.scene)
+        return _kept(built, standing, scene_file)
+
+    text, files, shapes, findings, settled = stages.run("settle", settle_inputs(built), compute).value
+    if not scenes:
+        write_files(scene_file.parent, {**_used(built.files, text), **files})
+        write_file(scene_file, text)
+    loaded = load_scene(scene_file)
+    assert isinstance(loaded.spec, SceneSpec)
+    scene = scenes[0] if scenes else lower(loaded, cache)
+    rested = replace(
+        built,
+        spec=loaded.spec,
+        files={**_used(built.files, text), **files},
+        shapes={**built.shapes, **shapes},
+        findings=(*built.findings, *findings),
+    )
+    return StandingScene(rested, scene, settled)
+
+
+def settle_inputs(built: Reconstruction) -> dict[str, str]:
+    """Return the digests of everything that decides how a reconstruction comes to rest."""
+    return {
+        "spec": digest_of(to_yaml(built.spec).encode()),
+        "files": digest_of(dict(sorted(built.files.items()))),
+        "shapes": digest_of(dict(sorted(built.shapes.items()))),
+        "engine": version("mujoco"),
+    }
+
+
+def _kept(built: Reconstruction, standing: StandingScene, scene_file: Path) -> _Kept:
+    after = standing.reconstruction
+    files = {path: data for path, data in after.files.items() if built.files.get(path) != data}
+    shapes = {name: shape for name, shape in after.shapes.items() if built.shapes.get(name) is not shape}
+    findings = after.findings[len(built.findings) :]
+    return scene_file.read_bytes(), files, shapes, findings, standing.settled
+
+
+def _used(files: Mapping[str, bytes], text: bytes) -> dict[str, bytes]:
+    """Return the files whose object is still in the scene with this text."""
+    return {path: data for path, data in files.items() if Path(path).stem.encode() in text}
