@@ -11,6 +11,7 @@ from simfoundry.capture.findings import LEFT_OUT, UNSURE, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.masks import Labels, Mask, outline_of
+from simfoundry.capture.shapes.evidence import WINDOW_MARGIN
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
@@ -54,9 +55,8 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
 # Fits one segment, given the image, its pixels, the height [m] of what it stands on, what is around it, and its number.
 SegmentFit = Callable[[Frame, Mask, float, Labels, int], FittedShape]
 
-# Least reach [px] around an object within which other objects matter to its fit: several times the margin of 6 pixels
-# that rays have around the smallest object.
-REACH_PX = 32
+# Margin [px] around an object within which other objects matter to its fit, beside a share of its size: that of rays.
+MARGIN_PX = 7
 
 LEFT_OUT_HINT = "move the camera closer, state the division under `decomposition`, or add the object by hand"
 
@@ -123,14 +123,14 @@ def nearby_labels(labels: Labels, k: int) -> Labels:
     elsewhere change.
 
     Returns:
-        1 at the pixels of the object, 2 at those of others within as many pixels as the object is wide or high (but at
-        least 32), and otherwise 0. The shape is (h, w).
+        1 at the pixels of the object, 2 at those of others that rays beside the object can hit, and otherwise 0. The
+        shape is (h, w).
     """
     rows, columns = np.nonzero(labels == k)
     out = np.zeros(labels.shape, np.int32)
     if not len(rows):
         return out
-    reach = max(REACH_PX, int(max(np.ptp(rows), np.ptp(columns))))
+    reach = MARGIN_PX + int(WINDOW_MARGIN * max(np.ptp(rows), np.ptp(columns)))
     top, left = max(0, int(rows.min()) - reach), max(0, int(columns.min()) - reach)
     window = np.s_[top : int(rows.max()) + reach + 1, left : int(columns.max()) + reach + 1]
     out[window] = np.where(labels[window] == k, 1, np.where(labels[window] > 0, 2, 0))

@@ -21,7 +21,7 @@ from simfoundry.geometry.ray_casts import area_normals, first_hits, scattered_ra
 from simfoundry.geometry.shapes import Geometry
 
 MAX_RAYS = 2600  # maximum number of rays per object, a grid of 51 x 51; a fit casts them about a thousand times
-_WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free space beside it is evidence too
+WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free space beside it is evidence too
 FREE_WEIGHT = 0.7  # cost of a free ray that the solid blocks, relative to a miss; silhouettes are off by about a pixel
 _BLIND_MISS = 0.4  # cost of an object pixel without depth that the solid misses
 _BLIND_HIT = 0.15  # cost of a background pixel without depth that the solid covers; often the projector's shadow
@@ -192,7 +192,7 @@ def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     The rays form a regular grid over the bounding window of the mask and a margin around it.
     """
     rows, cols = np.nonzero(mask)
-    margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
+    margin = int(6 + WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
     top, bottom = max(0, rows.min() - margin), min(mask.shape[0] - 1, rows.max() + margin)
     left, right = max(0, cols.min() - margin), min(mask.shape[1] - 1, cols.max() + margin)
     step = max(1, int(np.ceil(np.sqrt((bottom - top + 1) * (right - left + 1) / MAX_RAYS))))
