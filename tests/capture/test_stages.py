@@ -148,7 +148,7 @@ def test_a_runner_that_examines_computes_nothing(tmp_path: Path) -> None:
 
 def test_what_is_far_from_an_object_does_not_matter_to_it() -> None:
     labels = np.zeros((200, 300), np.int32)
-    labels[90:110, 100:120], labels[90:110, 125:135], labels[90:110, 250:270] = 4, 7, 9
+    labels[90:110, 100:120], labels[90:110, 122:127], labels[90:110, 250:270] = 4, 7, 9
     near = nearby_labels(labels, 4)
     assert set(np.unique(near)) == {0, 1, 2} and (near == 1).sum() == 400 and not near[:, 250:].any()
     assert np.array_equal(near == 2, labels == 7)
