@@ -321,7 +321,7 @@ class StudioSession:
         """
         with self._lock:
             reading, texts = self._reading, tuple(self._texts.values())
-        for text in () if reading.errors else texts:
+        for text in texts:
             prepare_edit(text)
             checkpoint()
         findings = lint_findings(reading, checkpoint)

@@ -282,7 +282,7 @@ def test_an_invalid_document_is_opened_with_its_findings_and_mended_on_disk(desk
     assert session.scene is None and session.findings and not session.is_current
     with pytest.raises(ActError, match="the text has an error"):
         session.apply(SetProperties("mug", {"mass": 1.0}))
-    session.examine()
+    session.examine()  # which also prepares the next act, as far as the text can be read
     desk.write_text(SCENE)
     assert session.poll() and session.is_current and session.findings == ()
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache, reduce
 from typing import Any
 
@@ -40,12 +41,9 @@ def parsed_once(text: str) -> Document:
 
 
 def prepare_edit(text: str) -> None:
-    """Do in advance what the next edit of a text takes half of its time for.
-
-    Raises:
-        YamlError: If the text could not be parsed.
-    """
-    _spans(parsed_once(text.removeprefix(_BOM)).text)
+    """Do in advance what the next edit of a text takes half of its time for; nothing if it cannot be parsed."""
+    with suppress(YamlError):
+        _spans(parsed_once(text.removeprefix(_BOM)).text)
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
