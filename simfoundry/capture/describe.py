@@ -9,9 +9,11 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.kinds import SUPPORT, kind_of
+from simfoundry.capture.kinds import SUPPORT, MaterialPrior, kind_of, material_of
+from simfoundry.capture.scene_reading import ReadObjects
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import DEFAULT_THICKNESS
+from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, tessellate
 from simfoundry.scene.meshfile import obj_with_material
@@ -80,29 +82,50 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
     )
 
 
-def object_spec(capture: str, name: str, shape: FittedShape, segment: int | None = None) -> ObjectSpec:
+# Range of a mass that a model estimates from an image, as factors of its value.
+MASS_RANGE = (0.5, 2.0)
+
+
+def material_prior(shape: FittedShape, segment: int, read: ReadObjects | None) -> MaterialPrior:
+    """Return the prior of an object's material: as a model states it, or as its form and size suggest."""
+    seen = None if read is None else read.objects.get(segment)
+    return (None if seen is None else material_of(seen.material)) or kind_of(shape).material
+
+
+def object_spec(
+    capture: str, name: str, shape: FittedShape, segment: int | None = None, read: ReadObjects | None = None
+) -> ObjectSpec:
     """Return the spec of a fitted object, with an estimated mass and its origin.
 
     The object is represented by a primitive if possible, and otherwise by a mesh. ``segment`` is its number in the
-    segmentation.
+    segmentation, and ``read`` is what a model states about the objects.
     """
+    seen = None if read is None or segment is None else read.objects.get(segment)
     primitive = shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
     kind = kind_of(shape)
-    substance = kind.material
+    substance = kind.material if segment is None else material_prior(shape, segment, read)
     densities = substance.density, substance.lowest, substance.highest
     kilograms, low, high = (float(f"{volume * density:.2g}") for density in densities)
+    source = "material_table"
+    if seen is not None and read is not None and seen.mass is not None:
+        low, high = (float(f"{factor * seen.mass:.2g}") for factor in MASS_RANGE)
+        kilograms, source = seen.mass, read.use.name
     return ObjectSpec(
-        category=kind.name,
+        category=kind.name if seen is None else plain_name(seen.category),
         shape=primitive,
         asset=None if primitive is not None else f"meshes/{name}.obj",
         visual=f"meshes/{name}.obj" if primitive is not None else None,
         material=substance.name,
-        mass=spec.Estimate(value=kilograms, range=(low, high), source="material_table"),
+        mass=spec.Estimate(value=kilograms, range=(low, high), source=source),
         pose=pose_spec(shape.X_WO),
         origin=Origin(
-            capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2), segment=segment
+            capture=capture,
+            fit_error=meters(shape.fit_m),
+            confidence=round(shape.confidence, 2),
+            segment=segment,
+            models=() if seen is None or read is None else (read.use,),
         ),
     )
 

@@ -52,6 +52,12 @@ OFFSET = "SF626"
 # A depth image with more noise than common cameras have.
 NOISY = "SF627"
 
+# A model that is configured and did not answer, so that the offline method was used.
+MODEL_FAILED = "SF640"
+
+# An object that a model sees where nothing was found.
+NOT_FOUND = "SF641"
+
 # Sizes and distances that no tabletop has.
 IMPLAUSIBLE = "SF628"
 

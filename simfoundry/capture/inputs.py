@@ -110,7 +110,7 @@ def examine(out: Path) -> list[StageStatus]:
     complete = False
     try:
         source = load_stage(loaded, frame_name, stages)
-        known = statements(loaded, frame_name, previous, source.value)
+        known = replace(statements(loaded, frame_name, previous, source.value), setup=load_setup(loaded.path))
         built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True
         if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing

@@ -19,15 +19,21 @@ SAME_MASK = 0.5
 
 
 def found_names(
-    frame: Frame, segmentation: Segmentation, shapes: Mapping[int, FittedShape], given: Mapping[str, int]
+    frame: Frame,
+    segmentation: Segmentation,
+    shapes: Mapping[int, FittedShape],
+    given: Mapping[str, int],
+    read: Mapping[int, str],
 ) -> dict[int, str]:
-    """Name every object after its name in the capture or, if there is none, after its color and shape.
+    """Name every object after its name in the capture, else as a model names it, else after its color and shape.
 
-    ``given`` contains the numbers in ``frame.instances`` of the objects that the capture names.
+    ``given`` contains the numbers in ``frame.instances`` of the objects that the capture names, and ``read`` the names
+    that a model states, by number in the segmentation.
     """
     labels = segmentation.labels
     wanted = {} if frame.instances is None else matched_names(labels, frame.instances, given)
     wanted |= {k: name for name, k in segmentation.pieces.items()}
+    wanted = {**read, **wanted}
     for k, shape in shapes.items():
         wanted.setdefault(k, f"{color_word(dominant_color(frame, labels == k))}_{kind_of(shape).name}")
     return dict(zip(shapes, unique_names(wanted[k] for k in shapes), strict=True))

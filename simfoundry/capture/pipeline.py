@@ -15,10 +15,11 @@ from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
-from simfoundry.capture.kinds import SUPPORT, kind_of
+from simfoundry.capture.kinds import SUPPORT
 from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
 from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, Reconstruction, fit_segments, footprint, nearby_labels
+from simfoundry.capture.scene_reading import ReadObjects, read_scene
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels, Mask
@@ -29,6 +30,7 @@ from simfoundry.capture.stages.runner import StageResult, StageRunner, StaleStag
 from simfoundry.capture.stated import placed_shape, stated_segmentation
 from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.models.setup import ModelSetup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.origin import Origin
@@ -47,12 +49,14 @@ class Statements:
         overrides: Corrections by a person.
         last: Numbers of the objects in the last run, shape (h, w), or None.
         last_names: Numbers in ``last``, by the names in the last run.
+        setup: The models that may be asked about the image, or None to ask none.
     """
 
     given: Mapping[str, int] = field(default_factory=dict)
     overrides: Overrides = field(default_factory=Overrides)
     last: Labels | None = None
     last_names: Mapping[str, int] = field(default_factory=dict)
+    setup: ModelSetup | None = None
 
 
 def reconstruct(
@@ -79,9 +83,11 @@ def reconstruct(
     segmentation = _segmented(frame, support, seen, overrides, stages)
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
     shapes, carriers, findings = _shapes(view, progress)
+    read, unseen = read_scene(known.setup, frame.color, segmentation.value.labels, stages)
+    words = {} if read is None else {k: word for k in shapes if (word := read.name(k)) is not None}
     inputs = seen | {"segments": segmentation.digest, "shapes": digest_of(list(shapes.values()))}
-    inputs |= {"masks": digest_of(frame.instances), "given": json.dumps(dict(known.given))}
-    find = partial(found_names, frame, segmentation.value, shapes, known.given)
+    inputs |= {"masks": digest_of(frame.instances), "given": json.dumps(dict(known.given)), "read": digest_of(words)}
+    find = partial(found_names, frame, segmentation.value, shapes, known.given, words)
     found = stages.run("name", inputs, find, quick=True).value
     names = _names(found, segmentation.value, known)
     if overrides.names or any(item.name for item in overrides.objects.values()):
@@ -90,7 +96,7 @@ def reconstruct(
     shapes = {k: _placed(view, shape, overrides, keys[k], k) for k, shape in shapes.items()}
     given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
     objects = _textured(view, shapes, carriers, given, progress)
-    spec = scene_spec(name, frame, support.value, objects, names)
+    spec = scene_spec(name, frame, support.value, objects, names, read)
     files = mesh_files(SUPPORT_NAME, objects.top)
     for k, mesh in objects.meshes.items():
         files |= mesh_files(names[k], mesh)
@@ -103,7 +109,14 @@ def reconstruct(
         segmentation.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
-        (*frame.findings, *unmet, *findings, *overrides.unused({*found.values(), *names.values()}), *doubts),
+        (
+            *frame.findings,
+            *unmet,
+            *unseen,
+            *findings,
+            *overrides.unused({*found.values(), *names.values()}),
+            *doubts,
+        ),
     )
 
 
@@ -249,12 +262,13 @@ def scene_spec(
     support: SupportSurface,
     fitted: TexturedObjects,
     names: Mapping[int, str],
+    read: ReadObjects | None,
 ) -> SceneSpec:
-    """Return the scene of the fitted objects, which have the given names."""
+    """Return the scene of the fitted objects by their names; ``read`` is what a model states about them."""
     objects = {SUPPORT_NAME: describe.support_spec(name, fitted.support, fitted.thickness)}
     for k, shape in fitted.shapes.items():
-        objects[names[k]] = describe.object_spec(name, names[k], shape, k)
-    priors = [SUPPORT, *(kind_of(shape).material for shape in fitted.shapes.values())]
+        objects[names[k]] = describe.object_spec(name, names[k], shape, k, read)
+    priors = [SUPPORT, *(describe.material_prior(shape, k, read) for k, shape in fitted.shapes.items())]
     key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     return SceneSpec(
         simfoundry="scene/1",

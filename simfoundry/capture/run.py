@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.settle_stage import standing_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
+from simfoundry.models.setup import ModelSetup
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
 from simfoundry.scene.lower import lower, lower_file
@@ -72,6 +73,7 @@ def run_capture(
     only: Collection[str] = (),
     truth: Path | None = None,
     page: ReportPage | None = None,
+    setup: ModelSetup | None = None,
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
@@ -83,7 +85,8 @@ def run_capture(
     stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
 
     ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
-    report and its pictures, by file name.
+    report and its pictures, by file name. ``setup`` names the models that may be asked about the image; where one
+    fails, there is a finding, and what needs no model is used instead.
 
     Raises:
         SpecError: The capture or the ground truth is unusable. The error contains all findings.
@@ -107,7 +110,7 @@ def run_capture(
             write_source(store.folder, loaded.path, frame_name)
             stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
             source = load_stage(loaded, frame_name, stages)
-            known = statements(loaded, frame_name, previous, source.value)
+            known = replace(statements(loaded, frame_name, previous, source.value), setup=setup)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
                 scene_file = staging / scene_name

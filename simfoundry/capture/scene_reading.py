@@ -7,9 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simfoundry.capture.findings import MODEL_FAILED, NOT_FOUND, CaptureFinding
 from simfoundry.capture.segment.masks import Labels
+from simfoundry.capture.stages.codec import digest_of
+from simfoundry.capture.stages.runner import StageRunner, StaleStageError
 from simfoundry.frontends.names import plain_name
+from simfoundry.models.contract import ModelError
+from simfoundry.models.open import open_model
 from simfoundry.models.provenance import ModelIdentity, model_use
+from simfoundry.models.setup import ModelSetup
 from simfoundry.models.tasks.depth import Pixels
 from simfoundry.models.tasks.scenes import SceneEstimate, SceneModel, SceneReading, SeenObject
 from simfoundry.spec.models.origin import ModelUse
@@ -25,18 +31,54 @@ class ReadObjects:
 
     Attributes:
         objects: What it states, by the number of the object in the segmentation.
-        unmatched: Phrases of objects at which nothing was found.
+        unmatched: Objects at which nothing was found.
         use: The model, for `origin`.
     """
 
     objects: Mapping[int, SeenObject]
-    unmatched: tuple[str, ...]
+    unmatched: tuple[SeenObject, ...]
     use: ModelUse
 
     def name(self, number: int) -> str | None:
         """Return a name for an object, or None if the model does not state one."""
         seen = self.objects.get(number)
         return None if seen is None else plain_name(seen.phrase)
+
+
+def read_scene(
+    setup: ModelSetup | None, color: Pixels, labels: Labels, stages: StageRunner
+) -> tuple[ReadObjects | None, tuple[CaptureFinding, ...]]:
+    """Ask the model that is configured for `read_scene` about an image, if there is one.
+
+    Args:
+        setup: The configured models.
+        color: The RGB image, shape (h, w, 3).
+        labels: Number of the segment at each pixel, or 0, shape (h, w).
+        stages: Runs the stage, or reuses its earlier result.
+
+    Returns:
+        What it states, or None, and findings: that the model failed, or objects that were not found.
+    """
+    source = None if setup is None else setup.source("read_scene")
+    if setup is None or source is None or source.offline:
+        return None, ()
+    inputs = {"color": digest_of(color), "source": source.model_dump_json(), "strict": str(setup.commercial_only)}
+    try:
+        text = stages.run("read", inputs, lambda: read_objects(open_model(setup, "read_scene"), color)).value
+    except StaleStageError:
+        return None, ()
+    except ModelError as error:
+        hint = "the objects are named after color and shape; run again when the model answers"
+        return None, (CaptureFinding(MODEL_FAILED, str(error), hint),)
+    read = match_objects(parse_reading(text), labels)
+    return read, tuple(_not_found(each) for each in read.unmatched)
+
+
+def _not_found(seen: SeenObject) -> CaptureFinding:
+    left, top, right, bottom = (round(value) for value in seen.box or (0, 0, 0, 0))
+    hint = "state its pixels under `decomposition`, or give its mask, if it is really there"
+    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+    return CaptureFinding(NOT_FOUND, f"a model sees `{seen.phrase}` where no object was found", hint, outline=corners)
 
 
 def read_objects(model: SceneModel, image: Pixels) -> str:
@@ -67,7 +109,7 @@ def match_objects(estimate: SceneEstimate, labels: Labels) -> ReadObjects:
         for row, column in zip(*linear_sum_assignment(-overlaps), strict=True):
             if overlaps[row, column] >= OVERLAP:
                 found[numbers[column]] = seen[row]
-    missed = tuple(each.phrase for each in seen if not any(each is other for other in found.values()))
+    missed = tuple(each for each in seen if not any(each is other for other in found.values()))
     return ReadObjects(found, missed, model_use("read_scene", estimate.made_by))
 
 

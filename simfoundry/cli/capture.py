@@ -50,6 +50,7 @@ class _WithStatus(click.Command):
     "--against", type=FILE, metavar="TRUTH", help="Compare the scene with this ground truth, a scene document."
 )
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
+@click.option("--commercial-only", is_flag=True, help="Refuse models that may not be used commercially.")
 def capture_command(
     capture: Path,
     out: Path | None,
@@ -59,6 +60,7 @@ def capture_command(
     only: tuple[str, ...],
     against: Path | None,
     codes: tuple[str, ...],
+    commercial_only: bool,
     as_json: bool,
 ) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
@@ -70,11 +72,14 @@ def capture_command(
     A new run repeats only what depends on what has changed, and keeps your edits of the scene, of masks.png and of
     masks.yaml. `simfoundry capture status OUT` lists the stages.
 
+    No model is needed. One that is configured for `read_scene` names the objects, and estimates their masses.
+
     `--against` prints the measures of the paper. The camera in TRUTH has the name of the frame, or is the only one.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes
     from simfoundry.capture.run import run_capture
+    from simfoundry.models.setup import load_setup
     from simfoundry.reports.capture import accuracy_text, capture_page
 
     accepted = accepted_codes(codes)
@@ -95,6 +100,7 @@ def capture_command(
             only,
             truth=against,
             page=capture_page,
+            setup=load_setup(capture, commercial_only=commercial_only),
         )
     verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:

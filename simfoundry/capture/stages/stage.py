@@ -27,12 +27,14 @@ class Stage:
         task: The task of the stage, as it is shown to people.
         modules: Files and folders below ``simfoundry/capture`` that the stage consists of.
         per_object: True if the stage runs once for each object, so that one object can be redone alone.
+        is_optional: True if some runs do without the stage, such as one that asks a model.
     """
 
     name: str
     task: str
     modules: tuple[str, ...]
     per_object: bool = False
+    is_optional: bool = False
 
     @property
     def version(self) -> str:
@@ -54,6 +56,12 @@ STAGES = (
         "fits a solid to each object: its geometry and its pose",
         ("shapes", "reconstruct.py", "segment/constraints.py"),
         per_object=True,
+    ),
+    Stage(
+        "read",
+        "asks a model that is configured for `read_scene` what the objects are",
+        ("scene_reading.py",),
+        is_optional=True,
     ),
     Stage(
         "name",

@@ -49,7 +49,7 @@ def listed_states(stages: StageRunner, names: Mapping[str, str], complete: bool)
         labels = [label for name, label in stages.states if name == stage.name]
         if stage.per_object:
             labels = sorted(labels, key=lambda label: (not label.isdigit(), len(label), label))
-        for label in labels or ([] if complete and stage.per_object else [""]):
+        for label in labels or ([] if complete and (stage.per_object or stage.is_optional) else [""]):
             state: State = "cached" if stages.states.get((stage.name, label)) == "cached" else "stale"
             if state == "cached" and (stage.name, label) in stages.overridden:
                 state = "overridden"

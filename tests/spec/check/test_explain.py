@@ -32,6 +32,8 @@ NOT_SHOWN = {
     "SF604": "needs two runs of a capture",
     **{f"SF{k}": "needs a whole picture" for k in range(620, 629)},
     "SF605": "needs several whole pictures",
+    "SF640": "needs a model",
+    "SF641": "needs a model",
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""
