@@ -34,6 +34,39 @@ import sys, pathlib, numpy as np
 folder = pathlib.Path(sys.argv[sys.argv.index("result_name") + 1])
 np.save(folder / "part_feat_mesh_0_batch.npy", np.array([[1.0, 0], [-1, 0], [1, 1], [-2, 1]]))
 """,
+    "nerfstudio/scripts/train.py": """
+import sys, json, pathlib, numpy as np
+given = dict(zip(sys.argv[2::2], sys.argv[3::2]))
+at = sys.argv.index("nerfstudio-data")
+given |= dict(zip(sys.argv[at + 1 :: 2], sys.argv[at + 2 :: 2]))
+assert sys.argv[1] == "splatfacto" and given["--pipeline.model.camera-optimizer.mode"] == "SO3xR3"
+assert given["--orientation-method"] == given["--center-method"] == "none" and given["--auto-scale-poses"] == "False"
+data = pathlib.Path(given["--data"])
+scene = json.loads((data / "transforms.json").read_text())
+assert all((data / frame["file_path"]).is_file() for frame in scene["frames"])
+out = pathlib.Path(given["--output-dir"]) / given["--experiment-name"] / "splatfacto" / given["--timestamp"]
+out.mkdir(parents=True)
+points = (data / scene["ply_file_path"]).read_text().split("end_header")[1]
+(out / "config.yml").write_text(json.dumps({"frames": scene["frames"], "points": points}))
+""",
+    "nerfstudio/scripts/exporter.py": """
+import sys, json, pathlib, numpy as np
+assert sys.argv[1] == "gaussian-splat"
+given = dict(zip(sys.argv[2::2], sys.argv[3::2]))
+trained = json.loads(pathlib.Path(given["--load-config"]).read_text())
+points = np.array(trained["points"].split(), float).reshape(-1, 6)[:, :3]
+frames = trained["frames"]
+# The first Gaussian is at the first camera, and the second one a meter in front of it, along -z as in OpenGL.
+pose = np.array(frames[0]["transform_matrix"])
+points = np.concatenate([[pose[:3, 3], pose[:3, 3] - pose[:3, 2]], points])
+names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+rows = np.zeros((len(points), 14), "<f4")
+rows[:, :3], rows[:, 7:10], rows[:, 10] = points, -4, 1
+rows[0, 3:6] = [frames[0][key] for key in ("fl_x", "cx", "h")]
+head = "ply\\nformat binary_little_endian 1.0\\nelement vertex %d\\n" % len(rows)
+head += "".join("property float %s\\n" % name for name in names) + "end_header\\n"
+(pathlib.Path(given["--output-dir"]) / "splat.ply").write_bytes(head.encode() + rows.tobytes())
+""",
     "inference/cogvideox_fun/predict_v2v.py": """
 import sys, pathlib, shutil
 given = dict(a.removeprefix("--config.").split("=", 1) for a in sys.argv if "=" in a)
@@ -148,6 +181,15 @@ def test_void_and_an_image_editor(monkeypatch: pytest.MonkeyPatch) -> None:
     assert edited.image.shape == (80, 96, 4)
     filled = CALLS["inpaint"](editor).image
     assert (filled[~MASK] == FRAMES[0][~MASK]).all() and filled[MASK].mean() == pytest.approx(128, abs=12)
+
+
+def test_splatfacto_trains_in_the_frame_of_the_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = CALLS["splat"](server("splatfacto", monkeypatch)).gaussians
+    camera_to_world = np.linalg.inv(truth.POSES[0])
+    np.testing.assert_allclose(found.positions[0], camera_to_world[:3, 3], atol=1e-5)
+    np.testing.assert_allclose(found.positions[1], camera_to_world[:3, 3] + camera_to_world[:3, 2], atol=1e-5)
+    height = FRAMES[0].shape[0]
+    np.testing.assert_allclose(found.harmonics[0, 0], [K[0, 0], K[0, 2] + 0.5, height], rtol=1e-6)
 
 
 def test_every_server_names_a_model_of_the_table() -> None:
