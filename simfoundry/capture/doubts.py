@@ -8,8 +8,9 @@ import numpy as np
 
 from simfoundry.capture.findings import BORDER, HOLE, NOISY, OFFSET, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
+from simfoundry.capture.intrinsics import intrinsics_doubt
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
-from simfoundry.capture.size_priors import intrinsics_doubt, scale_doubt
+from simfoundry.capture.size_priors import scale_doubt
 from simfoundry.geometry.frames import Array
 
 RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35
@@ -22,6 +23,7 @@ SEEN = 1.0e-3  # [m²] minimum visible area of something that is reported, a squ
 HOLE_AREA = 1.2e-3  # [m²] minimum area of a hole on the support, the base of a small glass
 HOLE_RADIUS = 0.011  # [m] minimum radius of a disk inside a hole; gaps beside objects are narrower
 BASELINE = 0.1  # [m] maximum distance between the camera and a projector or second camera: 7.5 cm in a Kinect
+NEARER = 0.02  # [1/m] minimum difference of inverse depths between an object and the support behind it: 1.3 cm at 0.8 m
 SHADOW_RIM = 6  # [px] width of the zone beside an object in which a matching window loses depth
 BORDER_PX = 3  # [px] distance from the border of the image at which an object is cut off; resampling loses pixels there
 BORDER_SHARE = 0.08  # minimum fraction of an object's outline along the border of the image
@@ -45,7 +47,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *_cut_off(labels),
         *_offset(frame, labels),
         *scale_doubt(frame, support, labels, points_W),
-        *intrinsics_doubt(frame),
+        *intrinsics_doubt(frame, support, labels),
     ]
     noise = support.residual / (0.67 * float(np.median(depth_sigma(frame.depth[support.inliers]))))
     if noise > NOISE:
@@ -135,18 +137,19 @@ def _holes(frame: Frame, support: SupportSurface, labels: Labels, inside: Mask) 
 def _in_shadow(frame: Frame, missing: Mask, distance: Array) -> Mask:
     """Return a mask of the pixels that an object may hide from the projector or the second camera.
 
-    They are beside a nearer surface, by at most its parallax over :data:`BASELINE`. ``distance`` is the depth of the
-    support [m].
+    Such a shadow begins beside a nearer surface and continues along the row, at most by the surface's parallax over
+    :data:`BASELINE`. ``distance`` is the depth of the support [m].
     """
     nearness = np.nan_to_num(1.0 / frame.depth) - 1.0 / distance
-    reach = frame.K[0, 0] * BASELINE
+    width = np.where(nearness > NEARER, nearness * float(frame.K[0, 0]) * BASELINE + SHADOW_RIM, 0.0)
+    gap = closed(missing, 1)
     out = np.zeros(missing.shape, np.bool_)
-    widest = min(int(reach * float(nearness.max(initial=0.0))), missing.shape[1] - 1)
-    for shift in range(1, widest + 1):
-        hides = nearness * reach + SHADOW_RIM > shift
-        hides &= nearness > 0.02
-        out[:, shift:] |= hides[:, :-shift]
-        out[:, :-shift] |= hides[:, shift:]
+    columns = range(missing.shape[1])
+    for order in (columns, reversed(columns)):
+        left = np.zeros(len(missing))  # how much farther the shadow in each row may continue [px]
+        for u in order:
+            left = np.where(gap[:, u], left - 1, width[:, u])
+            out[:, u] |= gap[:, u] & (left > 0)
     return out & missing
 
 

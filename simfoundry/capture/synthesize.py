@@ -43,9 +43,9 @@ class SensorModel:
     edge_band: int = 2  # Distance from an edge within which the farther surface has no depth [px]
     grazing_deg: float = 78.0  # Maximum tilt relative to the image plane [deg]; steeper surfaces return no depth
     dropout: float = 0.002  # Probability that a pixel returns no depth for no particular reason
-    correlation: float = 0.0  # Standard deviation of the kernel that correlates the noise of neighboring pixels [px]
     nearest: float = 0.25  # Minimum depth [m]
     farthest: float = 4.0  # Maximum depth [m]
+    correlation: float = 0.0  # Standard deviation of the kernel that correlates the noise of neighboring pixels [px]
 
 
 # A short-range active-stereo camera on a desk, with a standard deviation of about 0.9 mm at 0.5 m.

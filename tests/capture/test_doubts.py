@@ -19,6 +19,7 @@ from simfoundry.capture.findings import (
     CaptureFinding,
 )
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
+from simfoundry.capture.intrinsics import common_tilt
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
 
@@ -92,6 +93,18 @@ def test_intrinsics_of_no_camera(seen: tuple[Frame, SupportSurface, Segmentation
     K = frame.K + np.array([[0, 0, 60], [0, 0, 0], [0, 0, 0]])
     (odd,) = image_doubts(replace(frame, K=K), support, segmentation)[-1:]
     assert odd.code == IMPLAUSIBLE and "principal point" in odd.message
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_wrong_focal_length_tilts_what_is_upright(
+    seen: tuple[Frame, SupportSurface, Segmentation], factor: float
+) -> None:
+    frame, support, segmentation = seen
+    assert common_tilt(frame, support, segmentation.labels) == 0
+    wrong = replace(frame, K=np.diag([factor, factor, 1.0]) @ (frame.K - [[0, 0, 158], [0, 0, 121], [0, 0, 0]])
+                    + [[0, 0, 158], [0, 0, 121], [0, 0, 0]])  # fmt: skip
+    tilt = common_tilt(wrong, find_support(wrong), segmentation.labels)
+    assert 8 < abs(tilt) < 26 and (tilt > 0) == (factor < 1)
 
 
 def test_noise(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:

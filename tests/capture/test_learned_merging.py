@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.capture.segment.learned_merging import merge_network, read_network
-from simfoundry.capture.segment.pair_features import COUNT
+from simfoundry.capture.segment.pair_features import COUNT, lab_image, pair_features
+from simfoundry.capture.segment.regions import Crop
 from tests.capture.train_merging import Examples, packed, trained
 
 
@@ -24,3 +25,25 @@ def test_training_separates_and_is_deterministic() -> None:
     assert data == packed(trained(Examples(features, same)))
     judged = read_network(data).probability(features) > 0.5
     assert (judged == same).mean() > 0.8
+
+
+def test_a_pair_smaller_than_the_reach_of_edges_has_features() -> None:
+    h, w = 8, 60
+    v, u = np.indices((h, w))
+    depth = np.asarray(0.8 + 0.001 * u, np.float64)
+    points = np.stack([u * 0.002, v * 0.002, 0.02 + 0.001 * v], axis=-1)
+    crop = Crop(
+        window=(slice(0, h), slice(0, w)),
+        whole=(480, 640),
+        color=np.full((h, w, 3), 90, np.uint8),
+        depth=depth,
+        pixel_area=np.full((h, w), 2e-6),
+        points_W=points,
+        mask=np.ones((h, w), np.bool_),
+        edge=np.zeros((h, w)),
+        step=np.zeros((h, w)),
+        reach=6,
+        down=(0.0, 1.0),
+    )
+    features = pair_features(u < 30, u >= 30, crop, lab_image(crop.color))
+    assert features.shape == (COUNT,) and np.isfinite(features).all()

@@ -174,6 +174,8 @@ def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
             pair = np.sort(np.stack([one, other], axis=1), axis=1)
             signed = np.where(one > other, -jump, jump)
             found.append((pair, bend / scale, signed / scale, np.full(len(bend), r < reach)))
+    if not found:
+        return {}
     pairs, bends, jumps, near = (np.concatenate(column) for column in zip(*found, strict=True))
     if not len(pairs):
         return {}
@@ -268,6 +270,8 @@ def _across(shape: tuple[int, ...], reach: int) -> Iterator[tuple[Window, Window
     h, w = shape
     for du, dv in ((1, 0), (0, 1), (1, 1), (1, -1)):
         r = reach if du * dv == 0 else max(1, round(reach * 0.7))
+        if 2 * r >= min(h, w):
+            continue  # the window of middle pixels is empty
         middle = (slice(r, h - r), slice(r, w - r))
         yield middle, _moved(middle, -du * r, -dv * r), _moved(middle, du * r, dv * r), (2 * du * r, 2 * dv * r)
 
