@@ -11,6 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.foreign import foreign_capture, media_error
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
@@ -19,8 +20,9 @@ from simfoundry.models.setup import load_setup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.load import load_capture
+from simfoundry.spec.load import load, load_capture
 from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Pixel, Shot
+from simfoundry.spec.yaml.write import to_yaml
 
 # Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
 NUMBERS_MAX = 178_956_970
@@ -46,10 +48,26 @@ T = TypeVar("T")
 
 
 def open_capture(path: Path) -> Loaded:
-    """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder."""
+    """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder.
+
+    A folder without this file may have the layout of another data set; see :mod:`simfoundry.capture.foreign`.
+
+    Raises:
+        SpecError: There is no valid capture. The error contains all findings.
+        SimfoundryError: A file of another data set cannot be read.
+    """
     if not path.is_dir():
+        error = media_error(path)
+        if error is not None:
+            raise error
         return load_capture(path)
     file = path / "capture.yaml"
+    foreign = None if file.exists() else foreign_capture(path)
+    if foreign is not None:
+        loaded = load(file, text=to_yaml(foreign))
+        if loaded.errors:
+            raise SpecError(loaded.errors)
+        return loaded
     if not file.exists():
         message = "the folder has no capture.yaml, which describes the files in the capture"
         raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
