@@ -27,9 +27,9 @@ LEAST_ALPHA = 1 / 255
 # further, as when trainers render. Gaussians beside the image would otherwise be stretched across it.
 _MARGIN = 1.3
 
-# Value of the quadratic form within which the order of Gaussians is exact: one standard deviation. What is farther out
-# has a third of the weight, and an exact order of it would take three times as long.
-_CORE = 1.0
+# Value of the quadratic form within which the order of Gaussians is exact: 1.4 standard deviations, where the opacity
+# is e^-1 of that at the center. An exact order of what is farther out would take twice as long.
+_CORE = 2.0
 
 Singles = NDArray[np.float32]
 
@@ -62,7 +62,7 @@ class Ellipses:
         center: Centers [px], shape (m, 2).
         conic: Coefficients a, b and c [1/px^2], shape (m, 3).
         reach: Value of the quadratic form at which the opacity becomes :data:`LEAST_ALPHA`, shape (m,).
-        nearest: Least depth [m] of the Gaussian within one standard deviation, in ascending order, shape (m,).
+        nearest: Least depth [m] of the Gaussian within 1.4 standard deviations, in ascending order, shape (m,).
         depth: Depth [m] of the center along the optical axis, shape (m,).
         slope: Change of the depth [m/px], shape (m, 2).
         opacity: Opacity at the center, shape (m,).

@@ -153,7 +153,7 @@ class _Fragments(NamedTuple):
 def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[tuple[_Pairs, float]]:
     """Yield the pairs in the image rows from ``top`` to ``bottom``, in batches of limited size from front to back.
 
-    Each batch is followed by a depth [m] in front of which no later batch has a pair within one standard deviation.
+    Each batch is followed by a depth [m] in front of which no later batch has a pair within 1.4 standard deviations.
     """
     half = np.sqrt(ellipses.reach * ellipses.conic[:, 0] / _determinant(ellipses.conic))
     first = np.maximum(np.ceil(ellipses.center[:, 1] - half), top).astype(np.int64)
