@@ -76,7 +76,7 @@ def composite(
     depths = None if stop is None else stop.reshape(-1)
     for top in range(0, h, rows):
         waiting = _Fragments.empty()
-        for pairs, limit in _pairs(ellipses, w, top, min(top + rows, h)):
+        for pairs, limit in _pairs(canvas, ellipses, w, top, min(top + rows, h)):
             waiting = _blend(canvas, ellipses, waiting.joined(_fragments(canvas, ellipses, pairs, depths)), limit)
     alpha = np.where(canvas.transmittance > _OPAQUE, 1.0 - canvas.transmittance, 1.0)
     if wanted is not None:
@@ -150,7 +150,7 @@ class _Fragments(NamedTuple):
         return _Fragments(self.ellipse[index], self.pixel[index], self.alpha[index], self.depth[index])
 
 
-def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[tuple[_Pairs, float]]:
+def _pairs(canvas: _Canvas, ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[tuple[_Pairs, float]]:
     """Yield the pairs in the image rows from ``top`` to ``bottom``, in batches of limited size from front to back.
 
     Each batch is followed by a depth [m] in front of which no later batch has a pair within 1.4 standard deviations.
@@ -167,7 +167,7 @@ def _pairs(ellipses: Ellipses, width: int, top: int, bottom: int) -> Iterator[tu
         before = total[start - 1] if start else 0.0
         end = max(start + 1, int(np.searchsorted(total, before + _PAIRS)))
         limit = float(ellipses.nearest[kept[end]]) if end < len(kept) else np.inf
-        yield _batch(ellipses, kept[start:end], first[kept[start:end]], counts[start:end], width), limit
+        yield _batch(canvas, ellipses, kept[start:end], first[kept[start:end]], counts[start:end], width), limit
         start = end
 
 
@@ -175,8 +175,11 @@ def _determinant(conic: Array) -> Array:
     return np.asarray(conic[:, 0] * conic[:, 2] - conic[:, 1] ** 2)
 
 
-def _batch(ellipses: Ellipses, index: Index, first: Index, counts: Index, width: int) -> _Pairs:
-    """Return the pairs of some ellipses, each with ``counts`` image rows from ``first`` on."""
+def _batch(canvas: _Canvas, ellipses: Ellipses, index: Index, first: Index, counts: Index, width: int) -> _Pairs:
+    """Return the pairs of some ellipses, each with ``counts`` image rows from ``first`` on.
+
+    Rows that are behind opaque pixels are left out.
+    """
     row_ellipse = np.repeat(index, counts)
     image_row = np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(len(row_ellipse))
     a, b, c = ellipses.conic[row_ellipse].T
@@ -187,6 +190,9 @@ def _batch(ellipses: Ellipses, index: Index, first: Index, counts: Index, width:
     left = np.maximum(np.ceil(middle - half), 0).astype(np.int64)
     right = np.minimum(np.floor(middle + half), width - 1).astype(np.int64)
     lengths = np.maximum(right - left + 1, 0)
+    clear = np.concatenate([[0], np.cumsum(canvas.transmittance > _OPAQUE)])  # number of pixels before each one
+    start = image_row * width + np.minimum(left, width - 1)
+    lengths[clear[start + lengths] == clear[start]] = 0
     row = np.repeat(np.arange(len(lengths)), lengths)
     column = np.repeat(left - np.cumsum(lengths) + lengths, lengths) + np.arange(len(row))
     return _Pairs(row_ellipse, y, row, column, np.repeat(image_row * width, lengths) + column)
