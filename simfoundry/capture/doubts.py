@@ -60,7 +60,7 @@ def _support(support: SupportSurface) -> Iterator[CaptureFinding]:
     """Yield a finding if another surface could be the support as well."""
     for rival in support.rivals:
         on_top = 0 < rival.height < ON_TOP and rival.area < LARGE
-        if rival.share < RIVAL or on_top or (abs(rival.height) < SAME and rival.area < LARGE):
+        if rival.share < RIVAL or on_top or abs(rival.height) < (SAME if rival.area < LARGE else SAME / 2):
             continue
         where = f"{abs(rival.height) * 100:.0f} cm {'above' if rival.height > 0 else 'below'} the chosen one"
         message = f"a surface {where} could be the support as well ({rival.share:.0%} of the evidence)"

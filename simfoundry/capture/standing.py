@@ -28,6 +28,7 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
 
+TOPPLED_DEG, TOPPLED_M = 20.0, 0.03  # tilt and drift beyond which a solid is wrong; fitted poses are off by less
 HELD_HINT = "correct its shape or pose in the studio, and remove `fixed`"
 HELD_NOTE = "held in place: none of its fitted solids comes to rest"
 
@@ -46,9 +47,10 @@ def settle_objects(
 ) -> StandingScene:
     """Settle a scene, and write it with its meshes and the poses and relations at rest to ``scene_file``.
 
-    An object whose solid does not come to rest, or which moves away from the pose that was written, gets its next best
-    solid. If it has none left, it is held in place by ``fixed``, so that nothing that was seen is missing, and reported
-    as a finding. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base.
+    An object whose solid does not come to rest, topples, or moves away from the pose that was written, gets its next
+    best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. One
+    that topples with all of them lies where it fell. One that does not rest with any of them is held in place by
+    ``fixed``, so that nothing that was seen is missing, and reported as a finding.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -60,15 +62,21 @@ def settle_objects(
             settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
             spec = with_poses(built.spec, settled.state.poses)
             lost = settled.lost or _leaving(world, spec)
-        if not lost:
+        toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives and name not in lost)
+        if not lost and not toppled:
             break
-        for name in lost:
+        for name in (*lost, *toppled):
             built = _supported(built, name, frame)
         shutil.rmtree(scene_file.parent / "meshes")
     supports = {o.name: o.supports for o in settled.objects}
     spec = with_supports(spec, supports)
     write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
+
+
+def _toppled(settled: SettleResult) -> tuple[str, ...]:
+    """Return the objects that rest, but not as they were seen."""
+    return tuple(o.name for o in settled.objects if o.problems and (o.tilt_deg > TOPPLED_DEG or o.drift > TOPPLED_M))
 
 
 def _supported(built: Reconstruction, name: str, frame: Frame) -> Reconstruction:
@@ -86,6 +94,11 @@ def _reshaped(built: Reconstruction, name: str, shape: FittedShape, frame: Frame
     stem = f"meshes/{name}."
     files = {path: data for path, data in built.files.items() if not path.startswith(stem)} | mesh_files(name, mesh)
     item = describe.object_spec(built.spec.name, name, shape, k)
+    before = built.spec.objects[name]
+    if item.origin is not None and before.origin is not None and before.origin.models:  # a model stated what it is
+        origin = item.origin.model_copy(update={"models": before.origin.models})
+        stated = {"category": before.category, "material": before.material, "mass": before.mass, "origin": origin}
+        item = item.model_copy(update=stated)
     prior = kind_of(shape).material
     material = Material(density=prior.density, friction=prior.friction)
     materials = {**built.spec.materials, prior.name: material}

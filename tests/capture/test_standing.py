@@ -1,0 +1,75 @@
+"""An object whose solid falls over gets its next best one, or is held in place and reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from simfoundry.capture import describe
+from simfoundry.capture.findings import HELD
+from simfoundry.capture.frame import Segmentation
+from simfoundry.capture.kinds import SUPPORT, kind_of
+from simfoundry.capture.reconstruct import Reconstruction
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.texture import textured_mesh
+from simfoundry.capture.standing import StandingScene, settle_objects
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box, hull_mesh
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.scene import SceneSpec
+from tests.capture import pictures
+
+SETUP = pictures.Setup((pictures.Box((0.05, 0.02, 0.06), (0.10, 0.08, 0.12)),))
+BESIDE = Pose.of((2.0, 0.0, 0.0))  # where there is no table
+CORNERS = [(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0.12, 0.1, 0.15), (0.12, -0.1, 0.15), (-0.02, 0, 0.15)]
+"""A solid on a base of 1 cm whose center of mass is beside it [m]."""
+
+
+def tower(X_WO: Pose) -> FittedShape:
+    mesh = hull_mesh(np.array(CORNERS))
+    assert mesh is not None
+    return FittedShape(mesh, X_WO, 0.002, 0.6, False)
+
+
+def settled(folder: Path, X_WO: Pose, alternatives: tuple[FittedShape, ...]) -> StandingScene:
+    frame, labels = pictures.photograph(SETUP)
+    support = find_support(frame)
+    shape = replace(tower(X_WO), alternatives=alternatives)
+    prior = kind_of(shape).material
+    names = {prior.name: prior, SUPPORT.name: SUPPORT}
+    spec = SceneSpec(
+        simfoundry="scene/1",
+        name="tower",
+        materials={name: Material(density=p.density, friction=p.friction) for name, p in names.items()},
+        objects={
+            "table": describe.support_spec("tower", support, None).model_copy(update={"visual": None}),
+            "tower": describe.object_spec("tower", "tower", shape, 1),
+        },
+        relations=("OnTop(tower, table)",),
+    )
+    files = describe.mesh_files("tower", textured_mesh(shape, frame, support, labels == 1))
+    built = Reconstruction(spec, files, support, Segmentation(labels, {1: 0}), {"tower": 1}, {"tower": shape}, ())
+    return settle_objects(built, frame, folder / "tower.scene.yaml", None, lambda stage, share: None)
+
+
+def test_the_next_best_solid_replaces_one_that_falls_over(tmp_path: Path) -> None:
+    box = FittedShape(Box(frozen_array([0.1, 0.08, 0.12])), Pose.of((0.0, 0.0, 0.06)), 0.003, 0.5, False)
+    standing = settled(tmp_path, Pose.of(), (box,))
+    built = standing.reconstruction
+    assert built.findings == () and standing.settled.passed
+    assert isinstance(built.shapes["tower"].geometry, Box) and not built.spec.objects["tower"].fixed
+    assert built.spec.relations == ("OnTop(tower, table)",)
+
+
+def test_what_finds_no_rest_is_held_in_place_and_reported(tmp_path: Path) -> None:
+    standing = settled(tmp_path, BESIDE, (tower(BESIDE),))
+    built = standing.reconstruction
+    (finding,) = built.findings
+    assert finding.code == HELD and finding.objects == ("tower",)
+    held = built.spec.objects["tower"]
+    assert held.fixed and held.origin is not None and "held in place" in (held.origin.note or "")
+    (item,) = (o for o in standing.scene.objects if o.name == "tower")
+    assert item.fixed and np.allclose(item.X_WO.p, BESIDE.p, atol=1e-4)
