@@ -99,6 +99,7 @@ def test_pairs_of_points_align(lab: Path) -> None:
     assert check(lab, "--pairs", str(lab.with_name("pairs.txt")))["error_m"] < 1e-9  # type: ignore[operator]
 
 
+@pytest.mark.slow  # the page about backgrounds runs it, too
 def test_a_reference_aligns(lab: Path, world: GaussianSplat) -> None:
     rng = np.random.default_rng(0)
     part = world.selected(np.sort(rng.permutation(len(world))[: int(0.8 * len(world))]))
