@@ -79,7 +79,7 @@ def test_stages_are_run_again_on_request(folder: Path) -> None:
     before = output(folder)
     red = number("red", folder)
     assert ran(again(folder, redo_from="texture", only=("red_box",))) == {("texture", red)}
-    assert {stage for stage, _ in ran(again(folder, redo_from="name"))} == {"name", "texture"}
+    assert {stage for stage, _ in ran(again(folder, redo_from="name"))} == {"name", "texture", "settle"}
     assert ran(again(folder, only=("red_box",))) == {("shape", red), ("texture", red)}
     assert output(folder) == before
     with pytest.raises(SimfoundryError, match="no object `red_bax`; did you mean `red_box`"):
