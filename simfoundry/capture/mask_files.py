@@ -27,6 +27,9 @@ MASKS, MASK_NAMES = "masks.png", "masks.yaml"
 # Largest number that a palette image can contain; with more objects, the image has 16 bits per pixel and no colors.
 PALETTE_MAX = 255
 
+# Maximum number of objects in the masks of a person, as in `decomposition`; an image with more is no image of masks.
+OBJECTS_MAX = 200
+
 # Fraction of a turn between the hues of successive numbers: the golden ratio keeps any few of them apart.
 HUE_STEP = 0.618034
 
@@ -96,7 +99,7 @@ def read_masks(path: Path, size: tuple[int, int]) -> Labels:
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise SimfoundryError(f"{path} could not be read as an image of masks: {error}") from None
     if pixels.ndim == 2 and pixels.dtype.kind in "bui" and int(pixels.max()) <= 65535:
-        return pixels.astype(np.int32)
+        return _checked(path, pixels.astype(np.int32))
     if pixels.ndim != 3 or pixels.shape[2] != 3:
         raise SimfoundryError(f"{path} has pixels of type {pixels.dtype}; save it as an indexed or 16-bit image")
     code = pixels.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
@@ -111,7 +114,14 @@ def read_masks(path: Path, size: tuple[int, int]) -> Labels:
             f"{path} has the color {color} at the pixel [{column}, {row}], which stands for no object; paint without "
             "smooth edges, in colors of the palette of the image"
         )
-    return np.asarray(at, dtype=np.int32)
+    return _checked(path, np.asarray(at, dtype=np.int32))
+
+
+def _checked(path: Path, labels: Labels) -> Labels:
+    count = len(np.unique(labels[labels > 0]))
+    if count > OBJECTS_MAX:
+        raise SimfoundryError(f"{path} contains {count} objects; at most {OBJECTS_MAX} can be stated")
+    return labels
 
 
 def read_mask_names(path: Path) -> dict[str, int]:
@@ -130,7 +140,10 @@ def read_model(model: type[M], path: Path) -> M:
         SpecError: The file is invalid. The error contains all findings.
     """
     try:
-        spec, findings = validate(model, read(path))
+        document = read(path)
+        if document.data is None:  # only comments, or nothing
+            return model()
+        spec, findings = validate(model, document)
     except YamlError as error:
         raise SpecError([Diagnostic("SF002", Severity.ERROR, error.message, str(path), error.line)]) from None
     if spec is None:

@@ -111,6 +111,7 @@ def reconstruct(
         {names[k]: shape for k, shape in objects.shapes.items()},
         (
             *frame.findings,
+            *_other_names(names, found, overrides),
             *unmet,
             *unseen,
             *findings,
@@ -210,6 +211,17 @@ def _names(found: Mapping[int, str], segmentation: Segmentation, known: Statemen
     by_capture = {*known.given, *segmentation.pieces}
     kept = {k: name for k, name in kept.items() if found[k] not in by_capture}
     return final_names(found, stated, kept, overrides)
+
+
+def _other_names(
+    names: Mapping[int, str], found: Mapping[int, str], overrides: Overrides
+) -> tuple[CaptureFinding, ...]:
+    """Return a finding for each object whose stated name is that of another object or of the support."""
+    hint = "choose another name"
+    wanted = {k: overrides.of((names[k], name))[1].name for k, name in found.items()}
+    text = "the name `{}` is taken, so the object is called `{}`"
+    taken = [(name, names[k]) for k, name in wanted.items() if name is not None and names[k] != name]
+    return tuple(CaptureFinding(NOT_FOLLOWED, text.format(*pair), hint, (pair[1],)) for pair in taken)
 
 
 def _placed(view: SegmentedView, shape: FittedShape, overrides: Overrides, key: str, k: int) -> FittedShape:

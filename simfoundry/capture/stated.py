@@ -65,4 +65,6 @@ def placed_shape(
     sure = float(np.clip(result.explained * (1.0 - result.intrusion), 0.0, 1.0))
     profile = shape.profile if mesh is None else None
     hollow = shape.hollow if mesh is None else False
-    return replace(shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, hollow=hollow, profile=profile)
+    return replace(
+        shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, hollow=hollow, profile=profile, alternatives=()
+    )

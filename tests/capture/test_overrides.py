@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.capture.inputs import examine
-from simfoundry.capture.mask_files import mask_image, palette, read_masks
-from simfoundry.capture.naming import kept_names
+from simfoundry.capture.mask_files import mask_image, palette, read_mask_names, read_masks
+from simfoundry.capture.naming import final_names, kept_names
+from simfoundry.capture.overrides import ObjectOverride, Overrides
+from simfoundry.capture.pipeline import _other_names
 from simfoundry.capture.run import CaptureRun
 from simfoundry.capture.scene_merge import merge_scene
 from simfoundry.errors import OutputError, SimfoundryError
@@ -105,12 +107,24 @@ def test_masks_that_cannot_be_used_are_errors(folder: Path) -> None:
 
 def test_masks_are_read_as_they_were_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    for most in (3, 255, 700):
+    for most in (3, 199):
         labels = rng.integers(0, most + 1, (30, 40)).astype(np.int32)
         labels[0, 0] = most
         (tmp_path / "m.png").write_bytes(mask_image(labels))
         assert np.array_equal(read_masks(tmp_path / "m.png", (30, 40)), labels)
     assert len(np.unique(palette(), axis=0)) == 256
+    (tmp_path / "m.png").write_bytes(mask_image(np.arange(1200, dtype=np.int32).reshape(30, 40)))
+    with pytest.raises(SimfoundryError, match="contains 1199 objects; at most 200"):
+        read_masks(tmp_path / "m.png", (30, 40))
+
+
+def test_taken_names_are_findings_and_empty_files_state_nothing(tmp_path: Path) -> None:
+    (tmp_path / "masks.yaml").write_text("# nothing\n")
+    assert read_mask_names(tmp_path / "masks.yaml") == {}
+    overrides = Overrides(objects={"red_box": ObjectOverride(name="table"), "can": ObjectOverride(name="mug")})
+    found = {1: "red_box", 2: "can"}
+    (finding,) = _other_names(final_names(found, {}, {}, overrides), found, overrides)
+    assert finding.objects == ("table_2",) and "the name `table` is taken" in finding.message
 
 
 def test_names_are_kept_by_overlap() -> None:
