@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from simfoundry.studio.server import StudioServer, spare_collections
-from tests.studio.browser import StudioPage, launched_browser, opened_page
+from tests.studio.browser import SEVERAL_FRAMES, StudioPage, launched_browser, opened_page
 
 # Longest medians [s]: from the file to the picture for few and for many objects, and from the gizmo to the text.
 FEW, MANY, GIZMO = 0.5, 2.0, 0.2
@@ -152,6 +152,7 @@ def measure(count: int, edits: int, browser: Any) -> list[Waits]:
         with StudioServer(path, port=0) as server:
             spare_collections()  # as the command does
             studio = opened_page(browser, server)
+            studio.page.evaluate(SEVERAL_FRAMES)  # loading the page is another wait
             pictures = from_file_to_picture(studio, count, edits)
             messages = from_file_to_message(studio, count, edits)
             texts = from_gizmo_to_text(studio, edits)
