@@ -107,5 +107,7 @@ def test_a_capture_is_compared_with_its_truth(folder: Path) -> None:
 
 def test_a_page_without_an_accuracy_escapes_names() -> None:
     finding = {"code": "SF601", "message": "<b>", "hint": "", "place": "", "accepted": True}
-    page = capture_page({"source": "a/b", "passed": True, "findings": [finding], "objects": {}}, {})
-    assert "&lt;b&gt; (accepted)" in page and "passed: 0 objects, 0 open findings, 1 accepted" in page
+    held = {"pixels": 9, "fit": 0.001, "confidence": 0.5, "settle": {}}
+    page = capture_page({"source": "a/b", "passed": True, "findings": [finding], "objects": {"cup": held}}, {})
+    assert "&lt;b&gt; (accepted)" in page and "passed: 1 objects, 0 open findings, 1 accepted" in page
+    assert "<td>held</td>" in page
