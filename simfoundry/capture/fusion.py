@@ -11,6 +11,7 @@ from simfoundry.capture.findings import UNUSED_FRAME, CaptureFinding
 from simfoundry.capture.frame import Frame, depth_sigma
 from simfoundry.capture.load import load_frame, register
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.models.setup import ModelSetup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec
@@ -46,15 +47,17 @@ def fused_frames(spec: CaptureSpec, name: str) -> tuple[str, ...]:
     return tuple(others[int(k * step)] for k in range(min(len(others), FRAMES_MAX)))
 
 
-def load_fused_frame(loaded: Loaded, name: str) -> Frame:
+def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> Frame:
     """Load a frame of a capture, and fuse its depth with that of all other frames that have a pose.
+
+    ``setup`` names the models of depth; see :func:`load_frame`.
 
     Raises:
         SpecError: A frame cannot be used.
     """
     assert isinstance(loaded.spec, CaptureSpec)
     shots = loaded.spec.frames
-    frame, own = load_frame(loaded, name), shots[name].pose
+    frame, own = load_frame(loaded, name, setup), shots[name].pose
     others = fused_frames(loaded.spec, name)
     if own is None or not others:
         return frame
@@ -63,7 +66,7 @@ def load_fused_frame(loaded: Loaded, name: str) -> Frame:
     for other in others:
         stated = shots[other].pose
         assert stated is not None
-        seen = seen_from(load_frame(loaded, other), X_VW @ pose(stated), frame)
+        seen = seen_from(load_frame(loaded, other, setup), X_VW @ pose(stated), frame)
         share = agreement_of(frame.depth, seen)
         if share is None:  # it shows something else
             continue

@@ -21,7 +21,7 @@ from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
 from simfoundry.capture.stages.store import StageStore
 from simfoundry.errors import SimfoundryError
-from simfoundry.models.setup import load_setup
+from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Shot
@@ -36,8 +36,11 @@ def never() -> None:
     raise AssertionError("a runner that only examines computes nothing")
 
 
-def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageResult[Frame]:
-    """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed."""
+def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner, setup: ModelSetup) -> StageResult[Frame]:
+    """Load a frame of a capture, or reuse what an earlier run loaded if neither its files nor its keys changed.
+
+    ``setup`` names the models of depth, for a frame that needs one.
+    """
     assert isinstance(loaded.spec, CaptureSpec)
     shot = loaded.spec.frames[frame_name]
     used = {name: loaded.spec.frames[name] for name in (frame_name, *fused_frames(loaded.spec, frame_name))}
@@ -48,8 +51,8 @@ def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner) -> StageRes
         except OSError:
             inputs[image] = ""  # reported by the stage
     if shot.depth is None:
-        inputs["model"] = str(load_setup(loaded.path).source("depth" if shot.stereo is None else "stereo"))
-    read = partial(load_fused_frame, loaded, frame_name)
+        inputs["model"] = str(setup.source("depth" if shot.stereo is None else "stereo"))
+    read = partial(load_fused_frame, loaded, frame_name, setup)
     result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None, support=None), quick=True)
     return replace(result, value=replace(result.value, decomposition=shot.decomposition, support=shot.support))
 
@@ -109,8 +112,9 @@ def examine(out: Path) -> list[StageStatus]:
     stages = StageRunner(StageStore(out / STAGES_FOLDER), examine=True)
     complete = False
     try:
-        source = load_stage(loaded, frame_name, stages)
-        known = replace(statements(loaded, frame_name, previous, source.value), setup=load_setup(loaded.path))
+        setup = load_setup(loaded.path)
+        source = load_stage(loaded, frame_name, stages, setup)
+        known = replace(statements(loaded, frame_name, previous, source.value), setup=setup)
         built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True
         if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing

@@ -16,7 +16,7 @@ from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.contract import ModelError
-from simfoundry.models.setup import load_setup
+from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import Loaded
@@ -74,15 +74,17 @@ def open_capture(path: Path) -> Loaded:
     return load_capture(file)
 
 
-def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
+def load_frame(loaded: Loaded, name: str | None = None, setup: ModelSetup | None = None) -> Frame:
     """Load the frame called ``name`` from a checked capture document. The default is the first frame.
+
+    ``setup`` names the models of depth; by default, those that are configured for the document.
 
     Raises:
         SpecError: The frame cannot be used. The error contains all findings.
     """
     assert isinstance(loaded.spec, CaptureSpec)
     name = checked_frame_name(loaded, name)
-    return _Reader(loaded, ("frames", name), loaded.spec.frames[name]).frame()
+    return _Reader(loaded, ("frames", name), loaded.spec.frames[name], setup).frame()
 
 
 def checked_frame_name(loaded: Loaded, name: str | None = None) -> str:
@@ -107,6 +109,7 @@ class _Reader:
     loaded: Loaded
     place: tuple[str, ...]
     shot: Shot
+    setup: ModelSetup | None = None
     findings: list[Diagnostic] = field(default_factory=list)
 
     def fail(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> None:
@@ -198,7 +201,7 @@ class _Reader:
         """
         if self.shot.depth is not None:
             return self.depth(self.shot.depth)
-        setup, K = load_setup(self.loaded.path), matrix(self.shot.camera)
+        setup, K = self.setup or load_setup(self.loaded.path), matrix(self.shot.camera)
         stereo = self.shot.stereo
         try:
             if stereo is None:

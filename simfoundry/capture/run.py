@@ -24,7 +24,7 @@ from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.settle_stage import standing_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
-from simfoundry.models.setup import ModelSetup
+from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
 from simfoundry.scene.lower import lower, lower_file
@@ -109,7 +109,7 @@ def run_capture(
         with stage_store(folder) as store:
             write_source(store.folder, loaded.path, frame_name)
             stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
-            source = load_stage(loaded, frame_name, stages)
+            source = load_stage(loaded, frame_name, stages, setup or load_setup(loaded.path))
             known = replace(statements(loaded, frame_name, previous, source.value), setup=setup)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:

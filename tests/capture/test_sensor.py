@@ -143,7 +143,7 @@ def test_files_hold_the_frame_and_the_same_bytes_each_time(tmp_path: Path) -> No
     frame = simulate_frame(raycast(tabletop(), front_camera(160, 120)), np.random.default_rng(4), ACTIVE_STEREO)
     facts = write_capture(tmp_path / "a", frame)
     write_capture(tmp_path / "b", frame)
-    assert facts.masks is not None and facts.masks.image == "instances.png"
+    assert facts.depth is not None and facts.masks is not None and facts.masks.image == "instances.png"
     for name in (facts.color, facts.depth.image, facts.masks.image):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     with Image.open(tmp_path / "a" / facts.color) as picture:

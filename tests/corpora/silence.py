@@ -151,6 +151,7 @@ def outcome(seed: int, damage: str, folder: Path) -> Outcome:
     damaged = DAMAGES[damage](table, rng)
     capture = folder / "capture"
     shot = write_capture(capture, damaged.frame)
+    assert shot.depth is not None
     shot = Shot(color=shot.color, depth=shot.depth.model_copy(update={"scale": damaged.scale}), camera=shot.camera)
     document = CaptureSpec(simfoundry="capture/1", name="table", frames={"first": shot})
     (capture / "capture.yaml").write_text(to_yaml(document))

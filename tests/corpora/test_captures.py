@@ -68,6 +68,7 @@ def test_a_depth_camera_of_its_own_keeps_its_pose_and_units(tmp_path: Path) -> N
     spec = load_capture(folder / "capture.yaml").spec
     assert isinstance(spec, CaptureSpec)
     shot = spec.frames["view"]
+    assert shot.depth is not None
     assert (shot.depth.scale, shot.depth.invalid, shot.camera.fy) == (0.001, (0, 65535), 698.6)
     assert shot.depth.camera is not None and shot.depth.pose is not None
     assert (shot.depth.camera.fx, shot.depth.camera.cy) == (425.8, 237.7)
