@@ -128,6 +128,7 @@ def test_unlabeled_triangles_get_the_label_of_most_neighbors() -> None:
     assert (alone == -1).all()
 
 
+@pytest.mark.slow  # 4 s: it draws 40 pictures
 def test_the_command_without_a_model(
     tmp_path: Path, cabinet_file: Path, numbers: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_segmentation_without_constraints_stays_as_it_was() -> None:
     assert plain.labels.tobytes() == given.labels.tobytes() and plain.supports == given.supports
 
 
+@pytest.mark.slow  # 5 s
 def test_an_occluder_whose_depth_is_wrong_does_not_cut_what_is_behind_it() -> None:
     frame, truth = photograph(CAN_BEHIND_GLASS)
     # One sees through the front to the table behind everything, so the can seems to end where the front begins.

@@ -196,6 +196,7 @@ def test_links_are_followed_inside_a_commit(repository: Repository) -> None:
 
 
 @pytest.mark.parametrize("cwd", ["scenes/today", "scenes", "parts"])
+@pytest.mark.slow  # 8 s
 def test_from_a_folder_that_the_base_is_not_in(
     repository: Repository, monkeypatch: pytest.MonkeyPatch, cwd: str
 ) -> None:

@@ -93,6 +93,7 @@ def test_a_second_run_does_nothing_and_a_lost_rollout_comes_back_the_same(bench:
     assert lost.exists() and (done / "results.json").read_bytes() == before
 
 
+@pytest.mark.slow  # 3 s
 def test_shards_and_processes_give_what_one_run_gives(bench: Path, done: Path, tmp_path: Path) -> None:
     command = ["eval", str(bench / "push.task.yaml"), *_policies(bench), "-n", "4", "-o", str(tmp_path), "--no-video"]
     first = run(*command, "--shard", "1/2")

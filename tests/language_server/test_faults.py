@@ -14,6 +14,7 @@ from tests.language_server.conftest import COMMAND, DESK
 BROKEN = DESK.replace("on: desk", "on: dsk")
 
 
+@pytest.mark.slow  # 5 s
 def test_random_edits_and_messages_leave_the_findings_right(tmp_path: Path) -> None:
     (folder := tmp_path.resolve() / "project").mkdir()
     assert faults(folder, edits=40, seed=3) == []

@@ -114,6 +114,7 @@ def test_the_selected_variant_is_what_names_refer_to(project: Path) -> None:
     assert "no link of `cabinet` is called `drawer`" not in messages  # a camera on it is left out, which is a loss
 
 
+@pytest.mark.slow  # 7 s: it compiles many documents
 def test_odd_documents_pass_the_check_only_if_everything_takes_them() -> None:
     outcomes = refusals(60, seed=3, roots=ROOTS[:1])
     assert outcomes.crashed == []

@@ -265,6 +265,7 @@ def test_samples_smooth_the_color_and_leave_the_rest_alone() -> None:
         raycast(scene, camera, samples=0)
 
 
+@pytest.mark.slow  # 3 s
 def test_a_picture_drawn_in_bands_is_the_picture_drawn_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, camera = tabletop(), skewed_camera()
     whole = raycast(scene, camera, samples=2).color
@@ -315,6 +316,7 @@ def test_two_processes_draw_the_same_bytes() -> None:
     assert all(a == b for a, b in pairwise(runs))
 
 
+@pytest.mark.slow  # 4 s
 def test_a_quick_image_is_nearly_the_exact_one() -> None:
     scene, camera = tabletop(), front_camera()
     exact, quick = raycast(scene, camera, samples=2).color.astype(float), quick_image(scene, camera).astype(float)

@@ -346,6 +346,7 @@ def test_what_cannot_fit_is_said_before_its_container_is_cut(
         assert finding.message.startswith("`stick` (18.3 x 11.7 x 2.0 cm) does not fit inside `bowl` (16.0 x ")
 
 
+@pytest.mark.slow  # 6 s: it places by brute force
 def test_what_is_refused_uncut_fits_no_cut_container_either(tmp_path: Path) -> None:
     """The bowl as a mesh, and as the convex parts that make it up."""
     rng = np.random.default_rng(0)

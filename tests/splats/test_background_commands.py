@@ -100,6 +100,7 @@ def test_pairs_of_points_align(lab: Path) -> None:
 
 
 @pytest.mark.slow  # the page about backgrounds runs it, too
+@pytest.mark.slow  # 3 s
 def test_a_reference_aligns(lab: Path, world: GaussianSplat) -> None:
     rng = np.random.default_rng(0)
     part = world.selected(np.sort(rng.permutation(len(world))[: int(0.8 * len(world))]))

@@ -82,7 +82,7 @@ class DepthImage(Model):
     image: FileName = Field(description="Depth image, relative to this document.")
     scale: Positive = Field(0.001, description="Length of one image unit [m]; 0.001 for millimeters.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mark missing measurements.")
-    camera: CameraIntrinsics | None = Field(None, description="The depth camera, if it is not the color camera.")
+    camera: CameraIntrinsics | None = Field(None, description="The depth camera [px], if it is not the color camera.")
     pose: PoseSpec | None = Field(
         None, description="Pose of the depth camera in the color camera's frame (x right, y down, z forward)."
     )
@@ -171,7 +171,7 @@ class Shot(Model):
         None, description="Measured depth. Without it and without `stereo`, a model of the task `depth` is required."
     )
     stereo: StereoPair | None = Field(None, description="The right image of a stereo pair, instead of `depth`.")
-    camera: CameraIntrinsics = Field(description="The color camera: intrinsics, or a matrix of nine numbers.")
+    camera: CameraIntrinsics = Field(description="The color camera: intrinsics [px], or their matrix of nine numbers.")
     pose: PoseSpec | None = Field(
         None,
         description="Pose of the color camera (x right, y down, z forward) in a frame in which the scene does not "

@@ -124,6 +124,7 @@ def test_changes_make_the_one_document_the_other() -> None:
 
 
 @given(st.tuples(SCENES, SCENES) | st.tuples(ASSETS, ASSETS) | st.tuples(SCENES, ASSETS))
+@pytest.mark.slow  # 3 s
 def test_changes_between_random_valid_documents(pair: tuple[Model, Model]) -> None:
     _check(*map(to_data, pair))
 

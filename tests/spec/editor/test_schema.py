@@ -228,7 +228,7 @@ PURE = {
     *("open", "closed", "threshold", "retries", "index", "multiplier", "stack", "parameters", "gear"),
     *("segment", "noise", "cutoff", "solver_iterations", "gravity_compensation", "weight", "share"),
     *("uniform", "log_uniform", "times", "shift", "normal", "choose", "from", "until"),
-    *("gripper_noise", "image_noise", "depth_dropout"),
+    *("gripper_noise", "image_noise", "depth_dropout", "distortion"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range, noise is in that of the sensor, and
 distributions are in that of the value that varies)."""

@@ -73,6 +73,7 @@ def test_every_kind_of_name_is_renamed_everywhere(folder: Path, what: str) -> No
         assert found == []
 
 
+@pytest.mark.slow  # 4 s
 def test_random_renames_change_only_the_name_and_can_be_undone() -> None:
     report = renames.run(4, seed=7, lints=False, specs=False)
     assert report.failures == []
