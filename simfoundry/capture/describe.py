@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.kinds import SUPPORT, MaterialPrior, kind_of, material_of
-from simfoundry.capture.scene_reading import ReadObjects
+from simfoundry.capture.scene_reading import MatchedReading
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import DEFAULT_THICKNESS
 from simfoundry.frontends.names import plain_name
@@ -86,14 +86,14 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
 MASS_RANGE = (0.5, 2.0)
 
 
-def material_prior(shape: FittedShape, segment: int, read: ReadObjects | None) -> MaterialPrior:
+def material_prior(shape: FittedShape, segment: int, read: MatchedReading | None) -> MaterialPrior:
     """Return the prior of an object's material: as a model states it, or as its form and size suggest."""
     seen = None if read is None else read.objects.get(segment)
     return (None if seen is None else material_of(seen.material)) or kind_of(shape).material
 
 
 def object_spec(
-    capture: str, name: str, shape: FittedShape, segment: int | None = None, read: ReadObjects | None = None
+    capture: str, name: str, shape: FittedShape, segment: int | None = None, read: MatchedReading | None = None
 ) -> ObjectSpec:
     """Return the spec of a fitted object, with an estimated mass and its origin.
 

@@ -1,4 +1,4 @@
-"""Doubts about an image and its segmentation: what the pictures show that a scene cannot be right about."""
+"""Findings about an image and its segmentation, which suggest that the scene will be wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reconstruction is made from: the frame, a person's statements, and what the last run left."""
+"""The inputs of a reconstruction: the frame, a person's statements, and the output of the last run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from simfoundry.spec.models.capture import CaptureSpec, Shot
 
 
 def never() -> None:
-    """Stand for what a runner that only examines does not compute.
+    """Take the place of a computation that a runner which only examines never starts.
 
     Raises:
         AssertionError: Always.
@@ -65,7 +65,7 @@ def images_of(shot: Shot) -> list[str]:
 
 
 def statements(loaded: Loaded, frame_name: str, previous: PreviousOutput, frame: Frame) -> Statements:
-    """Return what is known about a frame besides its pixels.
+    """Return the statements about a frame, from its capture, from overrides and from the last run.
 
     Raises:
         SimfoundryError, SpecError: A correction of a person cannot be used.

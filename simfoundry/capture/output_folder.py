@@ -30,7 +30,7 @@ LAST_SCENE = "last.scene.yaml"
 
 @dataclass(frozen=True, eq=False)
 class PreviousOutput:
-    """What the last run left in the output folder, and what a person did to it since.
+    """The output of the last run, and a person's edits of it since.
 
     Attributes:
         folder: The output folder, which may be missing.
@@ -61,7 +61,7 @@ class PreviousOutput:
 
 
 def previous_output(out: Path, document: Path, scene: str, force: bool) -> PreviousOutput:
-    """Return what is in ``out``, which a run for the capture ``document`` is about to replace.
+    """Return the content of ``out``, which a run for the capture ``document`` is about to replace.
 
     Edits of the masks and of the file ``scene``, and files beside them, survive. With ``force``, all are discarded.
 

@@ -29,7 +29,7 @@ HINT = "correct the name, or remove the entry"
 
 
 class ObjectOverride(Model):
-    """What a person states about one object."""
+    """Corrections of one object by a person."""
 
     name: Name | None = Field(None, description="Name of the object in the scene.")
     pose: PoseSpec | None = Field(None, description="Pose of the object in the world of the scene, before it settles.")
@@ -39,7 +39,7 @@ class ObjectOverride(Model):
 
 
 class ObjectOverrides(Model):
-    """What a person states about objects."""
+    """The document with a person's corrections of objects."""
 
     objects: dict[Name, ObjectOverride] = Field({}, description="Objects by the names that the reconstruction gives.")
 

@@ -19,7 +19,7 @@ from simfoundry.capture.kinds import SUPPORT
 from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
 from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, Reconstruction, fit_segments, footprint, nearby_labels
-from simfoundry.capture.scene_reading import ReadObjects, read_scene
+from simfoundry.capture.scene_reading import MatchedReading, read_scene
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels, Mask
@@ -42,14 +42,14 @@ CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
 
 @dataclass(frozen=True, eq=False)
 class Statements:
-    """What is known about an image besides its pixels.
+    """Statements about an image: by the capture, by a person, by the last run, and by models that may be asked.
 
     Attributes:
         given: Numbers in the image's instance masks, by the names that the capture gives.
         overrides: Corrections by a person.
         last: Numbers of the objects in the last run, shape (h, w), or None.
         last_names: Numbers in ``last``, by the names in the last run.
-        setup: The models that may be asked about the image, or None to ask none.
+        setup: The models that may be asked, or None to ask none.
     """
 
     given: Mapping[str, int] = field(default_factory=dict)
@@ -274,7 +274,7 @@ def scene_spec(
     support: SupportSurface,
     fitted: TexturedObjects,
     names: Mapping[int, str],
-    read: ReadObjects | None,
+    read: MatchedReading | None,
 ) -> SceneSpec:
     """Return the scene of the fitted objects by their names; ``read`` is what a model states about them."""
     objects = {SUPPORT_NAME: describe.support_spec(name, fitted.support, fitted.thickness)}

@@ -85,8 +85,8 @@ def run_capture(
     stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
 
     ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
-    report and its pictures, by file name. ``setup`` names the models that may be asked about the image; where one
-    fails, there is a finding, and what needs no model is used instead.
+    report and its pictures, by file name. ``setup`` names the models to ask, by default those that are configured for
+    the capture. Where one fails, there is a finding, and the method without a model is used.
 
     Raises:
         SpecError: The capture or the ground truth is unusable. The error contains all findings.
@@ -102,19 +102,17 @@ def run_capture(
     scene_name = f"{name}.scene.yaml"
     previous = previous_output(folder, loaded.path, scene_name, force)
     labels = labels_of(previous, only)
-    real = None if truth is None else lower_file(truth, cache)
-    camera = None if real is None else truth_camera(real, frame_name)
-    accuracy = None
+    models = setup or load_setup(loaded.path)
+    real = None if truth is None else _GroundTruth.load(truth, frame_name, cache)
     try:
         with stage_store(folder) as store:
             write_source(store.folder, loaded.path, frame_name)
             stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
-            source = load_stage(loaded, frame_name, stages, setup or load_setup(loaded.path))
-            known = replace(statements(loaded, frame_name, previous, source.value), setup=setup)
+            source = load_stage(loaded, frame_name, stages, models)
+            known = replace(statements(loaded, frame_name, previous, source.value), setup=models)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
-                scene_file = staging / scene_name
-                standing = standing_scene(built, source.value, scene_file, cache, progress, stages)
+                standing = standing_scene(built, source.value, staging / scene_name, cache, progress, stages)
                 built, scene, settled = standing.reconstruction, standing.scene, standing.settled
                 merged = write_merged(previous, staging / scene_name)
                 if merged.is_edited and not merged.is_broken:
@@ -122,23 +120,50 @@ def run_capture(
                     settled = _rest(scene, progress)
                 progress("pictures", 0.95)
                 ray = _pictures(built, source.value, scene, settled, staging)
-                if real is not None and camera is not None:
-                    accuracy = scene_accuracy(real, camera, scene, ray, source.value.color)
-                    _accuracy_picture(real, camera, ray, source.value.color, staging)
+                accuracy = None if real is None else real.judge(scene, ray, source.value.color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
                 edited += (scene_name,) * merged.is_edited
                 findings = ordered_findings((*built.findings, *_restless(settled), *merged.findings))
                 report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
                 report |= {"edited": list(edited)} | ({} if accuracy is None else {"accuracy": accuracy.to_json()})
-                if page is not None:
-                    pictures = {p.name: p.read_bytes() for p in sorted(staging.glob("*.png"))}
-                    write_file(staging / PAGE, page(report, pictures).encode())
-                report["files"] = _digests(staging)
-                write_file(staging / REPORT, (json.dumps(report, indent=2) + "\n").encode())
+                report = _write_report(report, page, staging)
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
     return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states, accuracy)
+
+
+@dataclass(frozen=True, eq=False)
+class _GroundTruth:
+    """A scene with the ground truth, and the camera in it that took the image."""
+
+    scene: Scene
+    camera: Camera
+
+    @classmethod
+    def load(cls, path: Path, frame_name: str, cache: Cache | None) -> _GroundTruth:
+        scene = lower_file(path, cache)
+        return cls(scene, truth_camera(scene, frame_name))
+
+    def judge(self, scene: Scene, rendered: Raycast, color: NDArray[np.uint8], folder: Path) -> SceneAccuracy:
+        """Compare a reconstruction with the truth, and write a picture of both with the image and their difference."""
+        from simfoundry.render.montage import save_png, side_by_side
+
+        difference = difference_image(rendered.color, color)
+        panels = [("capture", color), ("reconstruction", rendered.color), ("difference", difference)]
+        panels.append(("ground truth", raycast(self.scene, self.camera).color))
+        save_png(folder / "accuracy.png", side_by_side(panels, columns=2))
+        return scene_accuracy(self.scene, self.camera, scene, rendered, color)
+
+
+def _write_report(report: dict[str, Any], page: ReportPage | None, folder: Path) -> dict[str, Any]:
+    """Write the page and the report of the output in a folder, and return the report with the digests of its files."""
+    if page is not None:
+        pictures = {p.name: p.read_bytes() for p in sorted(folder.glob("*.png"))}
+        write_file(folder / PAGE, page(report, pictures).encode())
+    report = {**report, "files": _digests(folder)}
+    write_file(folder / REPORT, (json.dumps(report, indent=2) + "\n").encode())
+    return report
 
 
 def _rest(scene: Scene, progress: Progress) -> SettleResult:
@@ -157,15 +182,6 @@ def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settle
     panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
     save_png(folder / "compare.png", side_by_side(panels))
     return seen
-
-
-def _accuracy_picture(truth: Scene, camera: Camera, rendered: Raycast, color: NDArray[np.uint8], folder: Path) -> None:
-    """Write the image, the reconstruction, their difference, and the ground truth side by side."""
-    from simfoundry.render.montage import save_png, side_by_side
-
-    panels = [("capture", color), ("reconstruction", rendered.color)]
-    panels += [("difference", difference_image(rendered.color, color)), ("ground truth", raycast(truth, camera).color)]
-    save_png(folder / "accuracy.png", side_by_side(panels, columns=2))
 
 
 def _restless(settled: SettleResult) -> list[CaptureFinding]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,11 @@ OVERLAP = 0.3
 
 
 @dataclass(frozen=True)
-class ReadObjects:
-    """What a model states about the objects of an image.
+class MatchedReading:
+    """A model's statements about the objects of an image, assigned to segments.
 
     Attributes:
-        objects: What it states, by the number of the object in the segmentation.
+        objects: Its statements, by the number of the object in the segmentation.
         unmatched: Objects at which nothing was found.
         use: The model, for `origin`.
     """
@@ -47,7 +48,7 @@ class ReadObjects:
 
 def read_scene(
     setup: ModelSetup | None, color: Pixels, labels: Labels, stages: StageRunner
-) -> tuple[ReadObjects | None, tuple[CaptureFinding, ...]]:
+) -> tuple[MatchedReading | None, tuple[CaptureFinding, ...]]:
     """Ask the model that is configured for `read_scene` about an image, if there is one.
 
     Args:
@@ -57,20 +58,20 @@ def read_scene(
         stages: Runs the stage, or reuses its earlier result.
 
     Returns:
-        What it states, or None, and findings: that the model failed, or objects that were not found.
+        Its statements, or None, and findings: that the model failed, or objects that were not found.
     """
     source = None if setup is None else setup.source("read_scene")
     if setup is None or source is None or source.offline:
         return None, ()
     inputs = {"color": digest_of(color), "source": source.model_dump_json(), "strict": str(setup.commercial_only)}
     try:
-        text = stages.run("read", inputs, lambda: read_objects(open_model(setup, "read_scene"), color)).value
+        data = stages.run("read", inputs, lambda: ask_model(open_model(setup, "read_scene"), color)).value
     except StaleStageError:
         return None, ()
     except ModelError as error:
         hint = "the objects are named after color and shape; run again when the model answers"
         return None, (CaptureFinding(MODEL_FAILED, str(error), hint),)
-    read = match_objects(parse_reading(text), labels)
+    read = match_objects(_estimate(data), labels)
     return read, tuple(_not_found(each) for each in read.unmatched)
 
 
@@ -81,19 +82,18 @@ def _not_found(seen: SeenObject) -> CaptureFinding:
     return CaptureFinding(NOT_FOUND, f"a model sees `{seen.phrase}` where no object was found", hint, outline=corners)
 
 
-def read_objects(model: SceneModel, image: Pixels) -> str:
-    """Return what a model states about an RGB image, shape (h, w, 3), as JSON text.
+def ask_model(model: SceneModel, image: Pixels) -> dict[str, Any]:
+    """Return the answer of a model about an RGB image, shape (h, w, 3), as plain data.
 
     Raises:
         ModelError: If the model gives no usable answer.
     """
     found = model.read_scene(image)
-    reading = found.reading.model_dump_json()
-    return f'{{"reading": {reading}, "model": {found.made_by.model_dump_json()}}}'
+    return {"reading": found.reading.model_dump(mode="json"), "model": found.made_by.model_dump(mode="json")}
 
 
-def match_objects(estimate: SceneEstimate, labels: Labels) -> ReadObjects:
-    """Assign what a model states to segments, by the overlap of boxes.
+def match_objects(estimate: SceneEstimate, labels: Labels) -> MatchedReading:
+    """Assign the statements of a model to segments, by the overlap of boxes.
 
     Args:
         estimate: The reading; objects without a box are not assigned.
@@ -110,14 +110,11 @@ def match_objects(estimate: SceneEstimate, labels: Labels) -> ReadObjects:
             if overlaps[row, column] >= OVERLAP:
                 found[numbers[column]] = seen[row]
     missed = tuple(each for each in seen if not any(each is other for other in found.values()))
-    return ReadObjects(found, missed, model_use("read_scene", estimate.made_by))
+    return MatchedReading(found, missed, model_use("read_scene", estimate.made_by))
 
 
-def parse_reading(text: str) -> SceneEstimate:
-    """Return the estimate that :func:`read_objects` returned as text."""
-    import json
-
-    data = json.loads(text)
+def _estimate(data: Mapping[str, Any]) -> SceneEstimate:
+    """Return the answer that :func:`ask_model` returned."""
     return SceneEstimate(SceneReading.model_validate(data["reading"]), ModelIdentity.model_validate(data["model"]))
 
 

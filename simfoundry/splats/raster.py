@@ -91,7 +91,7 @@ def composite(
 
 
 class _Canvas(NamedTuple):
-    """What has been composited so far, at each of n pixels; see :class:`SplatImage`."""
+    """The image composited so far, at each of n pixels; see :class:`SplatImage`."""
 
     transmittance: Floats
     color: Floats

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from simfoundry.capture.articulation.mesh_asset import LinkPhysics, link_pieces, volume_bounds
+from simfoundry.capture.articulation.mesh_asset import LinkPhysics, box_volume, link_pieces
 from simfoundry.capture.articulation.part_pictures import motion_picture, plain_picture, segment_picture
 from simfoundry.capture.articulation.placed_joints import PartJoint, PartName, PlacedJoint, check_joints, place
 from simfoundry.capture.articulation.segments import SegmentedMesh
@@ -66,7 +66,7 @@ class PlacedJoints(BaseModel):
 
 
 class MotionCritique(BaseModel):
-    """A judgement on how parts move.
+    """A judgment of how parts move.
 
     Attributes:
         rating: 0 to 10.
@@ -102,12 +102,12 @@ class ObjectPhysics(BaseModel):
 
 @dataclass(frozen=True)
 class JudgedJoints:
-    """Joints, and what the critic thinks of them.
+    """Joints with the judgments of the critic.
 
     Attributes:
         joints: The joints of the round with the best rating.
         physics: Physical properties of parts and body, by name.
-        critiques: What the critic said in each round in which the joints could be placed.
+        critiques: The critique of each round in which the joints could be placed.
         rating: The best rating.
     """
 
@@ -171,7 +171,7 @@ def _judge(vlm: Vlm, mesh: SegmentedMesh, joints: Sequence[PartJoint], look: byt
 
 def _physics(vlm: Vlm, mesh: SegmentedMesh, joints: Sequence[PartJoint], look: bytes) -> dict[str, LinkPhysics]:
     own = link_pieces(mesh, joints)
-    listed = "\n".join(f"- {name}: {1000 * volume_bounds(pieces):.3g} liters" for name, pieces in own.items())
+    listed = "\n".join(f"- {name}: {1000 * box_volume(pieces):.3g} liters" for name, pieces in own.items())
     answer = vlm.ask(PHYSICS.format(parts=listed), [look], ObjectPhysics)
     return {
         part.name: LinkPhysics(part.mass, part.joint_friction, part.joint_damping)

@@ -64,7 +64,7 @@ SNAP = math.radians(8.0)
 
 @dataclass(frozen=True, eq=False)
 class StatedPart:
-    """What a person knows of a part that moves.
+    """A person's statements about a part that moves.
 
     Attributes:
         hinge: Two points of its hinge in the world [m], shape (2, 3), or None if it is unknown whether there is one.

@@ -123,7 +123,7 @@ def articulate_mesh(
         found = list(judged.joints)
         makers.append(("articulate", provider_identity(vlm.name)))
     elif (source := setup.source("articulate")) is not None and not source.offline:
-        vertices, faces = merged(_everything(mesh))
+        vertices, faces = merged(mesh.pieces)
         answer = open_model(setup, "articulate").estimate_joints(vertices, faces, _numbers(mesh))
         found = predicted(answer.joints, {segment.number: segment.number for segment in mesh.segments})
         makers.append(("articulate", answer.made_by))
@@ -164,12 +164,8 @@ def _proper(piece: MeshPart) -> MeshPart:
     return MeshPart(piece.vertices, piece.faces[has_area], piece.uv, piece.texture, piece.rgba)
 
 
-def _everything(mesh: SegmentedMesh) -> list[MeshPart]:
-    return [*(piece for segment in mesh.segments for piece in segment.pieces), *mesh.rest]
-
-
 def _numbers(mesh: SegmentedMesh) -> Labels:
-    """Return the number of the segment of each triangle, or -1, in the order of :func:`_everything`."""
+    """Return the number of the segment of each triangle, or -1, in the order of ``mesh.pieces``."""
     known = [np.full(len(p.faces), segment.number) for segment in mesh.segments for p in segment.pieces]
     return np.concatenate([*known, *(np.full(len(piece.faces), -1) for piece in mesh.rest)]).astype(np.int32)
 

@@ -1,4 +1,4 @@
-"""The asset document of a mesh whose parts move: one link for each part, with its meshes, and one joint for each."""
+"""The asset document of a mesh whose parts move, with a link and a joint for each part."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BODY = "body"
 
 @dataclass(frozen=True)
 class LinkPhysics:
-    """Physical properties of a part, as far as something is known about them.
+    """Known physical properties of a part.
 
     Attributes:
         mass: Its mass [kg].
@@ -116,8 +116,8 @@ def joined(pieces: Sequence[MeshPart]) -> list[MeshPart]:
     return found
 
 
-def volume_bounds(pieces: Sequence[MeshPart]) -> float:
-    """Return the volume of the box around geometries [m^3], for people and models that estimate a mass."""
+def box_volume(pieces: Sequence[MeshPart]) -> float:
+    """Return the volume of the box around geometries [m^3]."""
     vertices, faces = merged(pieces)
     return float(np.prod(np.ptp(vertices[np.unique(faces)], axis=0)))
 
@@ -155,7 +155,7 @@ def _link(
 
 
 def _panel_mass(pieces: Sequence[MeshPart]) -> dict[str, Any]:
-    """Return the mass of a part as if its surface were that of wood panels, of which both sides may be modeled."""
+    """Return an assumed mass: that of wood panels with the surface of the part, of which both sides may be modeled."""
     area = float(face_areas(*merged(pieces)).sum())
     most = area * WALL * WOOD["density"]
     value, low, high = (max(LIGHTEST, round(share * most, 4)) for share in (0.5, 0.25, 1.0))

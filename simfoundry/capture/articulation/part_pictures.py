@@ -1,4 +1,4 @@
-"""Pictures of a mesh for those who name its moving parts: its segments with numbers, and its parts as they move."""
+"""Pictures for naming the moving parts of a mesh: its numbered segments, and its parts in motion."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ GRAY = (0.75, 0.75, 0.75, 1.0)
 
 
 def plain_picture(mesh: SegmentedMesh) -> Image:
-    """Return views of a mesh as it looks."""
-    scene = Scene("mesh", NO_GRAVITY, (_still("body", _everything(mesh)),))
+    """Return views of a mesh in its own colors."""
+    scene = Scene("mesh", NO_GRAVITY, (_still("body", mesh.pieces),))
     return side_by_side([(name, quick_image(scene, camera)) for name, camera in _cameras(mesh).items()], columns=2)
 
 
@@ -75,7 +75,7 @@ def motion_picture(mesh: SegmentedMesh, joints: Sequence[PartJoint]) -> Image:
 
 
 def jointed_object(mesh: SegmentedMesh, joints: Sequence[PartJoint]) -> SceneObject:
-    """Return the object with its joints, as far as it can be seen; its masses mean nothing."""
+    """Return the object with its joints for rendering. Its masses are placeholders."""
     starts, pieces = link_frames(joints), link_pieces(mesh, joints)
     parents = {joint.name: joint.parent or BODY for joint in joints}
     ordered = [BODY]
@@ -88,10 +88,6 @@ def jointed_object(mesh: SegmentedMesh, joints: Sequence[PartJoint]) -> SceneObj
         moving.append(Joint(joint.name, JointType(joint.type), parent, joint.name, X_PC, frozen_array(joint.axis)))
     links = tuple(_link(name, pieces[name], Pose.of(-starts[name])) for name in ordered)
     return SceneObject("thing", "", True, IDENTITY, links, tuple(moving))
-
-
-def _everything(mesh: SegmentedMesh) -> list[MeshPart]:
-    return [*mesh.rest, *(piece for segment in mesh.segments for piece in segment.pieces)]
 
 
 def _still(name: str, pieces: Sequence[MeshPart]) -> SceneObject:

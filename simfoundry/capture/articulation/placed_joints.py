@@ -72,7 +72,7 @@ class PlacedJoint(BaseModel):
     @model_validator(mode="after")
     def _fits_its_type(self) -> PlacedJoint:
         if (self.type == "revolute") != (self.hinge is not None):
-            raise ValueError("`hinge` names the edge of a revolute joint, and of no other type")
+            raise ValueError("`hinge` is required for a revolute joint, and not allowed for other types")
         if self.type != "continuous" and self.travel == 0:
             raise ValueError("`travel` must be greater than 0: degrees of a hinge, or meters of a slide")
         return self

@@ -1,4 +1,4 @@
-"""Segments of a mesh: pieces of its surface that a segmentation model, or a gap between them, sets apart."""
+"""Segments of a mesh, as a segmentation model finds them, or as they are not connected to each other."""
 
 from __future__ import annotations
 
@@ -57,10 +57,14 @@ class SegmentedMesh:
     rest: tuple[MeshPart, ...]
 
     @property
+    def pieces(self) -> tuple[MeshPart, ...]:
+        """The geometries of all segments, one segment after another, and then the rest."""
+        return (*(piece for segment in self.segments for piece in segment.pieces), *self.rest)
+
+    @property
     def bounds(self) -> tuple[Array, Array]:
         """The lowest and the highest coordinates of the mesh [m], of shape (3,) each."""
-        pieces = (*self.rest, *(piece for segment in self.segments for piece in segment.pieces))
-        return bounds(pieces)
+        return bounds(self.pieces)
 
     def chosen(self, numbers: Sequence[int]) -> tuple[Segment, ...]:
         """Return segments by number.
