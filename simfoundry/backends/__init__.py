@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from simfoundry.backends.artifact import Artifact, Backend
-from simfoundry.backends.features import FEATURES, SIMPLIFIED_COLLIDERS, Cells, Fidelity, shared_losses
+from simfoundry.backends.features import FEATURES, SIMPLIFIED_COLLIDERS, Cells, Fidelity
+from simfoundry.backends.losses import shared_losses
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.runtime.plugins import Registry
 from simfoundry.scene.model import Scene

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.features import FEATURES, Cells, Loss
+from simfoundry.backends.features import FEATURES, Cells
+from simfoundry.backends.losses import Loss
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import staged, write_file
 

@@ -10,7 +10,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Cone, Ellipsoid, Faces, Geometry, Mesh, closed_mesh, hull_mesh
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
 

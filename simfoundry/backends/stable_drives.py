@@ -10,7 +10,7 @@ from itertools import product
 from types import MappingProxyType
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.kinematics import effective_inertias, trees
 from simfoundry.scene.model import Drive, Scene, SceneObject
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import Loss, count_fates
+from simfoundry.backends.losses import Loss, count_fates
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import ensure_folder_replaceable, replace_folder, scratch, strangers, write_files
@@ -152,7 +152,7 @@ def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     """Return the content of ``loss.json``, keyed by target.
 
     For each feature used in the scene, ``features`` counts the elements for which the feature is kept, approximated or
-    dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
+    dropped. ``losses`` lists every :class:`~simfoundry.backends.losses.Loss` with its fields.
     """
     return {
         a.target: {"features": count_fates(scene, a.losses), "losses": [_loss(loss) for loss in a.losses]}

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import FEATURES, Fidelity, Loss, approximate, combination_reason
+from simfoundry.backends.features import FEATURES, Fidelity
+from simfoundry.backends.losses import Loss, approximate, combination_reason
 from simfoundry.scene.model import Scene
 from simfoundry.targets.event_terms import event_losses
 from simfoundry.targets.find import Target

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from simfoundry.backends.artifact import rounded
-from simfoundry.backends.features import Fidelity, Loss, approximate, drop
+from simfoundry.backends.features import Fidelity
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.scene.random_values import AXIS, RandomQuantity, RandomValue
 

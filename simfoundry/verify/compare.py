@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.backends.convex_hulls import REPLACED, with_hulls
-from simfoundry.backends.features import Fidelity, Loss
+from simfoundry.backends.features import Fidelity
+from simfoundry.backends.losses import Loss
 from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene

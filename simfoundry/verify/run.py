@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import Loss
+from simfoundry.backends.losses import Loss
 from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.targets.compile import target_files

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from simfoundry.backends.features import Size
+from simfoundry.backends.losses import Size
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.contact_rules import (
     MAX_PAIRS,

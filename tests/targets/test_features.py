@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene, features_of
-from simfoundry.backends.features import FEATURES, Fidelity, Loss, SupportCell, approximate, count_fates, drop
+from simfoundry.backends.features import FEATURES, Fidelity, SupportCell
+from simfoundry.backends.losses import Loss, approximate, count_fates, drop
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

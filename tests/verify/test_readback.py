@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.backends.features import drop
+from simfoundry.backends.losses import drop
 from simfoundry.scene.model import Scene
 from simfoundry.targets import profile
 from simfoundry.targets.profile import QUANTITIES

@@ -32,7 +32,8 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, exact, exacts, numbers
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
-from simfoundry.backends.features import Loss, read_cells, splat_losses, unused_native_losses, variant_losses
+from simfoundry.backends.features import read_cells
+from simfoundry.backends.losses import Loss, splat_losses, unused_native_losses, variant_losses
 from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.attachments import add_actuators, add_sensors
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object, joint_losses

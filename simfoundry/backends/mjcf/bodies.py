@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, drop
+from simfoundry.backends.losses import Loss, drop
 from simfoundry.backends.mjcf.attachments import add_site
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.stable_drives import stable_drives

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, approximate, combination_reason
+from simfoundry.backends.losses import Loss, approximate, combination_reason
 from simfoundry.backends.mjcf import contact_rules as rules
 from simfoundry.backends.mjcf.contact_rules import ContactGeom, ContactSurface, UnlikeGroup
 from simfoundry.scene.kinematics import excluded_link_pairs, weld_groups

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Cylinder, Mesh
 from simfoundry.scene.model import Collider, Link, Scene

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.backends.mjcf.bodies import Assets, pose_attributes
 from simfoundry.backends.mjcf.surroundings import add_camera
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, body_name, read_robot, xml

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.mjcf.contact_rules import ROBOTS
 from simfoundry.backends.mjcf.skybox import skybox_light
 from simfoundry.backends.robot_models.mujoco_robot import document_fields

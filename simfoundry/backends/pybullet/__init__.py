@@ -18,8 +18,8 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
-from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.light_links import light_link_losses, with_light_links
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.names import check_names, check_timestep
 from simfoundry.backends.pybullet import surfaces
 from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light

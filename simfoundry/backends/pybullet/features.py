@@ -6,15 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import (
-    Loss,
-    approximate,
-    attachment_losses,
-    drop,
-    read_cells,
-    splat_losses,
-    variant_losses,
-)
+from simfoundry.backends.features import read_cells
+from simfoundry.backends.losses import Loss, approximate, attachment_losses, drop, splat_losses, variant_losses
 from simfoundry.backends.pybullet.surfaces import SKIN, Resistances, link_mean
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.urdf.features import joint_losses

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, read_robot
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, hull_mesh

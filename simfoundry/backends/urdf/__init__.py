@@ -14,8 +14,8 @@ from dataclasses import replace
 
 from simfoundry.backends.artifact import Artifact, Backend, json_text
 from simfoundry.backends.convex_hulls import REPLACED, hull_losses, with_hulls
-from simfoundry.backends.features import Loss
 from simfoundry.backends.light_links import light_link_losses, with_light_links
+from simfoundry.backends.losses import Loss
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_models.mujoco_robot import document_fields
 from simfoundry.backends.robot_models.robot_object import RobotUrdf, robot_urdf, without_model

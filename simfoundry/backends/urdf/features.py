@@ -6,15 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import (
-    Loss,
-    approximate,
-    attachment_losses,
-    drop,
-    read_cells,
-    splat_losses,
-    variant_losses,
-)
+from simfoundry.backends.features import read_cells
+from simfoundry.backends.losses import Loss, approximate, attachment_losses, drop, splat_losses, variant_losses
 from simfoundry.scene.kinematics import contact_pairs
 from simfoundry.scene.model import JointType, Scene, SceneObject
 

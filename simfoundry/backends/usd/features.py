@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from simfoundry.backends.features import Loss, approximate, attachment_losses, drop, read_cells
+from simfoundry.backends.features import read_cells
+from simfoundry.backends.losses import Loss, approximate, attachment_losses, drop
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.shapes import texture_of
 from simfoundry.geometry.shapes import Mesh

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.prims import Prim
