@@ -9,10 +9,12 @@ import pytest
 
 from simfoundry.api.demonstrations import record_plan
 from simfoundry.data import attempt as attempts
+from simfoundry.data.dataset.build import build_dataset
 from simfoundry.data.plan import RecordSummary
 from simfoundry.data.record import record
 from simfoundry.evaluate.entries import Contender
 from tests.conftest import REPOSITORY
+from tests.data.push_dataset import SPLITS, plan_of
 from tests.evaluate.benches import write_bench
 from tests.foreign_package import write_package
 
@@ -92,3 +94,13 @@ def write_plain(site: Path) -> Path:
     entries = {"simfoundry.dataset_formats": {"plain": "tests.data.plain_format:FORMAT"}}
     write_package(site, "plain-format", entries, {})
     return site
+
+
+@pytest.fixture(scope="session")
+def built(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of the demonstrations."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(write_plain(tmp_path_factory.mktemp("site")))
+        out = tmp_path_factory.mktemp("built") / "push"
+        build_dataset(plan_of(demos, splits=SPLITS), out)
+    return out

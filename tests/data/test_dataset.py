@@ -22,15 +22,12 @@ from simfoundry.data.dataset.build import build_dataset
 from simfoundry.data.dataset.checking import check_stored
 from simfoundry.data.dataset.episodes import EpisodeBuilder
 from simfoundry.data.dataset.manifest import read_manifest
-from simfoundry.data.dataset.plan import DatasetPlan, plan_dataset
-from simfoundry.data.dataset.reading import open_dataset
 from simfoundry.data.dataset.statistics import QUANTILES, FeatureStatistics, PixelCounts
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.render.gl import Engine, choose_engine
-from simfoundry.spec.models.dataset import DatasetSpec
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
-from tests.data.conftest import write_plain
+from tests.data.push_dataset import document_of, plan_of
 from tests.data.test_record import bytes_of
 
 pytestmark = [
@@ -38,7 +35,6 @@ pytestmark = [
     pytest.mark.skipif(choose_engine() is Engine.RAYCAST, reason="no GL driver"),
 ]
 
-FRONT = {"observation.images.front": {"camera": "front", "size": (32, 24)}}
 LIGHT = """\
 simfoundry: cousins/1
 name: looks
@@ -48,41 +44,6 @@ vary:
   camera.front.pose: {shift: 0.05}
   instruction: {choose: [Push it., Shove it.]}
 """
-
-
-def spec_of(demos: Path, **more: Any) -> DatasetSpec:
-    sources = {"expert": {"demonstrations": str(demos)}}
-    data = {"simfoundry": "dataset/1", "name": "push", "formats": ("plain",), "cameras": FRONT, "sources": sources}
-    return DatasetSpec.model_validate(data | more)
-
-
-SPLITS = {"train": {"until": 0.75}, "held_out": {"from": 0.75}}
-
-
-def document_of(demos: Path, folder: Path) -> Path:
-    """Write a document, in JSON, which is YAML."""
-    sources = {"expert": {"demonstrations": str(demos)}}
-    head = {"simfoundry": "dataset/1", "name": "push", "formats": ["plain"]}
-    path = folder / "push.dataset.yaml"
-    path.write_text(json.dumps({**head, "sources": sources, "cameras": FRONT, "splits": SPLITS}))
-    return path
-
-
-def plan_of(demos: Path, **more: Any) -> DatasetPlan:
-    return plan_dataset(spec_of(demos, **more), demos.parent)
-
-
-@pytest.fixture(scope="module")
-def built(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of the demonstrations."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(write_plain(tmp_path_factory.mktemp("site")))
-        out = tmp_path_factory.mktemp("built") / "push"
-        build_dataset(plan_of(demos, splits=SPLITS), out)
-    return out
-
-
-# -- contents ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_dataset_contains_the_demonstrations(demos: Path, built: Path) -> None:
@@ -321,95 +282,6 @@ def test_folders_of_others_are_refused(demos: Path, built: Path, tmp_path: Path)
 
 
 # -- show and check ---------------------------------------------------------------------------------------------------
-
-
-def test_a_sound_dataset_has_no_problems(built: Path) -> None:
-    assert check_stored(built) == []
-    done = run("dataset", "check", built)
-    assert (done.code, done.out) == (0, f"{built}: no problems\n")
-
-
-def _edit(folder: Path, name: str, change: Any) -> None:
-    path = folder / name
-    with np.load(path) as stored:
-        arrays = {key: stored[key].copy() for key in stored.files}
-    change(arrays)
-    with path.open("wb") as stream:
-        np.savez(stream, **arrays)
-
-
-def _not_finite(arrays: dict[str, Any]) -> None:
-    arrays["action"][3, 1] = np.nan
-
-
-def _shifted(arrays: dict[str, Any]) -> None:
-    arrays["action"] += 1
-
-
-def _short(arrays: dict[str, Any]) -> None:
-    arrays["action"] = arrays["action"][:-1]
-
-
-def _still(arrays: dict[str, Any]) -> None:
-    arrays["image:observation.images.front"][:] = arrays["image:observation.images.front"][0]
-
-
-def _early(arrays: dict[str, Any]) -> None:
-    arrays["dones"][4] = True
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (_not_finite, "`action` of episode 1 is not finite in frame 3"),
-        (_shifted, "`max` of `action` in the statistics of the dataset is not that of its values"),
-        (_short, "`action` of episode 1 has shape"),
-        (_still, "all images of `observation.images.front` in episode 1 are the same"),
-        (_early, "episode 1 ends before its last frame"),
-    ],
-)
-def test_damaged_episodes_are_found(built: Path, tmp_path: Path, change: Any, words: str) -> None:
-    copy = Path(shutil.copytree(built, tmp_path / "copy"))
-    _edit(copy, "000001.npz", change)
-    assert any(words in problem.text for problem in check_stored(copy)), check_stored(copy)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"frames": ', '"frames": 1', "frames, but the episodes have"),
-        ('"split": "held_out"', '"split": "test"', ""),
-        ('"instruction": "Push the block away."', '"instruction": " "', "episode 0 has no instruction"),
-        ('"held_out": [\n    3,', '"held_out": [\n    2,', "split `held_out` has the episodes 2 to 3"),
-    ],
-)
-def test_damaged_manifests_are_found(built: Path, tmp_path: Path, old: str, new: str, words: str) -> None:
-    copy = Path(shutil.copytree(built, tmp_path / "copy"))
-    text = (copy / "simfoundry.json").read_text()
-    assert old in text
-    (copy / "simfoundry.json").write_text(text.replace(old, new, 1 if "instr" not in old else -1))
-    found = check_stored(copy)
-    assert any(words in problem.text for problem in found) if words else found == []
-
-
-def test_repetitions_and_leaks_are_found(demos: Path, tmp_path: Path) -> None:
-    where = {"demonstrations": str(demos), "count": 1}
-    build_dataset(plan_of(demos, sources={"a": where, "b": where | {"split": "test"}}), tmp_path / "out")
-    texts = [problem.text for problem in check_stored(tmp_path / "out")]
-    assert texts == [
-        "episode 1 in `test` shows a demonstration that is in `train` as well",
-        "episodes 0 and 1 are the same",
-    ]
-    done = run("dataset", "check", tmp_path / "out", "--no-images", "--json")
-    assert done.code == 1 and [p["text"] for p in done.json["problems"]] == texts
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"simfoundry": 1}', '{"simfoundry": "dataset-manifest/1"}'])
-def test_manifests_of_others_are_refused(built: Path, tmp_path: Path, text: str) -> None:
-    copy = Path(shutil.copytree(built, tmp_path / "copy"))
-    (copy / "simfoundry.json").write_text(text)
-    with pytest.raises(OutputError, match="is not a valid manifest"):
-        open_dataset(copy)
 
 
 def test_a_dataset_is_shown_in_text_and_on_a_page(built: Path, tmp_path: Path) -> None:
