@@ -20,7 +20,7 @@ from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models import base as spec
 from simfoundry.spec.models import shapes
-from simfoundry.spec.models.origin import Origin
+from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.reuse import FramedPose
 from simfoundry.spec.models.scene import ObjectSpec
 from simfoundry.spec.models.surroundings import CameraSpec
@@ -93,12 +93,17 @@ def material_prior(shape: FittedShape, segment: int, read: MatchedReading | None
 
 
 def object_spec(
-    capture: str, name: str, shape: FittedShape, segment: int | None = None, read: MatchedReading | None = None
+    capture: str,
+    name: str,
+    shape: FittedShape,
+    segment: int | None = None,
+    read: MatchedReading | None = None,
+    models: tuple[ModelUse, ...] = (),
 ) -> ObjectSpec:
     """Return the spec of a fitted object, with an estimated mass and its origin.
 
     The object is represented by a primitive if possible, and otherwise by a mesh. ``segment`` is its number in the
-    segmentation, and ``read`` is what a model states about the objects.
+    segmentation, ``read`` is what a model states about the objects, and ``models`` are others that contributed.
     """
     seen = None if read is None or segment is None else read.objects.get(segment)
     primitive = shape_spec(shape)
@@ -125,7 +130,7 @@ def object_spec(
             fit_error=meters(shape.fit_m),
             confidence=round(shape.confidence, 2),
             segment=segment,
-            models=() if seen is None or read is None else (read.use,),
+            models=models if seen is None or read is None else (*models, read.use),
         ),
     )
 

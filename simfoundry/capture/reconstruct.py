@@ -27,6 +27,7 @@ class Reconstruction:
 
     ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
     number in ``segmentation``. ``findings`` lists what is doubtful, such as segments that did not become objects.
+    ``removal`` contains the names of the objects in the order in which they can be removed, those of a layer together.
     """
 
     spec: SceneSpec
@@ -36,6 +37,7 @@ class Reconstruction:
     names: dict[str, int]
     shapes: dict[str, FittedShape]
     findings: tuple[CaptureFinding, ...] = ()
+    removal: tuple[tuple[str, ...], ...] = ()
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:

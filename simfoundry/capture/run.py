@@ -226,5 +226,6 @@ def _report(
         "passed": all(f.code in accepted for f in findings),
         "support": {"residual": round(built.support.residual, 6), "corners": len(built.support.outline)},
         "objects": objects,
+        "removal": [list(layer) for layer in built.removal],
         "findings": [f.to_json(accepted) for f in findings],
     }

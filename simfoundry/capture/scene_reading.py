@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.capture.findings import MODEL_FAILED, NOT_FOUND, CaptureFinding
+from simfoundry.capture.findings import NOT_FOUND, CaptureFinding
+from simfoundry.capture.model_stages.ask import Makers, StageModels
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.stages.codec import digest_of
-from simfoundry.capture.stages.runner import StageRunner, StaleStageError
 from simfoundry.frontends.names import plain_name
-from simfoundry.models.contract import ModelError
 from simfoundry.models.open import open_model
 from simfoundry.models.provenance import ModelIdentity, model_use
 from simfoundry.models.setup import ModelSetup
@@ -46,33 +45,20 @@ class MatchedReading:
         return None if seen is None else plain_name(seen.phrase)
 
 
-def read_scene(
-    setup: ModelSetup | None, color: Pixels, labels: Labels, stages: StageRunner
-) -> tuple[MatchedReading | None, tuple[CaptureFinding, ...]]:
-    """Ask the model that is configured for `read_scene` about an image, if there is one.
+def read_scene(models: StageModels, color: Pixels) -> SceneEstimate | None:
+    """Ask the model that is configured for `read_scene` about an RGB image, shape (h, w, 3), if there is one."""
 
-    Args:
-        setup: The configured models.
-        color: The RGB image, shape (h, w, 3).
-        labels: Number of the segment at each pixel, or 0, shape (h, w).
-        stages: Runs the stage, or reuses its earlier result.
+    def read(setup: ModelSetup) -> tuple[dict[str, Any], Makers]:
+        data = ask_model(open_model(setup, "read_scene"), color)
+        return data, {"read_scene": _estimate(data).made_by}
 
-    Returns:
-        Its statements, or None, and findings: that the model failed, or objects that were not found.
-    """
-    source = None if setup is None else setup.source("read_scene")
-    if setup is None or source is None or source.offline:
-        return None, ()
-    inputs = {"color": digest_of(color), "source": source.model_dump_json(), "strict": str(setup.commercial_only)}
-    try:
-        data = stages.run("read", inputs, lambda: ask_model(open_model(setup, "read_scene"), color)).value
-    except StaleStageError:
-        return None, ()
-    except ModelError as error:
-        hint = "the objects are named after color and shape; run again when the model answers"
-        return None, (CaptureFinding(MODEL_FAILED, str(error), hint),)
-    read = match_objects(_estimate(data), labels)
-    return read, tuple(_not_found(each) for each in read.unmatched)
+    result = models.ask("read", {"color": digest_of(color)}, read)
+    return None if result is None else _estimate(result.value)
+
+
+def unmatched_findings(read: MatchedReading | None) -> tuple[CaptureFinding, ...]:
+    """Return a finding for each object that a model sees where none was found."""
+    return () if read is None else tuple(map(_not_found, read.unmatched))
 
 
 def _not_found(seen: SeenObject) -> CaptureFinding:

@@ -99,10 +99,10 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
     measured = cv2.remap(frame.depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
     with np.errstate(invalid="ignore"):
         seen &= ~(measured < depth - IN_FRONT)  # if depth is missing, assume that the surface is visible
-    return encode_png(_filled(color, seen & (in_camera[..., 2] > 0)))
+    return encode_png(filled_colors(color, seen & (in_camera[..., 2] > 0)))
 
 
-def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def filled_colors(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Fill pixels that were not visible with a blurred copy of nearby visible pixels."""
     import cv2
 

@@ -17,8 +17,7 @@ from simfoundry.models.transports.http import HttpTransport
 from simfoundry.models.transports.process import ProcessTransport
 from simfoundry.models.wire import ANSWER, REQUEST, Bundle, read_bundle, write_bundle
 from tests.conftest import REPOSITORY
-from tests.models import truth
-from tests.models.conftest import SERVERS
+from tests.models import SERVERS, truth
 from tests.models.test_tasks import FRAMES, serving
 
 PAGE = (REPOSITORY / "docs" / "models.md").read_text()

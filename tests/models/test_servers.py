@@ -19,8 +19,7 @@ from simfoundry.models.tasks.depth import BundleDepth
 from simfoundry.models.tasks.masks import BundleMasks, SegmentationPrompt
 from simfoundry.models.tasks.poses import Z_UP, BundlePoses
 from simfoundry.models.transports.process import ProcessTransport
-from tests.models import stub_packages, truth
-from tests.models.conftest import SERVERS
+from tests.models import SERVERS, stub_packages, truth
 from tests.models.test_tasks import CALLS, FRAMES, Direct
 from tests.models.truth import MASK, K
 

@@ -29,8 +29,7 @@ from simfoundry.models.transports.process import ProcessTransport
 from simfoundry.models.transports.recorded import RecordedTransport
 from simfoundry.models.wire import BundleFile, BundleImage
 from tests.conftest import REPOSITORY
-from tests.models import truth
-from tests.models.conftest import SERVERS
+from tests.models import SERVERS, truth
 from tests.models.truth import HEIGHT, MASK, WIDTH, K
 
 Call = Callable[[ModelClient], Any]

@@ -22,7 +22,7 @@ from simfoundry.studio.server import StudioServer
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas
 from simfoundry.studio.view.contents import FrustumContent, SurfaceContent
-from simfoundry.studio.view.glb import glb_of
+from simfoundry.render.glb import glb_of
 from simfoundry.studio.view.nodes import DisplayOptions, scene_nodes
 from simfoundry.studio.view.panels.adding import AddPanel
 from tests.studio.conftest import SCENE

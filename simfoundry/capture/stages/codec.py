@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
+from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
@@ -28,7 +29,7 @@ TYPES: dict[str, type[Any]] = {
     each.__name__: each
     for each in (
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
-        *(Frame, SupportSurface, SupportRival, Segmentation, FittedShape, CaptureFinding),
+        *(Frame, SupportSurface, SupportRival, Segmentation, ClearedImage, FittedShape, CaptureFinding),
         *(SettleResult, ObjectSettle, SceneState),
     )
 }

@@ -49,8 +49,26 @@ STAGES = (
         "reads, checks and undistorts the images, and registers, computes or fuses their depth",
         ("load.py", "frame.py", "sensors.py", "fusion.py"),
     ),
+    Stage(
+        "depth",
+        "fills holes in the depth by a model that is configured for `complete_depth`",
+        ("model_stages/depth.py",),
+        is_optional=True,
+    ),
     Stage("support", "finds the plane that supports the objects, its outline, and the world frame", ("segment",)),
+    Stage(
+        "read",
+        "asks a model that is configured for `read_scene` what the objects are",
+        ("scene_reading.py",),
+        is_optional=True,
+    ),
     Stage("segment", "finds the pixels of each object, and which object stands on which", ("segment",)),
+    Stage(
+        "masks",
+        "takes the pixels of each object from a model that is configured for `segment`",
+        ("model_stages/masks.py", "stated.py", "segment/support_graph.py"),
+        is_optional=True,
+    ),
     Stage(
         "shape",
         "fits a solid to each object: its geometry and its pose",
@@ -58,9 +76,14 @@ STAGES = (
         per_object=True,
     ),
     Stage(
-        "read",
-        "asks a model that is configured for `read_scene` what the objects are",
-        ("scene_reading.py",),
+        "remove",
+        "removes the objects from the image, those in front first, and fills in what they hid",
+        ("removal.py", "support_object.py", "shapes/evidence.py"),
+    ),
+    Stage(
+        "inpaint",
+        "fills in what the objects hid by a model that is configured for `inpaint`",
+        ("model_stages/inpaint.py",),
         is_optional=True,
     ),
     Stage(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry
+from simfoundry.render.glb import glb_of
 from simfoundry.scene.model import LightType
-from simfoundry.studio.view.glb import glb_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,181 @@
+"""Stages that reconstruct the objects of an image, each from its own pixels and from what is around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.findings import CaptureFinding
+from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.model_stages.ask import StageModels
+from simfoundry.capture.model_stages.inpaint import inpainted_images
+from simfoundry.capture.model_stages.masks import model_segmentation
+from simfoundry.capture.overrides import Overrides
+from simfoundry.capture.reconstruct import Progress, fit_segments, footprint, nearby_labels
+from simfoundry.capture.removal import ClearedImage, cleared_images
+from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.masks import Labels, Mask
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.capture.shapes.texture import textured_mesh
+from simfoundry.capture.stages.codec import digest_of
+from simfoundry.capture.stages.runner import StageResult, StageRunner, StaleStageError
+from simfoundry.capture.stated import placed_shape, stated_segmentation
+from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.models.tasks.scenes import SceneEstimate
+from simfoundry.scene.lower import pose
+from simfoundry.spec.models.origin import ModelUse
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentedView:
+    """An image with its support and its segmentation, of which each object is reconstructed.
+
+    ``seen`` contains the digests of the image and of the support.
+    """
+
+    frame: Frame
+    support: SupportSurface
+    segmentation: Segmentation
+    seen: Mapping[str, str]
+    stages: StageRunner
+
+    def mask(self, k: int) -> Mask:
+        """Return the pixels of object ``k``."""
+        return np.asarray(self.segmentation.labels == k)
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedObjects:
+    """The objects of an image, by their numbers in the segmentation.
+
+    ``supports`` contains the number of the object that supports each of them, or 0. ``support`` is the table beneath
+    all of them, ``thickness`` its measured thickness [m], or None, and ``top`` its textured mesh.
+    """
+
+    shapes: dict[int, FittedShape]
+    supports: dict[int, int]
+    meshes: dict[int, Mesh]
+    support: SupportSurface
+    thickness: float | None
+    top: Mesh
+
+
+def segmented_frame(
+    frame: Frame,
+    support: StageResult[SupportSurface],
+    seen: Mapping[str, str],
+    overrides: Overrides,
+    models: StageModels,
+    reading: SceneEstimate | None,
+) -> tuple[StageResult[Segmentation], tuple[ModelUse, ...]]:
+    """Segment an image by geometry or by a model, or take the masks of a person or of the capture.
+
+    Returns:
+        The objects, and the model that found them, if one did.
+    """
+    stages = models.stages
+    if overrides.masks is not None:
+        masks = overrides.masks
+        inputs = {**seen, "support": support.digest, "override": digest_of(masks)}
+        stages.overridden.add(("segment", ""))
+        return stages.run("segment", inputs, lambda: stated_segmentation(frame, support.value, masks), quick=True), ()
+    stated = "" if frame.decomposition is None else frame.decomposition.model_dump_json()
+    inputs = {**seen, "support": support.digest, "masks": digest_of(frame.instances), "decomposition": stated}
+    is_given = frame.instances is not None
+    found = stages.run("segment", inputs, lambda: decompose(frame, support.value), quick=is_given)
+    if is_given or frame.decomposition is not None:
+        return found, ()
+    phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)
+    masked = model_segmentation(frame, support.value, found.value, phrases, models)
+    return (found, ()) if masked is None else (StageResult(masked.value, masked.digest), masked.models)
+
+
+def cleared_images_of(
+    view: SegmentedView, shapes: Mapping[int, FittedShape], models: StageModels
+) -> tuple[tuple[ClearedImage, ...], tuple[ModelUse, ...]]:
+    """Return the images without objects, and the models that filled them in."""
+    inputs = {**view.seen, "labels": digest_of(view.segmentation.labels), "shapes": digest_of(list(shapes.values()))}
+    inputs |= {"supports": digest_of(view.segmentation.supports)}
+    compute = partial(cleared_images, view.frame, view.support, view.segmentation, shapes)
+    with suppress(StaleStageError):
+        cleared = view.stages.run("remove", inputs, compute).value
+        painted = inpainted_images(view.frame, cleared, models)
+        return (cleared, ()) if painted is None else (painted.value, painted.models)
+    return (), ()
+
+
+def fitted_shapes(
+    view: SegmentedView, progress: Progress
+) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
+    """Fit a solid to each segment.
+
+    Raises:
+        CaptureError: No object could be fitted.
+    """
+
+    def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
+        inputs = {**view.seen, "mask": digest_of(mask), "others": digest_of(others)}
+        inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
+        compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others)
+        return view.stages.run("shape", inputs, compute, str(k)).value
+
+    shapes, carriers, findings = fit_segments(
+        view.frame,
+        view.support,
+        view.segmentation,
+        lambda stage, share: progress(stage, 0.3 + 0.4 * share),
+        fit,
+    )
+    if not shapes:
+        raise CaptureError("SF504", "could not fit any object", "; ".join(f.message for f in findings))
+    return shapes, carriers, findings
+
+
+def placed_by_person(view: SegmentedView, shape: FittedShape, overrides: Overrides, key: str, k: int) -> FittedShape:
+    """Return the solid of an object with the mesh and the pose that a person states, if any."""
+    override, mesh = overrides.objects.get(key), overrides.meshes.get(key)
+    if override is None or (override.pose is None and mesh is None):
+        return shape
+    others = nearby_labels(view.segmentation.labels, k)
+    inputs = {**view.seen, "shape": digest_of(shape), "mesh": digest_of(mesh), "others": digest_of(others)}
+    inputs["pose"] = "" if override.pose is None else override.pose.model_dump_json()
+    stated = None if override.pose is None else pose(override.pose)
+    compute = partial(placed_shape, view.frame, view.support, shape, mesh, stated, others)
+    view.stages.overridden.add(("pose", str(k)))
+    with suppress(StaleStageError):
+        return view.stages.run("pose", inputs, compute, str(k)).value
+    return shape
+
+
+def textured_objects(
+    view: SegmentedView,
+    shapes: dict[int, FittedShape],
+    carriers: dict[int, int],
+    given: Mapping[int, Mesh],
+    progress: Progress,
+) -> TexturedObjects:
+    """Paint the objects, and extend the support beneath them. ``given`` contains meshes that may have a texture."""
+    frame, labels = view.frame, view.segmentation.labels
+    meshes = {}
+    for done, (k, shape) in enumerate(shapes.items()):
+        progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
+        if k in given and given[k].texture is not None:
+            meshes[k] = given[k]
+            continue
+        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
+        paint = partial(textured_mesh, shape, frame, view.support, view.mask(k))
+        with suppress(StaleStageError):
+            meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
+    grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
+    support = replace(view.support, outline=beneath(view.support.outline, grounded))
+    thickness = measured_thickness(frame, support)
+    inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels), "thickness": repr(thickness)}
+    slab = partial(support_mesh, frame, support, labels, thickness or DEFAULT_THICKNESS)
+    top = view.stages.run("texture", inputs, slab, SUPPORT_NAME).value
+    return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
