@@ -18,6 +18,7 @@ def make_cousins(
     machines: Machines,
     progress: Callable[[str, float], None],
     seed: int | None = None,
+    commercial_only: bool = False,
 ) -> list[Path]:
     """Make the cousins of a recipe, or those that are missing, and return their task documents.
 
@@ -29,6 +30,7 @@ def make_cousins(
         machines: The machines to use.
         progress: Callback that receives a text and the fraction of cousins that are complete.
         seed: The seed; None for that of the recipe.
+        commercial_only: Whether to refuse models that may not be used commercially.
 
     Raises:
         SimfoundryError: If there are fewer cousins than requested.
@@ -44,7 +46,7 @@ def make_cousins(
     read, folder = read_recipe(recipe, seed), out.absolute()
     if claim_project(read, folder) is not None:
         read = read_recipe(recipe, seed)  # the marker may have added documents to the project
-    setup = recipe.absolute(), folder, read.seed, "", ""
+    setup = recipe.absolute(), folder, read.seed, "", "", commercial_only
     plan = RunPlan(folder, count or read.spec.count, read.about(), None)
     progress("cousins: the twin", 0.0)
     begin(plan)

@@ -54,6 +54,7 @@ class TrainingRun:
         rollouts: The number of rollouts of each task, or None for 25 rollouts in total, but at least one of each task.
         eval_seed: The seed of the initial states of the evaluation.
         cousins: The number of cousins of a recipe, or None for the number in the recipe.
+        commercial_only: Whether to refuse models that may not be used commercially for cousins.
         jobs: The number of parallel processes, or None for one on this machine and one per CPU of a cluster.
         machines: The machines that make cousins and run rollouts. Trainings run on this machine.
         video: Whether to record videos of the evaluation.
@@ -74,6 +75,7 @@ class TrainingRun:
     rollouts: int | None = None
     eval_seed: int = 1
     cousins: int | None = None
+    commercial_only: bool = False
     jobs: int | None = None
     machines: Machines = LOCAL
     video: bool = True
@@ -269,9 +271,8 @@ def _documents(run: TrainingRun, progress: Progress) -> tuple[Path, ...]:
         raise SimfoundryError("a recipe cannot be combined with other sources; make its cousins first")
     from simfoundry.api.cousins import make_cousins
 
-    found = make_cousins(
-        recipes[0], run.folder / COUSINS, run.cousins, worker_count(run.machines, run.jobs), run.machines, progress
-    )
+    jobs, folder, strict = worker_count(run.machines, run.jobs), run.folder / COUSINS, run.commercial_only
+    found = make_cousins(recipes[0], folder, run.cousins, jobs, run.machines, progress, commercial_only=strict)
     if not found:
         raise SimfoundryError(f"{recipes[0]} does not have a task as its twin, so that its cousins cannot be learned")
     return tuple(found)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE
+from simfoundry.cli.options import ANY, NEW_FILE, commercial_only_option
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ PIXELS = _Pixels()
     help="A joint of a mesh, such as door=3,4:revolute:front_left:front:90; can be repeated.",
 )
 @click.option("--front", type=click.Choice(FRONTS), help="Side of a mesh that is its front, with z up. Default: -y.")
-@click.option("--commercial-only", is_flag=True, help="Refuse models that may not be used commercially.")
+@commercial_only_option
 def articulate_command(
     source: Path,
     opened: tuple[Path, ...],
@@ -85,11 +85,13 @@ def articulate_command(
     if joints or front:
         raise SimfoundryError("--joint and --front are for a mesh; two captures show the joint themselves")
     from simfoundry.capture.articulation.run import articulate, picture_of
+    from simfoundry.models.setup import load_setup
 
     for path in (out, picture_of(out)):
         output.protect_output(path, [source, *opened], force)
+    setup = load_setup(source, commercial_only=True) if commercial_only else None
     with output.progress_bar(as_json) as progress:
-        found = articulate(source, opened, out, frame, progress, _hinge(hinge), _box(box))
+        found = articulate(source, opened, out, frame, progress, _hinge(hinge), _box(box), setup)
     output.print_result(as_json, found.to_json(), found.summary())
     return output.FINDINGS if found.doubt else output.DONE
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, FILE, FOLDER, NEW_FOLDER, option
+from simfoundry.cli.options import ANY, FILE, FOLDER, NEW_FOLDER, commercial_only_option, option
 from simfoundry.cli.scenes import settle_table
 
 
@@ -50,7 +50,7 @@ class _WithStatus(click.Command):
     "--against", type=FILE, metavar="TRUTH", help="Compare the scene with this ground truth, a scene document."
 )
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
-@click.option("--commercial-only", is_flag=True, help="Refuse models that may not be used commercially.")
+@commercial_only_option
 def capture_command(
     capture: Path,
     out: Path | None,

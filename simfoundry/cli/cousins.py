@@ -14,6 +14,7 @@ from simfoundry.cli.options import (
     NEW_FILE,
     NEW_FOLDER,
     WorldName,
+    commercial_only_option,
     jobs_option,
     on_option,
     option,
@@ -45,10 +46,11 @@ if TYPE_CHECKING:
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
 @click.option("--preview", type=NEW_FILE, help="Also write a PNG sheet with the twin and the first 15 cousins.")
 @click.option("--split", default="", metavar="NAME", help="Draw the values of `vary` only from this split.")
+@commercial_only_option
 def cousins_command(
     recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
     shard: tuple[int, int] | None, machines: Machines, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
-    preview: Path | None, split: str, force: bool, as_json: bool,
+    preview: Path | None, split: str, commercial_only: bool, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
 
@@ -70,7 +72,7 @@ def cousins_command(
     output.protect_output(stage, [recipe], force)
     output.protect_output(preview, [recipe], force)
     read, folder = _read(recipe, seed, out, split)
-    setup = recipe.absolute(), folder, read.seed, vlm, split
+    setup = recipe.absolute(), folder, read.seed, vlm, split, commercial_only
     with output.progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
@@ -164,6 +166,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
 @click.option("--vlm", metavar="MODEL",
               help="Ask this model, such as `openai:gpt-5`, instead of enumerating affordances.")  # fmt: skip
 @click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")
+@commercial_only_option
 @option("--form", type=click.Choice(["typed", "paper"]), default="typed",
         help="Format of the model's response: typed, or the text format used in the paper.")  # fmt: skip
 @click.option("-c", "--camera", help="Camera whose image is sent to the model. Default: the scene's first.")
@@ -172,7 +175,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
 @click.option("--rejected", is_flag=True, help="Also list rejected tasks, with the reasons.")
 def propose_command(
     scene: Path, count: int, out: Path | None, seed: int, about: tuple[str, ...], payload: float | None,
-    vlm: str | None, base_url: str | None, form: Literal["typed", "paper"], camera: str | None,
+    vlm: str | None, base_url: str | None, commercial_only: bool, form: Literal["typed", "paper"], camera: str | None,
     engines: tuple[str, ...], rejected: bool, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Propose tasks for a scene, from its affordances or a model's suggestions, each verified to be feasible.
@@ -196,9 +199,10 @@ def propose_command(
     reference = scene_reference(scene, folder)
     if vlm is not None:
         from simfoundry.cousins.tasks.proposals import propose_tasks
-        from simfoundry.models.vlm import Vlm
+        from simfoundry.models.open import open_vlm
+        from simfoundry.models.setup import load_setup
 
-        model: Any = Vlm(vlm, base_url)
+        model: Any = open_vlm(load_setup(scene, commercial_only=commercial_only), vlm, base_url)
         found = propose_tasks(model, context, _picture(context, scene, camera), count, form, reference, about)
     else:
         with output.progress_bar(as_json) as bar:

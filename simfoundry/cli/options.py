@@ -28,6 +28,9 @@ NEW_FILE = click.Path(path_type=Path, dir_okay=False)
 NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
 
 scene_argument = click.argument("scene", type=FILE)
+commercial_only_option = click.option(
+    "--commercial-only", is_flag=True, help="Refuse models that may not be used commercially."
+)
 camera_option = click.option("-c", "--camera", help="Camera to use. Default: the scene's viewpoint or first camera.")
 
 

@@ -9,7 +9,7 @@ import click
 
 from simfoundry.api.ranges import RANGES
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FOLDER, jobs_option, on_option, option, resumable
+from simfoundry.cli.options import ANY, NEW_FOLDER, commercial_only_option, jobs_option, on_option, option, resumable
 from simfoundry.runtime.executors import Machines
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         help="Seed for the initial states of the evaluation.")  # fmt: skip
 @click.option("--video/--no-video", default=None,
               help="Record a video of each rollout. Default: only if rendering is possible.")  # fmt: skip
+@commercial_only_option
 @jobs_option(1)
 @on_option
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this value.")
@@ -52,7 +53,7 @@ def train_command(
     sources: tuple[Path, ...], count: int | None, augment: int | None, out: Path, policy: str, seeds: tuple[int, ...],
     minutes: float | None, steps: int, cameras: tuple[str, ...], image_width: int, cousins: int | None,
     tasks: tuple[Path, ...], rollouts: int | None, record_seed: int, eval_seed: int, video: bool | None,
-    jobs: int | None, machines: Machines, require: float | None, as_json: bool,
+    commercial_only: bool, jobs: int | None, machines: Machines, require: float | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Record demonstrations, train a small policy on them, and evaluate it.
 
@@ -86,6 +87,7 @@ def train_command(
         rollouts=rollouts,
         eval_seed=eval_seed,
         cousins=cousins,
+        commercial_only=commercial_only,
         jobs=jobs,
         machines=machines,
         cameras=cameras,

@@ -131,12 +131,25 @@ def open_provider(setup: ModelSetup, task: str) -> Vlm | None:
     source = setup.source(task)
     if source is None or source.vlm is None:
         return None
-    from simfoundry.models.vlm import Vlm, VlmError
+    from simfoundry.models.vlm import VlmError
 
     try:
-        vlm = Vlm(source.vlm)
+        return open_vlm(setup, source.vlm)
     except VlmError as error:
         raise ModelError(str(error)) from None
+
+
+def open_vlm(setup: ModelSetup, name: str, base_url: str | None = None) -> Vlm:
+    """Return the vision-language model of a provider, or of the server at ``base_url``.
+
+    Raises:
+        VlmError: If it cannot be used.
+        ModelError: If it may not be used commercially although this is required; such models need an entry in
+            `accepted`.
+    """
+    from simfoundry.models.vlm import Vlm
+
+    vlm = Vlm(name, base_url)
     if setup.commercial_only and vlm.name not in setup.accepted:
         require_commercial(provider_identity(vlm.name), setup.accepted)
     return vlm

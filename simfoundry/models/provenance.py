@@ -58,6 +58,12 @@ def model_use(task: str, identity: ModelIdentity) -> ModelUse:
     )
 
 
+def used_identity(use: ModelUse) -> ModelIdentity:
+    """Return the identity of a model from an entry of a document's `origin`."""
+    stated = {"allowed": True, "forbidden": False}.get(use.commercial)
+    return ModelIdentity(name=use.name, version=use.version, licence=use.licence, commercial=stated)
+
+
 @dataclass(frozen=True)
 class LicenceEntry:
     """The licence of a model, as far as it is known, from the table ``licences.yaml``.

@@ -187,7 +187,8 @@ from scaffold import Model, Result, run
 def articulate(request):
     labels, vertices = request.members["labels"], request.members["vertices"]
     assert vertices[:, 2].min() == 0 and labels.max() == 9
-    joint = {{"part": {part}, "type": "prismatic", "axis": [1, 0, 0], "upper": 0.25, "name": "Top Drawer"}}
+    joint = {{"part": {part}, "others": [{other}], "type": "prismatic", "axis": [1, 0, 0], "upper": 0.25}}
+    joint["name"] = "Top Drawer"
     return Result({{}}, values={{"joints": [joint]}})
 
 facts = {{"name": "particulate", "version": "1", "licence": "CC-BY-4.0", "commercial": True}}
@@ -199,13 +200,14 @@ def test_joints_from_a_server(
     tmp_path: Path, cabinet_file: Path, numbers: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = tmp_path / "serve.py"
-    server.write_text(SERVER.format(folder=str(REPOSITORY / "examples" / "servers"), part=numbers["drawer"]))
+    drawer, handle = numbers["drawer"], numbers["drawer_handle"]
+    server.write_text(SERVER.format(folder=str(REPOSITORY / "examples" / "servers"), part=drawer, other=handle))
     monkeypatch.setenv("SIMFOUNDRY_MODEL_ARTICULATE", f"command:{sys.executable} {server}")
     out = tmp_path / "cabinet.asset.yaml"
     made = run("articulate", cabinet_file, "-o", out, "--json")
     assert made.code == 0, made.err
     joint = json.loads(made.out)["joints"]["top_drawer"]
-    assert joint["range"] == [0, 0.25] and joint["segments"] == [numbers["drawer"]]
+    assert joint["range"] == [0, 0.25] and joint["segments"] == [drawer, handle]
     assert "{task: articulate, name: particulate" in out.read_text()
 
 

@@ -75,7 +75,7 @@ def torch() -> list[tuple[str, ModuleType]]:
     cuda = SimpleNamespace(is_available=lambda: False, amp=amp)
     return [_module("torch", inference_mode=_Context, cuda=cuda, as_tensor=tensor, float32="float32",
                     bfloat16="bfloat16", manual_seed=lambda seed: ("generator", seed),
-                    load=lambda path, weights_only=True: {"model": "weights"})]  # fmt: skip
+                    load=lambda path, map_location=None, weights_only=True: {"model": "weights"})]  # fmt: skip
 
 
 # -- transformers: SAM 3 and SAM 2 -------------------------------------------------------------------------------------

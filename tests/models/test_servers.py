@@ -17,10 +17,11 @@ from simfoundry.models.client import ModelClient
 from simfoundry.models.provenance import find_licence, judged
 from simfoundry.models.tasks.depth import BundleDepth
 from simfoundry.models.tasks.masks import BundleMasks, SegmentationPrompt
+from simfoundry.models.tasks.meshes import BundleMeshes
 from simfoundry.models.tasks.poses import Z_UP, BundlePoses
 from simfoundry.models.transports.process import ProcessTransport
-from tests.models import SERVERS, stub_packages, truth
-from tests.models.test_tasks import CALLS, FRAMES, Direct
+from tests.models import SERVERS, stub_packages, stub_particulate, truth
+from tests.models.test_tasks import CALLS, FACES, FRAMES, QUAD, Direct
 from tests.models.truth import MASK, K
 
 pytestmark = pytest.mark.usefixtures("packages")
@@ -169,6 +170,25 @@ def test_foundation_pose(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_models_of_parts(which: str, labels: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     _more(monkeypatch)
     assert CALLS["parts"](server("mesh_parts", monkeypatch, which)).labels.tolist() == labels
+
+
+def test_particulate_finds_joints_of_the_parts_of_the_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, module in stub_particulate.particulate():
+        monkeypatch.setitem(sys.modules, name, module)
+    model = BundleMeshes(server("particulate", monkeypatch))
+    vertices = np.concatenate([QUAD + [0, 0, 0.3 * k] for k in (0, 1)])
+    faces = np.concatenate([FACES, FACES[:1] + 4])
+    labels = np.array([2, 4, 1, 3, 0], np.int32)  # body, door, its handle, a drawer, and a part that does not move
+    slide, turn = model.estimate_joints(vertices, faces, labels).joints
+    assert (turn.part, turn.others, turn.parent, turn.type) == (4, (1,), -1, "revolute")
+    assert (turn.lower, turn.upper) == (0.0, 1.5)
+    off = np.cross(np.subtract(turn.origin, [0.1, 0, 0]), turn.axis)
+    np.testing.assert_allclose([*off, *turn.axis], [0, 0, 0, 0, 0, 1], atol=1e-9)
+    size = float(np.ptp(vertices, axis=0).max())
+    assert (slide.part, slide.others, slide.type) == (3, (), "prismatic")
+    assert slide.upper == pytest.approx(0.2 * size) and slide.axis == (1, 0, 0)
+    found = model.estimate_joints(vertices, faces, labels)
+    assert judged(found.made_by)[0] == "forbidden", "PartField is for research only"
 
 
 def test_void_and_an_image_editor(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,11 +31,11 @@ from tests.models.truth import IDENTITY
 FORBIDDEN = (
     "DA3NESTED-GIANT-LARGE-1.1", "depth-anything/DA3-GIANT", "DA3-LARGE", "FoundationStereo", "Fast-FoundationStereo",
     "FoundationPose", "Any6D", "PartField", "VGGT-1B", "MASt3R", "CoTracker", "FLUX.1-Kontext-dev",
-    "prior-depth-anything", "inria-gaussian-splatting",
+    "prior-depth-anything", "inria-gaussian-splatting", "particulate",
 )  # fmt: skip
 ALLOWED = (
     "sam3", "sam3.1", "sam2.1-hiera-large", "da3metric-large", "moge-2-vitl-normal", "c-foundationstereo-s", "lama",
-    "c-fast-foundationstereo", "nvidia/foundationpose-tao", "particulate", "sam-3d-objects", "VGGT-1B-Commercial",
+    "c-fast-foundationstereo", "nvidia/foundationpose-tao", "sam-3d-objects", "VGGT-1B-Commercial",
 )  # fmt: skip
 CONDITIONAL = ("tencent/Hunyuan3D-2.1", "TRELLIS.2-4B", "P3-SAM", "void-model")
 

@@ -240,6 +240,8 @@ WRONG: list[tuple[str, Callable[[Result], object], str]] = [
     ("articulate", _joint(parent=1), "form a loop"),
     ("articulate", _joint(upper=-1.0), "leave no motion"),
     ("articulate", _joint(type="hinge"), "joints.0.type"),
+    ("articulate", _joint(others=[1]), "several joints of part 1"),
+    ("articulate", _joint(others=[9]), r"moves with \[9\]; the parts are \[0, 1\]"),
     ("articulate", _joint(code="import os"), "joints.0.code"),
     ("pose", _set("object_to_camera", np.linalg.inv), "it fits as camera_to_object"),
     ("pose", _set("object_to_camera", lambda x: GL @ x), "behind the camera; it fits as the axes of an OpenGL"),

@@ -174,7 +174,8 @@ def predicted(joints: Iterable[PredictedJoint], mesh_labels: dict[int, int]) -> 
     joints = list(joints)
     names: dict[int, str] = {}
     for joint in joints:
-        names[joint.part] = free_name(plain_name(joint.name, "part"), {"body", *names.values()})
+        name = free_name(plain_name(joint.name, "part"), {"body", *names.values()})
+        names.update(dict.fromkeys((joint.part, *joint.others), name))
     found = []
     for joint in joints:
         if joint.part not in mesh_labels:
@@ -182,7 +183,7 @@ def predicted(joints: Iterable[PredictedJoint], mesh_labels: dict[int, int]) -> 
                 f"the model found a joint of part {joint.part}, which is too small a part of the mesh to be moved"
             )
         parent = names.get(joint.parent, "")
-        numbers = (mesh_labels[joint.part],)
+        numbers = (mesh_labels[joint.part], *(mesh_labels[other] for other in joint.others if other in mesh_labels))
         axis, origin = joint.axis, joint.origin
         found.append(PartJoint(names[joint.part], numbers, parent, joint.type, axis, origin, joint.lower, joint.upper))
     return found

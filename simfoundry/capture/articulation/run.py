@@ -20,6 +20,7 @@ from simfoundry.capture.segment.find_support import find_support
 from simfoundry.errors import SimfoundryError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
+from simfoundry.models.setup import ModelSetup
 from simfoundry.runtime.files import MARK, write_atomically
 from simfoundry.scene.lower import pose
 from simfoundry.scene.model import JointType
@@ -119,6 +120,7 @@ def articulate(
     progress: Callable[[str, float], None] | None = None,
     hinge: tuple[Pixel, Pixel] | None = None,
     box: tuple[int, int, int, int] | None = None,
+    setup: ModelSetup | None = None,
 ) -> Articulated:
     """Estimate the joint of an object from captures of it, and write it as an asset, with a picture beside it.
 
@@ -131,6 +133,7 @@ def articulate(
         progress: A callback that receives a description and the fraction that is done.
         hinge: Two pixels [column, row] on the hinge in the first capture, if it is known; it always wins.
         box: The rectangle [left, top, right, bottom] around the part in the first capture [px], if it is known.
+        setup: The models for captures without depth; by default, those that are configured for each capture.
 
     Raises:
         SpecError: If a capture has errors.
@@ -139,7 +142,7 @@ def articulate(
     show = progress or (lambda text, share: None)
     show("reading the captures", 0.0)
     loaded = [open_capture(path) for path in (shut, *opened)]
-    frames = [load_frame(each, frame) for each in loaded]
+    frames = [load_frame(each, frame, setup) for each in loaded]
     try:
         X_WC = find_support(frames[0]).X_WC
     except CaptureError as error:

@@ -31,7 +31,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.generators import HttpImages, HttpMeshes, images_from_environment, meshes_from_environment
-from simfoundry.models.open import open_model
+from simfoundry.models.open import open_model, open_vlm
 from simfoundry.models.provenance import ModelIdentity, model_use, require_commercial
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.models.tasks.images import ImageEditingModel, decoded_image, encoded_image, with_alpha
@@ -302,11 +302,18 @@ class SourceSetup:
         scene: Document of the twin's scene. An image of the scene is shown to the models.
         library: Folder of the library, or None.
         vlm: Name of the vision-language model for recipes that do not specify a model.
+        commercial_only: Whether to refuse models that may not be used commercially, whatever the project says.
     """
 
     scene: Path
     library: Path | None = None
     vlm: str = ""
+    commercial_only: bool = False
+
+    @property
+    def models(self) -> ModelSetup:
+        """The models that are configured for the scene."""
+        return load_setup(self.scene, commercial_only=self.commercial_only)
 
 
 def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> Mapping[str, Origins]:
@@ -331,13 +338,17 @@ def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     models = axis.models
     named = models.vlm or given.vlm
     lacks = [] if named else ["no vision-language model: specify --vlm, or `vlm` in the recipe's `models`"]
-    setup = load_setup(given.scene)
+    setup = given.models
     try:
         images = image_model(setup, models.images)
     except SimfoundryError as error:
         lacks.append(str(error))
     try:
         meshes = mesh_model(setup)
+    except SimfoundryError as error:
+        lacks.append(str(error))
+    try:
+        vlm = open_vlm(setup, named) if named else None
     except SimfoundryError as error:
         lacks.append(str(error))
     if lacks:
@@ -347,7 +358,8 @@ def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     picture = draw(given.scene)
     if picture is None:
         raise _lacking(name, "model", "a camera in the scene, because models judge variants in its image")
-    return Generation(Vlm(named), images, meshes, picture, texture=models.texture)
+    assert vlm is not None
+    return Generation(vlm, images, meshes, picture, texture=models.texture)
 
 
 def image_model(setup: ModelSetup, name: str | None = None) -> ImageEditingModel:

@@ -26,6 +26,9 @@ from simfoundry.cousins.recipe.document import Recipe, relative
 from simfoundry.cousins.recipe.library import LibraryItem
 from simfoundry.cousins.run.log import WORK
 from simfoundry.errors import OutputError
+from simfoundry.models.contract import ModelError
+from simfoundry.models.provenance import require_commercial, used_identity
+from simfoundry.models.setup import ModelSetup
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.frames import FrameTree
 from simfoundry.scene.lower import lower
@@ -88,19 +91,20 @@ class VariantPool:
         return found
 
 
-def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """Collect the alternatives for each axis.
+def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "", commercial_only: bool = False) -> VariantPool:
+    """Collect the alternatives for each axis. The last two arguments are those of :class:`SourceSetup`.
 
     Raises:
         ImpossibleError: An axis has no alternatives.
     """
-    others, tasks = _choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
+    others = _choices(recipe, out, vlm, commercial_only)
+    tasks = tasks_of(recipe, out, twin, vlm, commercial_only)
     same_layout = recipe.spec.scene is None and recipe.spec.distractors is None and not recipe.spec.vary
     most = math.prod(map(len, others.values())) * max(1, len(tasks)) if same_layout else None
     return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
-def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...]]:
+def _choices(recipe: Recipe, out: Path, vlm: str, commercial_only: bool) -> dict[str, tuple[Choice, ...]]:
     """Return the variants of each object that varies.
 
     The variants are generated once and stored in ``OUT/assets/objects``. ``vlm`` is the name of the model to query if
@@ -111,7 +115,8 @@ def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...
         return {}
     library = None if axis.library is None else located(axis.library, recipe.loaded.path)
     tasks = [] if recipe.task_spec is None else [recipe.task_spec]
-    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, SourceSetup(recipe.scene.path, library, vlm))
+    given = SourceSetup(recipe.scene.path, library, vlm, commercial_only)
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, given)
     return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 
@@ -159,7 +164,9 @@ def _copy_mesh(mesh: Path, folder: Path) -> None:
                 write_atomically(target, data)
 
 
-def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
+def tasks_of(
+    recipe: Recipe, out: Path, twin: Twin, vlm: str = "", commercial_only: bool = False
+) -> tuple[TaskCousin, ...]:
     """Return the tasks of a recipe in order of rank, or an empty tuple if the task does not vary.
 
     Args:
@@ -167,9 +174,11 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
         out: Output folder, in which the tasks are stored for later calls.
         twin: The twin in which the tasks must be possible.
         vlm: Name of the model to query, if the recipe uses a model.
+        commercial_only: Whether to refuse models that may not be used commercially.
 
     Raises:
         ImpossibleError: If no task is possible in the twin.
+        ModelError: If the model may not be used.
     """
     from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
     from simfoundry.robots.reach import hands_of
@@ -181,9 +190,10 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
         asked: dict[str, Any] = {}
         if axis.proposals == "model" and vlm:
             from simfoundry.cousins.run.report import draw
-            from simfoundry.models.vlm import Vlm
+            from simfoundry.models.open import open_vlm
 
-            asked = {"vlm": Vlm(vlm), "picture": draw(recipe.scene.path) or b""}
+            setup = SourceSetup(recipe.scene.path, commercial_only=commercial_only).models
+            asked = {"vlm": open_vlm(setup, vlm), "picture": draw(recipe.scene.path) or b""}
         reference = relative(recipe.scene.path, out)
         found, _ = task_cousins(twin, recipe.scene_spec, axis, recipe.seed, reference, **asked)
         rows = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
@@ -269,7 +279,7 @@ def made_for(
 
     Raises:
         ImpossibleError: If all candidates for an object were rejected, or if a source is not configured.
-        SimfoundryError: If a model does not respond.
+        SimfoundryError: If a model does not respond, or if a variant comes from one that may not be used.
     """
     cache, library = Cache.default(), given.library
     records = prepare(axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=library)
@@ -280,7 +290,27 @@ def made_for(
             example = record["refused"][0]["reasons"][0]["text"] if tried else "there was no candidate"
             text = f"all {tried} candidates for variants of `{name}` were rejected: {why}; for example: {example}"
             raise ImpossibleError((Reason("variants", text, {"candidates": float(tried)}),))
-    return {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
+    files = {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
+    by_models = [one["asset"] for record in records.values() for one in record["accepted"] if one["source"] == "model"]
+    if by_models:
+        _require_permitted([folder / name for name in by_models], given.models)
+    return files
+
+
+def _require_permitted(files: Iterable[Path], setup: ModelSetup) -> None:
+    """Check that earlier runs made no variant with a model that may not be used now.
+
+    Raises:
+        ModelError: If one did. The message names the variant.
+    """
+    for file in files if setup.commercial_only else ():
+        spec = load_kind(file, "asset/1").spec
+        assert isinstance(spec, AssetSpec)
+        for use in spec.origin.models if spec.origin is not None else ():
+            try:
+                require_commercial(used_identity(use), setup.accepted)
+            except ModelError as error:
+                raise ModelError(f"{file} was made earlier with a model that is refused now: {error}") from None
 
 
 @dataclass(frozen=True)

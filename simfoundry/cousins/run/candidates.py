@@ -62,7 +62,9 @@ class CandidateSampler:
     twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def load(cls, path: Path, out: Path, seed: int, vlm: str = "", split: str = "") -> CandidateSampler:
+    def load(
+        cls, path: Path, out: Path, seed: int, vlm: str = "", split: str = "", commercial_only: bool = False
+    ) -> CandidateSampler:
         """Read a recipe, settle its twin, and collect the variant pool.
 
         Args:
@@ -71,10 +73,12 @@ class CandidateSampler:
             seed: Seed of the run.
             vlm: Name of the vision-language model that may be queried for the variant pool.
             split: The split of `vary` to draw from, or empty to draw from all splits.
+            commercial_only: Whether to refuse models that may not be used commercially.
         """
         recipe = read_recipe(path, seed, split)
         twin = Twin.of_document(recipe.task or recipe.scene, Cache.default())
-        return cls(recipe, out, twin, variant_pool(recipe, out, twin, vlm), ValueSampler.of(recipe, out, twin))
+        pool = variant_pool(recipe, out, twin, vlm, commercial_only)
+        return cls(recipe, out, twin, pool, ValueSampler.of(recipe, out, twin))
 
     def require_possible(self) -> None:
         """Check that the recipe can be satisfied by at least one candidate.

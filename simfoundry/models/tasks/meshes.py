@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +90,7 @@ class PredictedJoint(BaseModel):
 
     Attributes:
         part: Label of the part that moves.
+        others: Labels of further parts that move with it, such as the handle of a door.
         parent: Label of the part that it is attached to, or -1 for the body, which is everything without a joint.
         type: Type of the joint.
         axis: Direction of the axis. By the right-hand rule, positive angles turn about it.
@@ -102,6 +104,7 @@ class PredictedJoint(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     part: int = Field(ge=0, le=MAX_PARTS)
+    others: tuple[Annotated[int, Field(ge=0, le=MAX_PARTS)], ...] = Field((), max_length=MAX_PARTS)
     parent: int = Field(-1, ge=-1, le=MAX_PARTS)
     type: Literal["revolute", "prismatic", "continuous"]
     axis: Vector
@@ -191,15 +194,21 @@ def _check_joints(request: Bundle, answer: Bundle) -> None:
     labels, vertices = request.members["labels"], request.members["vertices"]
     assert isinstance(labels, np.ndarray) and isinstance(vertices, np.ndarray)
     joints = JointValues.model_validate(answer.head.get("values", {})).joints
-    known, moved = set(np.unique(labels[labels >= 0]).tolist()), [joint.part for joint in joints]
+    known = set(np.unique(labels[labels >= 0]).tolist())
+    moved = Counter(label for joint in joints for label in (joint.part, *joint.others))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     diagonal = float(np.linalg.norm(high - low))
     for joint in joints:
         who = f"has a joint of part {joint.part}"
         if joint.part not in known or (joint.parent != -1 and joint.parent not in known):
             raise ConventionError(f"{who} with the parent {joint.parent}; the parts are {sorted(known)[:20]}")
-        if moved.count(joint.part) > 1:
-            raise ConventionError(f"has several joints of part {joint.part}")
+        if not known.issuperset(joint.others):
+            raise ConventionError(
+                f"{who} that moves with {list(joint.others[:20])}; the parts are {sorted(known)[:20]}"
+            )
+        twice = [label for label in (joint.part, *joint.others) if moved[label] > 1]
+        if twice:
+            raise ConventionError(f"has several joints of part {twice[0]}")
         length = float(np.linalg.norm(joint.axis))
         if not 0.99 < length < 1.01:
             raise ConventionError(f"{who} with an axis of length {length:.4g}; it must be a unit vector")
@@ -213,7 +222,8 @@ def _check_joints(request: Bundle, answer: Bundle) -> None:
         off = np.maximum(np.maximum(low - joint.origin, joint.origin - high), 0)
         if joint.type != "prismatic" and float(np.linalg.norm(off)) > 0.5 * diagonal:
             raise ConventionError(f"{who} whose axis starts {np.linalg.norm(off):.3g} m away from the object")
-    _check_tree({joint.part: joint.parent for joint in joints})
+    moving = {label: joint.part for joint in joints for label in (joint.part, *joint.others)}
+    _check_tree({joint.part: moving.get(joint.parent, joint.parent) for joint in joints})
 
 
 def _check_tree(parents: dict[int, int]) -> None:
