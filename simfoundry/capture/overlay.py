@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.masks import Labels
-from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh, gather, surface_distances
+from simfoundry.capture.shapes.evidence import Evidence, cast_mesh, gather, surface_distances
 from simfoundry.capture.shapes.fit import MIN_POINTS
-from simfoundry.capture.shapes.fit_primitives import search
+from simfoundry.capture.shapes.register_mesh import Surface
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import tessellate
@@ -30,19 +30,6 @@ SEGMENTS = "segments.png"
 
 # Angle [rad] around a click within which points are meant: about 3 pixels of a browser's window 1000 pixels high.
 RAY_RAD = 0.004
-
-# Edges of the initial simplex of a registration [m, rad], and the number of evaluations, each of which casts all rays.
-STEPS, EVALUATIONS = (0.006, 0.006, 0.003, 0.08), 160
-
-# Starts of a registration: turns about the vertical axis [deg]. A search from one start ends in the nearest minimum.
-STARTS_DEG = (0.0, 12.0, -12.0)
-
-# Least decrease of the cost for which an object is moved. Below it, turns of round objects differ only by their facets.
-WORTH = 0.005
-
-
-# Vertices [m], shape (n, 3), and faces, shape (k, 3).
-Surface = tuple[Array, NDArray[np.int32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,33 +172,3 @@ def object_surface(item: SceneObject) -> Surface:
     if not vertices:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
-
-
-def pose_agreement(evidence: Evidence, surface: Surface, X_WO: Pose) -> RayAgreement:
-    """Compare a surface at a pose with the evidence, by the measure of the reconstruction."""
-    vertices, faces = surface
-    return agreement(evidence, cast_mesh(evidence.eye, evidence.rays, X_WO.apply(vertices), faces))
-
-
-def registered_pose(evidence: Evidence, surface: Surface, X_WO: Pose) -> Pose:
-    """Return the pose near ``X_WO`` at which a surface agrees best with the evidence.
-
-    The object is moved and turned about the vertical axis through its middle, so that it stays as upright as it is. The
-    cost is that of the reconstruction, and the result is never worse than ``X_WO``.
-    """
-    middle = X_WO.apply(surface[0].mean(axis=0))
-
-    def moved(x: Array) -> Pose:
-        turn = Pose.about(np.array([0.0, 0.0, 1.0]), float(x[3]))
-        return Pose.of(middle + x[:3]) @ turn @ Pose.of(-middle) @ X_WO
-
-    def cost(x: Array) -> float:
-        return pose_agreement(evidence, surface, moved(x)).cost
-
-    start = np.zeros(4)
-    best, least = start, cost(start)
-    for degrees in STARTS_DEG:
-        value, found = search(cost, start + np.array([0, 0, 0, np.radians(degrees)]), np.array(STEPS), EVALUATIONS)
-        if value < least - WORTH:
-            best, least = found, value
-    return moved(best)

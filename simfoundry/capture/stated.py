@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
-from simfoundry.capture.overlay import pose_agreement, registered_pose
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.segment.merge_regions import compact
 from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.evidence import gather
 from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.mesh_template import MeshTemplate
+from simfoundry.capture.shapes.register_mesh import pose_agreement, register_upright
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Mesh, tessellate
 
@@ -39,28 +40,25 @@ def placed_shape(
 ) -> FittedShape:
     """Return the solid of an object with a mesh or a pose that a person states.
 
-    A mesh without a pose is placed where it agrees best with the image, near the fitted solid.
+    A mesh without a pose is placed where it agrees best with the image, upright unless another side is clearly better.
 
     Args:
         frame: The image.
         support: The surface that supports the objects.
         shape: The fitted solid.
         mesh: The mesh that replaces it, in its own frame, or None.
-        stated: The pose in the world, or None.
+        stated: The pose in the world, or None if there is a mesh.
         labels: 1 at the pixels of the object, 2 at those of others, shape (h, w).
     """
     geometry = shape.geometry if mesh is None else Mesh(mesh.vertices, mesh.faces)
-    surface = (np.asarray(tessellate(geometry).vertices), np.asarray(tessellate(geometry).faces))
     corners = shape.X_WO.apply(tessellate(shape.geometry).vertices)
     evidence = gather(frame, support, labels == 1, float(corners[:, 2].min()), labels)
-    X_WO = stated
-    if X_WO is None:
-        low, high = surface[0].min(axis=0), surface[0].max(axis=0)
-        middle = np.append((corners.min(axis=0) + corners.max(axis=0))[:2] / 2, corners[:, 2].min())
-        turn = Pose.of(q=shape.X_WO.q)
-        base = np.array([*(low + high)[:2] / 2, low[2]])
-        X_WO = registered_pose(evidence, surface, Pose.of(middle) @ turn @ Pose.of(-base))
-    result = pose_agreement(evidence, surface, X_WO)
+    if stated is None:
+        found = register_upright(evidence, MeshTemplate.of(tessellate(geometry)))
+        X_WO, result = found.X_WO, found.agreement
+    else:
+        surface = (np.asarray(tessellate(geometry).vertices), np.asarray(tessellate(geometry).faces))
+        X_WO, result = stated, pose_agreement(evidence, surface, stated)
     fit = result.fit if math.isfinite(result.fit) else evidence.scale
     sure = float(np.clip(result.explained * (1.0 - result.intrusion), 0.0, 1.0))
     profile = shape.profile if mesh is None else None

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.load import load_frame
-from simfoundry.capture.overlay import CaptureOverlay, object_surface, pose_agreement, registered_pose
+from simfoundry.capture.overlay import CaptureOverlay, object_surface
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.capture.shapes.register_mesh import pose_agreement, registered_pose
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Mesh, tessellate

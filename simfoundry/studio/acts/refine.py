@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.capture.overlay import object_surface, pose_agreement
+from simfoundry.capture.overlay import object_surface
 from simfoundry.capture.shapes.evidence import Evidence
+from simfoundry.capture.shapes.register_mesh import pose_agreement
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.spec.change.edit_data import DataPath

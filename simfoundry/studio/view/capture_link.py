@@ -8,8 +8,9 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
-from simfoundry.capture.overlay import CaptureOverlay, object_surface, pose_agreement
+from simfoundry.capture.overlay import CaptureOverlay, object_surface
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement
+from simfoundry.capture.shapes.register_mesh import pose_agreement
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.object_shapes import world_bounds

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.capture.overlay import object_surface, registered_pose
+from simfoundry.capture.overlay import object_surface
 from simfoundry.capture.shapes.evidence import RayAgreement
+from simfoundry.capture.shapes.register_mesh import registered_pose
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.similarity import Similarity
 from simfoundry.scene.object_shapes import world_bounds

@@ -1,0 +1,363 @@
+"""Find the pose, and if need be the scale, at which a given mesh explains the camera's view of an object.
+
+Starts cover all sides on which the mesh may lie, turned all around. All of them are moved onto the visible surface at
+once, by matching observed points with points of the mesh that face the same way (iterative closest points). The best
+of them are judged by ray casts, which also see free space and the silhouette, and the best of those are refined by
+the same measure. Nothing is random, so equal evidence has equal results.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
+from simfoundry.capture.shapes.fit_primitives import search
+from simfoundry.capture.shapes.mesh_template import MeshTemplate
+from simfoundry.geometry.frames import Array, Pose
+
+# Vertices [m], shape (n, 3), and faces, shape (k, 3).
+Surface = tuple[Array, NDArray[np.int32]]
+
+# Turns about the vertical axis from which a registration starts; it turns an object by more than half of 30 degrees.
+YAWS = 12
+
+# Numbers of observed points that are matched, and of rounds of matching. Most starts rest after six.
+MATCHED_POINTS, ROUNDS = 120, 8
+
+# Share of the diameter of the mesh that a turned normal counts as, so that points match with surface that faces alike.
+NORMAL_WEIGHT = 0.25
+
+# Weight of the distance between matched points beside that along the normal. It pulls in points beyond an edge.
+POINT_WEIGHT = 0.1
+
+# Numbers of starts that are judged by ray casts and of those that are refined; and of rays, and of evaluations for each
+# unknown and each of two simplices.
+JUDGED, REFINED, RAYS, EVALUATIONS = 16, 2, 700, 16
+
+# Edges of the initial simplex of a refinement: translation [m], rotation [rad], and logarithm of the scale.
+STEP_M, STEP_RAD, STEP_SCALE = 0.005, 0.06, 0.04
+
+# Two poses are one if they are closer than this [m], [rad], so that not all refined starts end in the same pose.
+SAME_M, SAME_RAD = 0.01, 0.2
+
+# Cost of reaching below the surface of the table by the scale of the noise, and the most that it costs.
+SINK_COST, MAX_SINK_COST = 0.1, 0.5
+
+# Cost of floating above what the object stands on by the scale of the noise, and the most that it costs: little,
+# because what it stands on may be another object.
+FLOAT_COST, MAX_FLOAT_COST = 0.02, 0.1
+
+# Range of the estimated scale relative to that at which the visible parts of mesh and object have the same size.
+SCALE_RANGE = 2.5
+
+# Least decrease of the cost for which a mesh is laid on another side than that on which it stands.
+UPRIGHT_WORTH = 0.02
+
+# Local registration: edges of the simplex [m, rad], evaluations, turns about the vertical axis from which it starts
+# [deg], and the least decrease of the cost for which an object is moved. Below it, turns of round objects differ only
+# by their facets.
+LOCAL_STEPS, LOCAL_EVALUATIONS = (0.006, 0.006, 0.003, 0.08), 160
+LOCAL_STARTS_DEG, LOCAL_WORTH = (0.0, 12.0, -12.0), 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredMesh:
+    """A mesh at the pose at which it agrees best with the image.
+
+    Attributes:
+        X_WO: Pose of the mesh in the world.
+        scale: Factor by which the mesh is scaled about its own origin first; 1 if its size is known.
+        agreement: Agreement of the mesh with the image.
+    """
+
+    X_WO: Pose
+    scale: float
+    agreement: RayAgreement
+
+
+def pose_agreement(evidence: Evidence, surface: Surface, X_WO: Pose) -> RayAgreement:
+    """Compare a surface at a pose with the evidence, by the measure of the reconstruction."""
+    vertices, faces = surface
+    return agreement(evidence, cast_mesh(evidence.eye, evidence.rays, X_WO.apply(vertices), faces))
+
+
+def registered_pose(evidence: Evidence, surface: Surface, X_WO: Pose) -> Pose:
+    """Return the pose near ``X_WO`` at which a surface agrees best with the evidence.
+
+    The object is moved and turned about the vertical axis through its middle, so that it stays as upright as it is. The
+    cost is that of the reconstruction, and the result is never worse than ``X_WO``.
+    """
+    middle = X_WO.apply(surface[0].mean(axis=0))
+
+    def moved(x: Array) -> Pose:
+        turn = Pose.about(np.array([0.0, 0.0, 1.0]), float(x[3]))
+        return Pose.of(middle + x[:3]) @ turn @ Pose.of(-middle) @ X_WO
+
+    def cost(x: Array) -> float:
+        return pose_agreement(evidence, surface, moved(x)).cost
+
+    start = np.zeros(4)
+    best, least = start, cost(start)
+    for degrees in LOCAL_STARTS_DEG:
+        turned = start + np.array([0, 0, 0, np.radians(degrees)])
+        value, found = search(cost, turned, np.array(LOCAL_STEPS), LOCAL_EVALUATIONS)
+        if value < least - LOCAL_WORTH:
+            best, least = found, value
+    return moved(best)
+
+
+def register_mesh(
+    evidence: Evidence,
+    template: MeshTemplate,
+    *,
+    scale: float | None = 1.0,
+    upright: bool = False,
+    refined: int = REFINED,
+) -> RegisteredMesh:
+    """Return the pose in the world at which a mesh explains the evidence for an object best.
+
+    Args:
+        evidence: What the camera sees of the object.
+        template: The mesh.
+        scale: Known factor from the units of the mesh to meters, or None to estimate it.
+        upright: True if the mesh certainly stands as it is, with z up.
+        refined: Number of poses that are refined in the end; 0 for a quick and coarse result.
+    """
+    sides = template.sides[:1] if upright else template.sides
+    cloud = _Cloud.of(evidence)
+    state = _matched(cloud, template, _starts(cloud, template, sides, scale), scale is None)
+    few = _fewer_rays(evidence, RAYS)
+    placed = [_Placed(R, t, s) for R, t, s in zip(*state, strict=True)]
+    order = np.argsort(_residuals(cloud, template, state), kind="stable")
+    judged = _distinct([placed[k] for k in order], template, JUDGED)
+    costs = [_cost(few, template, one) for one in judged]
+    ranked = [judged[k] for k in np.argsort(costs, kind="stable")]
+    best, least = ranked[0], min(costs)
+    for one in ranked[:refined]:
+        value, found = _refined(few, template, one, scale is None)
+        if value < least:
+            best, least = found, value
+    mesh = template.mesh
+    X_WO = Pose.from_matrix(best.R)
+    X_WO = Pose.of(best.t, X_WO.q)
+    surface = (mesh.vertices * best.scale, mesh.faces)
+    return RegisteredMesh(X_WO, best.scale, pose_agreement(evidence, surface, X_WO))
+
+
+def register_upright(evidence: Evidence, template: MeshTemplate, scale: float | None = 1.0) -> RegisteredMesh:
+    """Return the mesh as it stands, with z up, unless it fits clearly better on another side."""
+    upright = register_mesh(evidence, template, scale=scale, upright=True)
+    anyhow = register_mesh(evidence, template, scale=scale)
+    return anyhow if anyhow.agreement.cost < upright.agreement.cost - UPRIGHT_WORTH else upright
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A scaled mesh at a pose: a point p of it is at ``R @ (scale * p) + t``."""
+
+    R: Array
+    t: Array
+    scale: float
+
+
+# Rotations (n, 3, 3), translations (n, 3) [m] and scales (n,) of several starts.
+_States = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """Observed points [m], shape (n, 3), with normals toward the camera, shape (n, 3), and the ray to their middle."""
+
+    points: Array
+    normals: Array
+    ray: Array
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> _Cloud:
+        """Choose points that are spread evenly over the visible surface, and estimate their normals."""
+        from scipy.spatial import cKDTree
+
+        points = evidence.points
+        chosen = points[np.linspace(0, len(points) - 1, min(len(points), MATCHED_POINTS)).astype(np.int64)]
+        tree = cKDTree(points)
+        count = min(len(points), 30)
+        near = points[tree.query(chosen, k=count)[1].reshape(len(chosen), count)]
+        middle = near.mean(axis=1, keepdims=True)
+        moments = np.einsum("nki,nkj->nij", near - middle, near - middle)
+        normals = np.linalg.eigh(moments)[1][:, :, 0]
+        toward = np.einsum("ni,ni->n", normals, evidence.eye - chosen)
+        normals = normals * np.where(toward < 0, -1.0, 1.0)[:, None]
+        ray = chosen.mean(axis=0) - evidence.eye
+        return cls(chosen, normals, ray / np.linalg.norm(ray))
+
+
+def _starts(cloud: _Cloud, template: MeshTemplate, sides: Array, scale: float | None) -> _States:
+    """Return each side of the mesh, turned all around, where its visible part has the middle of the observed points.
+
+    If the scale is unknown, the visible part also gets the size of the observed one, as seen across the view.
+    """
+    yaw = np.arange(YAWS) * (2 * math.pi / YAWS)
+    c, s, o, e = np.cos(yaw), np.sin(yaw), np.zeros(YAWS), np.ones(YAWS)
+    turns = np.array([[c, -s, o], [s, c, o], [o, o, e]]).transpose(2, 0, 1)
+    turned = np.einsum("aij,bjk->baik", turns, sides).reshape(-1, 3, 3)
+    visible = np.einsum("nij,mj,i->nm", turned, template.normals, cloud.ray) < -0.1  # not edge-on
+    weight = visible / np.maximum(visible.sum(axis=1, keepdims=True), 1)
+    points = np.einsum("nij,mj->nmi", turned, template.points)
+    middle = np.einsum("nm,nmi->ni", weight, points)
+    factor = np.full(len(turned), 1.0 if scale is None else scale)
+    if scale is None:
+        own = _spread_across(cloud.points - cloud.points.mean(axis=0), np.full(len(cloud.points), 1.0), cloud.ray)
+        for k in range(len(turned)):
+            factor[k] = own / max(_spread_across(points[k] - middle[k], weight[k], cloud.ray), 1e-9)
+    return turned, cloud.points.mean(axis=0) - factor[:, None] * middle, factor
+
+
+def _spread_across(offsets: Array, weight: Array, ray: Array) -> float:
+    """Return the root mean square of offsets [m], shape (n, 3), perpendicular to a ray."""
+    squares = (offsets**2).sum(axis=1) - (offsets @ ray) ** 2
+    return float(np.sqrt(max((weight * squares).sum() / max(weight.sum(), 1e-12), 0.0)))
+
+
+def _nearest(cloud: _Cloud, template: MeshTemplate, state: _States, tree: object) -> tuple[Array, NDArray[np.intp]]:
+    """Return the observed points in the frame of the mesh, (n, p, 3), and the indices of matched points, (n, p)."""
+    turns, shifts, scale = state
+    local = np.einsum("nji,npj->npi", turns, cloud.points[None] - shifts[:, None]) / scale[:, None, None]
+    facing = np.einsum("nji,pj->npi", turns, cloud.normals) * (NORMAL_WEIGHT * template.diameter)
+    both = np.concatenate([local, facing], axis=2).reshape(-1, 6)
+    return local, tree.query(both)[1].reshape(local.shape[:2])  # type: ignore[attr-defined]
+
+
+def _tree(template: MeshTemplate) -> object:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(np.hstack([template.points, template.normals * (NORMAL_WEIGHT * template.diameter)]))
+
+
+def _matched(cloud: _Cloud, template: MeshTemplate, state: _States, free_scale: bool) -> _States:
+    """Move all starts onto the observed points.
+
+    Each round solves for the small motion of each start that brings the observed points onto the planes of their
+    matched points, and with less weight onto these points. Matches that are far off for the start count less.
+    """
+    tree = _tree(template)
+    low, high = state[2] / SCALE_RANGE, state[2] * SCALE_RANGE
+    unknowns = 7 if free_scale else 6
+    for _ in range(ROUNDS):
+        local, index = _nearest(cloud, template, state, tree)
+        normal, offset = template.normals[index], local - template.points[index]
+        lever = local - template.center
+        distance = np.linalg.norm(offset, axis=2)
+        spread = np.maximum(np.median(distance, axis=1, keepdims=True), 0.01 * template.diameter)
+        weight = 1.0 / (1.0 + (distance / (2 * spread)) ** 2) ** 2  # Geman and McClure's
+        along = [np.cross(lever, normal), normal, (lever * normal).sum(axis=2, keepdims=True)]
+        slopes = np.concatenate(along, axis=2)[:, :, :unknowns]
+        normal_matrix = np.einsum("np,npi,npj->nij", weight, slopes, slopes)
+        b = -np.einsum("np,npi,np->ni", weight, slopes, (offset * normal).sum(axis=2))
+        for axis in range(3):  # the distance between points, one axis after the other
+            unit = np.broadcast_to(np.eye(3)[axis], lever.shape)
+            slopes = np.concatenate([np.cross(lever, unit), unit, lever[:, :, axis, None]], axis=2)[:, :, :unknowns]
+            normal_matrix += POINT_WEIGHT * np.einsum("np,npi,npj->nij", weight, slopes, slopes)
+            b -= POINT_WEIGHT * np.einsum("np,npi,np->ni", weight, slopes, offset[:, :, axis])
+        normal_matrix += np.eye(unknowns) * (1e-6 * np.trace(normal_matrix, axis1=1, axis2=2))[:, None, None]
+        x = np.linalg.solve(normal_matrix, b[:, :, None])[:, :, 0]
+        state = _moved(state, template.center, x, (low, high))
+    return state
+
+
+def _moved(state: _States, center: Array, x: Array, limits: tuple[Array, Array]) -> _States:
+    """Apply small motions of the observed points in the frame of the mesh about its center, shape (n, 6 or 7)."""
+    turns, shifts, scale = state
+    # The points move by the motion, so that the mesh moves by its inverse.
+    turn = _rotations(x[:, :3])
+    turns_new = np.einsum("nij,nkj->nik", turns, turn)
+    factor = np.exp(-x[:, 6]) if x.shape[1] == 7 else np.ones(len(x))
+    scale_new = np.clip(scale * factor, *limits)
+    # A point q of the mesh's frame becomes turn (q - center) scale / scale_new + center + shift.
+    target = np.einsum("nij,nj->ni", turns, center * scale[:, None]) + shifts
+    moved_center = np.einsum("nij,nj->ni", turns_new, center + x[:, 3:6])
+    return turns_new, target - scale_new[:, None] * moved_center, scale_new
+
+
+def _rotations(vectors: Array) -> Array:
+    """Return the rotations about vectors by their lengths [rad], shape (n, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    limited = np.minimum(angle, 0.5)  # a linear step is not valid beyond
+    axis = vectors / np.maximum(angle, 1e-12)[:, None]
+    K = np.zeros((len(vectors), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= K.transpose(0, 2, 1)
+    sine, cosine = np.sin(limited)[:, None, None], np.cos(limited)[:, None, None]
+    return np.asarray(np.eye(3) + sine * K + (1 - cosine) * (K @ K))
+
+
+def _residuals(cloud: _Cloud, template: MeshTemplate, state: _States) -> Array:
+    """Return the trimmed mean distance of observed points from the matched points in meters, shape (n,)."""
+    local, index = _nearest(cloud, template, state, _tree(template))
+    distance = np.sort(np.linalg.norm(local - template.points[index], axis=2) * state[2][:, None], axis=1)
+    return np.asarray(distance[:, : max(1, int(0.9 * distance.shape[1]))].mean(axis=1))
+
+
+def _distinct(placed: list[_Placed], template: MeshTemplate, count: int) -> list[_Placed]:
+    """Return the first ``count`` that differ from each other."""
+    out: list[_Placed] = []
+    for one in placed:
+        center = one.R @ (one.scale * template.center) + one.t
+        for other in out:
+            cosine = (np.trace(one.R.T @ other.R) - 1) / 2
+            apart = float(np.linalg.norm(other.R @ (other.scale * template.center) + other.t - center))
+            if apart < SAME_M and cosine > math.cos(SAME_RAD):
+                break
+        else:
+            out.append(one)
+        if len(out) == count:
+            break
+    return out
+
+
+def _fewer_rays(evidence: Evidence, count: int) -> Evidence:
+    """Return the evidence with about ``count`` of its rays, spread evenly over its grid."""
+    step = max(1, round(len(evidence.rays) / count))
+    step += step % 2 == 0 and step > 1  # an odd step visits other columns in each row of a grid
+    chosen: Mask = np.zeros(len(evidence.rays), dtype=bool)
+    chosen[::step] = True
+    return replace(
+        evidence,
+        rays=evidence.rays[chosen],
+        depth=evidence.depth[chosen],
+        inside=evidence.inside[chosen],
+        hidden=evidence.hidden[chosen],
+    )
+
+
+def _cost(evidence: Evidence, template: MeshTemplate, placed: _Placed) -> float:
+    """Return the cost of the reconstruction, and that of a place below or above what the object stands on."""
+    vertices = placed.scale * template.vertices @ placed.R.T + placed.t
+    result = agreement(evidence, cast_mesh(evidence.eye, evidence.rays, vertices, template.faces))
+    low = float(vertices[:, 2].min())
+    sink = min(MAX_SINK_COST, SINK_COST * max(0.0, -low) / evidence.scale)
+    return result.cost + sink + min(MAX_FLOAT_COST, FLOAT_COST * abs(low - evidence.base_z) / evidence.scale)
+
+
+def _refined(evidence: Evidence, template: MeshTemplate, start: _Placed, free_scale: bool) -> tuple[float, _Placed]:
+    """Move, turn and if need be scale the mesh about the middle of the observed points until the cost is least."""
+    pivot = evidence.points.mean(axis=0)
+
+    def moved(x: Array) -> _Placed:
+        turn = _rotations(x[None, 3:6])[0]
+        factor = math.exp(float(np.clip(x[6], -1, 1))) if free_scale else 1.0
+        shift = pivot + x[:3] + turn @ (factor * (start.t - pivot))
+        return _Placed(turn @ start.R, shift, factor * start.scale)
+
+    def cost(x: Array) -> float:
+        return _cost(evidence, template, moved(x))
+
+    steps = np.array([STEP_M] * 3 + [STEP_RAD] * 3 + [STEP_SCALE] * free_scale)
+    x = np.zeros(len(steps))
+    for size in (1.0, 0.5):  # a simplex that has collapsed goes on from a fresh one
+        value, x = search(cost, x, size * steps, EVALUATIONS * len(steps))
+    return value, moved(x)
