@@ -58,6 +58,9 @@ MODEL_FAILED = "SF640"
 # An object that a model sees where nothing was found.
 NOT_FOUND = "SF641"
 
+# Fewer tasks than requested.
+FEW_TASKS = "SF642"
+
 # Sizes and distances that no tabletop has.
 IMPLAUSIBLE = "SF628"
 

@@ -21,6 +21,9 @@ STAGES_FOLDER = "stages"
 
 REPORT = "report.json"
 
+# Ending of the tasks in the output, which people may edit as well.
+TASK = ".task.yaml"
+
 # Files that people may edit in the output, and that later runs take into account.
 EDITABLE = ("masks.png", "masks.yaml")
 
@@ -84,7 +87,8 @@ def previous_output(out: Path, document: Path, scene: str, force: bool) -> Previ
     present = [(path, out / path) for path in sorted(written) if (out / path).is_file()]
     edited = [path for path, file in present if hashlib.sha256(file.read_bytes()).hexdigest() != written[path]]
     can_merge = (out / STAGES_FOLDER / LAST_SCENE).is_file()
-    lost = [path for path in edited if path not in EDITABLE and not (path == scene and can_merge)]
+    kept_edits = {*EDITABLE, *(path for path in edited if path.endswith(TASK))}
+    lost = [path for path in edited if path not in kept_edits and not (path == scene and can_merge)]
     if lost:
         raise OutputError(
             f"{out} contains files that were edited since they were generated ({_names(lost)}); state corrections in "

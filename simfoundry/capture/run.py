@@ -24,6 +24,7 @@ from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.settle_stage import standing_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
+from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.runtime.files import file_digests, write_file
@@ -74,6 +75,7 @@ def run_capture(
     truth: Path | None = None,
     page: ReportPage | None = None,
     setup: ModelSetup | None = None,
+    tasks: TaskRequest | None = None,
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
@@ -86,7 +88,8 @@ def run_capture(
 
     ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
     report and its pictures, by file name. ``setup`` names the models to ask, by default those that are configured for
-    the capture. Where one fails, there is a finding, and the method without a model is used.
+    the capture. Where one fails, there is a finding, and the method without a model is used. ``tasks`` requests tasks
+    in the scene; if there are fewer, there is a finding.
 
     Raises:
         SpecError: The capture or the ground truth is unusable. The error contains all findings.
@@ -123,9 +126,12 @@ def run_capture(
                 accuracy = None if real is None else real.judge(scene, ray, source.value.color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
                 edited += (scene_name,) * merged.is_edited
-                findings = ordered_findings((*built.findings, *_restless(settled), *merged.findings))
+                written = write_tasks(tasks, staging / scene_name, source.value.color, previous, progress)
+                doubts = (*built.findings, *_restless(settled), *merged.findings, *written.findings)
+                findings = ordered_findings(doubts)
                 report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
-                report |= {"edited": list(edited)} | ({} if accuracy is None else {"accuracy": accuracy.to_json()})
+                report |= {"edited": [*edited, *written.edited]}
+                report |= ({} if accuracy is None else {"accuracy": accuracy.to_json()}) | written.to_json()
                 report = _write_report(report, page, staging)
                 store.prune()
     except CaptureError as error:

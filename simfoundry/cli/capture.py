@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from simfoundry.cli import output
 from simfoundry.cli.options import ANY, FILE, FOLDER, NEW_FOLDER, commercial_only_option, option
 from simfoundry.cli.scenes import settle_table
+
+if TYPE_CHECKING:
+    from simfoundry.capture.tasks import TaskRequest
+    from simfoundry.models.setup import ModelSetup
 
 
 @output.subcommand("status")
@@ -50,6 +54,7 @@ class _WithStatus(click.Command):
     "--against", type=FILE, metavar="TRUTH", help="Compare the scene with this ground truth, a scene document."
 )
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
+@click.option("--tasks", type=click.IntRange(1, 1000), metavar="N", help="Also write N tasks that the scene affords.")
 @commercial_only_option
 def capture_command(
     capture: Path,
@@ -60,6 +65,7 @@ def capture_command(
     only: tuple[str, ...],
     against: Path | None,
     codes: tuple[str, ...],
+    tasks: int | None,
     commercial_only: bool,
     as_json: bool,
 ) -> int:
@@ -74,6 +80,9 @@ def capture_command(
 
     No model is needed. One that is configured for `read_scene` names the objects, and estimates their masses.
 
+    `--tasks` writes NAME.task.yaml files, each verified as `simfoundry propose` does. If the model for `read_scene` is
+    one of a provider, it proposes them.
+
     `--against` prints the measures of the paper. The camera in TRUTH has the name of the frame, or is the only one.
     """
     from simfoundry.assets.cache import Cache
@@ -86,6 +95,7 @@ def capture_command(
     # A capture is named after its folder, or NAME if its file is called NAME.capture.yaml.
     folder = capture if capture.is_dir() else capture.parent
     is_named = capture.is_file() and capture.name != "capture.yaml"
+    models = load_setup(capture, commercial_only=commercial_only)
     target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
     with output.progress_bar(as_json) as progress:
         run = run_capture(
@@ -100,7 +110,8 @@ def capture_command(
             only,
             truth=against,
             page=capture_page,
-            setup=load_setup(capture, commercial_only=commercial_only),
+            setup=models,
+            tasks=None if tasks is None else _task_request(tasks, models),
         )
     verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:
@@ -112,8 +123,18 @@ def capture_command(
         click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))
     if run.accuracy is not None:
         click.echo(f"\n{accuracy_text(run.accuracy.to_json())}\n")
+    for task, instruction in run.report.get("tasks", {}).items():
+        click.echo(f"task {task}: {instruction}")
     click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'report.html'}")
     return verdict
+
+
+def _task_request(count: int, models: ModelSetup) -> TaskRequest:
+    from simfoundry.assets.cache import Cache
+    from simfoundry.cousins.tasks.scene_tasks import task_request
+    from simfoundry.models.open import open_provider
+
+    return task_request(count, Cache.default(), open_provider(models, "read_scene"))
 
 
 @output.subcommand()

@@ -34,6 +34,7 @@ NOT_SHOWN = {
     "SF605": "needs several whole pictures",
     "SF640": "needs a model",
     "SF641": "needs a model",
+    "SF642": "needs a whole picture",
     "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""
