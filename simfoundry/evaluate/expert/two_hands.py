@@ -21,7 +21,7 @@ from simfoundry.scene.object_shapes import solid
 TILTS, SIDEWAYS = (0.75, 0.9, 1.05), (0.0, 0.4, -0.4)
 
 # Heights [m] by which the object is lifted; the first feasible one is used. Short arms do not reach high far away.
-LIFTS = (0.1, 0.07, 0.05)
+LIFTS = (0.1, 0.07, 0.05, 0.03)
 
 # Distance [m] of corners from the outermost ones up to which they belong to the end of an object.
 END = 0.015
