@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 import simfoundry.capture.segment
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.segment.decompose import survey_regions
+from simfoundry.capture.segment.decompose import RegionSurvey, merged_by_rules, survey_regions
 from simfoundry.capture.segment.find_support import find_support
-from simfoundry.capture.segment.learned_merging import WEIGHTS, MergeNetwork
-from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.segment.learned_merging import DEEPEST, FEWEST, WEIGHTS, MergeNetwork
+from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.segment.pair_features import lab_image, pair_features
-from simfoundry.capture.segment.regions import adjacent_pairs
+from simfoundry.capture.segment.regions import Crop, adjacent_pairs
 from simfoundry.capture.segment.split_candidates import split_candidates
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import write_atomically
@@ -53,23 +53,74 @@ class Examples:
 
 
 def examples_of(frame: Frame, truth: NDArray[np.int32]) -> Iterator[tuple[Array, bool]]:
-    """Features of the pairs of regions of a picture, and whether they are one object."""
+    """Features of the pairs of regions of a picture, and whether they are one object.
+
+    The pairs are those that a perfect network would be asked about: regions are divided where a division separates two
+    objects, the halves are judged again, and so are the regions that remain.
+    """
     frame = frame.cleaned()
     support = find_support(frame)
     survey = survey_regions(frame, support.X_WC.apply(frame.points), support)
     if survey is None:
         return
-    crop, regions = survey.crop, survey.regions
+    crop = survey.crop
     true, lab = truth[:: survey.step, :: survey.step][crop.window], lab_image(crop.color)
-    pairs: list[tuple[Mask, Mask]] = [(regions == a, regions == b) for a, b in sorted(adjacent_pairs(regions))]
-    for k in range(1, int(regions.max()) + 1):
-        pairs += split_candidates(regions == k, crop, lab, survey.initial)
-    for one, other in pairs:
-        if min(one.sum(), other.sum()) < 20:
+    for labels in (survey.regions, _perfect_division(survey, true, lab)):
+        for a, b in sorted(adjacent_pairs(labels)):
+            yield from _example(labels == a, labels == b, crop, true, lab)
+    for mask in _judged_regions(survey, true, lab):
+        for pair in split_candidates(mask, crop, lab, survey.initial):
+            yield from _example(*pair, crop, true, lab)
+
+
+def _example(one: Mask, other: Mask, crop: Crop, true: NDArray[np.int32], lab: Array) -> Iterator[tuple[Array, bool]]:
+    """Features and truth of one pair, unless it is small or mixed, or shows the background."""
+    if min(one.sum(), other.sum()) < FEWEST // 2:
+        return
+    (a, share_a), (b, share_b) = _owner(true[one]), _owner(true[other])
+    if min(share_a, share_b) >= PURE and (a or b):
+        yield pair_features(one, other, crop, lab), a == b
+
+
+def _judged_regions(survey: RegionSurvey, true: NDArray[np.int32], lab: Array) -> list[Mask]:
+    """The regions whose divisions are judged, halves of divided regions included."""
+    out: list[Mask] = []
+    left = [(survey.regions == k, DEEPEST) for k in range(1, int(survey.regions.max()) + 1)]
+    while left:
+        mask, depth = left.pop()
+        if depth == 0 or mask.sum() < 2 * FEWEST:
             continue
-        (a, share_a), (b, share_b) = _owner(true[one]), _owner(true[other])
-        if min(share_a, share_b) >= PURE and (a or b):
-            yield pair_features(one, other, crop, lab), a == b
+        out.append(mask)
+        halves = _best_halves(mask, survey, true, lab)
+        left += [(half, depth - 1) for half in halves or ()]
+    return out
+
+
+def _perfect_division(survey: RegionSurvey, true: NDArray[np.int32], lab: Array) -> Labels:
+    """The regions after every division that separates objects, and the stages up to the joining of regions."""
+    labels, number = np.zeros_like(survey.regions), 0
+    left = [survey.regions == k for k in range(1, int(survey.regions.max()) + 1)]
+    while left:
+        mask = left.pop()
+        halves = _best_halves(mask, survey, true, lab) if mask.sum() >= 2 * FEWEST else None
+        if halves is not None:
+            left += halves
+            continue
+        number += 1
+        labels[mask] = number
+    return merged_by_rules(labels, survey.crop)
+
+
+def _best_halves(mask: Mask, survey: RegionSurvey, true: NDArray[np.int32], lab: Array) -> list[Mask] | None:
+    """The two halves that separate two objects best, or None if the region shows one object."""
+    best, halves = PURE, None
+    if _owner(true[mask])[1] > 0.95:
+        return None
+    for pair in split_candidates(mask, survey.crop, lab, survey.initial):
+        (a, share_a), (b, share_b) = (_owner(true[half]) for half in pair)
+        if a != b and a and b and min(share_a, share_b) > best:
+            best, halves = min(share_a, share_b), list(pair)
+    return halves
 
 
 def _owner(numbers: NDArray[np.int32]) -> tuple[int, float]:

@@ -28,6 +28,8 @@ LOW = 0.02  # [m] maximum height of a bump caused by sensor error
 WORKING_REACH = 6.0  # [px] distance over which edges are evaluated; images with finer detail are downsampled to it
 FLOATING = 1e-3  # [m²] maximum area of floating stray depth; larger floating regions are leaning or hanging objects
 FRAGMENT = 1.2e-3  # [m²] minimum visible area of an occluded region; smaller ones show too little of an object
+STANDING = 6e-4  # [m²] the same for a region that is seen to stand: stray depth at the end of a desk has 5 cm²
+BASE_HIDDEN = 0.8  # maximum hidden fraction of the lower edge of a region that is seen to stand
 GLIMPSE = 0.3  # minimum fraction of an object's height that must be visible above its occluder
 SMALLEST = 4e-4  # [m²] minimum visible area of an object
 MIN_PIXELS = 60  # minimum number of pixels of an object: 8 x 8 is enough for a tangent plane and its edges
@@ -83,16 +85,22 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     step, crop = survey.step, survey.crop
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
     regions = divide_regions(survey.regions, survey.initial, crop)
-    for stage in (
-        *(merge_regions.join_containers, merge_regions.join_hidden, merge_by_color.split_necks),
-        *(merge_by_color.join_kin, merge_regions.join_hanging, join_regions, _without_specks),
-    ):
-        regions = stage(regions, crop)
+    regions = _without_specks(join_regions(merged_by_rules(regions, crop), crop), crop)
     coarse[crop.window] = _without_foreign_regions(regions, crop, support)
     labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
     labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
     labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
     return close_silhouettes(labels, depth, points_W, step + 1)
+
+
+def merged_by_rules(regions: Labels, crop: Crop) -> Labels:
+    """Merge and split regions by the rules that need no network: rims, occluded boxes, hues, hanging parts."""
+    for stage in (
+        *(merge_regions.join_containers, merge_regions.join_hidden, merge_by_color.split_necks),
+        *(merge_by_color.join_kin, merge_regions.join_hanging),
+    ):
+        regions = stage(regions, crop)
+    return regions
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,11 +250,12 @@ def _without_foreign_regions(labels: Labels, crop: Crop, support: SupportSurface
         floats_alone = floats and k not in touched and part.area < FLOATING
         seen_past = floats_alone and part.bottom > 0.05 and hidden[k] < 0.3
         along_border = _on_border(labels == k, crop)
+        stands = part.is_grounded and hidden[k] < BASE_HIDDEN
         if (
             (beside and not on[k])
             or seen_past
             or glimpsed
-            or (k in behind and part.area < FRAGMENT)
+            or (k in behind and part.area < (STANDING if stands else FRAGMENT))
             or along_border > LONG_BORDER
             or (along_border > 0 and floats_alone)
             or sunk[k] > 0.3

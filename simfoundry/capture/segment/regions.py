@@ -20,6 +20,7 @@ from simfoundry.geometry.frames import Array
 CUT = 0.012  # [m] a neighbor whose depth differs by more than this (and the noise) is on a different surface
 SCALE = 0.009  # [m] distance on the object over which surfaces are smoothed and edges are evaluated
 FLAT = 0.5  # edge strength (in units of `Crop.edge`) below which a pixel may seed a region
+CURVED = 6e-4  # [m²] minimum area of a region that is flat nowhere; noise between objects leaves smaller ones
 BROKEN = 5.0  # step (in units of `Crop.step`) above which two pixels are not connected
 CLEAREST = 10.0  # limit on the bend or jump of a pair, in units of the noise: one pair must not outweigh a long border
 Window = tuple[slice, slice]
@@ -90,13 +91,17 @@ def cut(crop: Crop) -> Labels:
 
     mask = crop.mask
     seeds = np.zeros(mask.shape, np.int32)
-    flat = (mask & (crop.edge < FLAT)).astype(np.uint8)
+    flat = mask & (crop.edge < FLAT)
     islands, _ = components(mask & (crop.step < BROKEN))
     # A narrow strip along a silhouette does not become a separate region, unless its island would have no other region.
-    for radius in (max(2, crop.reach // 2), 1, 0):
-        inner = cv2.erode(flat, disk(radius), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    # Small bowls are flat nowhere: the last round takes an entire island without regions, unless it is small.
+    for radius, where in ((max(2, crop.reach // 2), flat), (1, flat), (0, flat), (0, islands > 0)):
+        kernel = disk(radius)
+        inner = cv2.erode(where.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
         parts, areas = components(inner & ~np.isin(islands, np.unique(islands[seeds > 0])))
         sound = areas >= 12
+        if where is not flat:
+            sound &= np.bincount(parts.ravel(), np.nan_to_num(crop.pixel_area).ravel()) >= CURVED
         renumber = np.where(sound, np.cumsum(sound) + int(seeds.max()), 0).astype(np.int32)
         seeds = np.maximum(seeds, renumber[parts])
     return flood(seeds, mask, crop.edge)
@@ -115,13 +120,14 @@ def flood(seeds: Labels, mask: Mask, height: Array) -> Labels:
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     levels = np.append(np.linspace(0.1, 3.0, 30), np.inf)
     for level in levels:
-        open_ = mask & (height <= level)
-        while True:
-            front = open_ & (labels == 0)
-            grown = np.where(front, cv2.dilate(labels, cross), labels)
-            if np.array_equal(grown, labels):
+        front = mask & (labels == 0) & (height <= level)
+        while front.any():
+            grown = np.where(front, cv2.dilate(labels, cross), 0)
+            reached = grown > 0
+            if not reached.any():
                 break
-            labels = grown
+            labels[reached] = grown[reached]
+            front &= ~reached
     return labels.astype(np.int32)
 
 

@@ -24,8 +24,21 @@ def split_candidates(mask: Mask, crop: Crop, lab: Array, initial: Labels) -> lis
     inside = np.unique(initial[mask & (initial > 0)])
     if 1 < len(inside) <= 12:
         found += [mask & (initial == k) for k in inside]
-    halves = [_halves(one, mask) for one in found]
-    return [pair for pair in halves if pair is not None]
+    window = _window(mask)
+    halves = [_halves(one[window], mask[window]) for one in found]
+    return [(_placed(a, window, mask), _placed(b, window, mask)) for a, b in (pair for pair in halves if pair)]
+
+
+def _window(mask: Mask) -> tuple[slice, slice]:
+    """Return the rows and columns that a mask covers: what is outside of them need not be flooded."""
+    rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _placed(part: Mask, window: tuple[slice, slice], whole: Mask) -> Mask:
+    out = np.zeros_like(whole)
+    out[window] = part
+    return out
 
 
 def _halves(one: Mask, mask: Mask) -> tuple[Mask, Mask] | None:
