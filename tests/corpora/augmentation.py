@@ -83,7 +83,7 @@ def main() -> int:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join(CASES))
     parser.add_argument("-n", "--count", type=int, default=200)
     parser.add_argument("-j", "--jobs", type=int, default=2)
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     print(f"{'case':<20} {'success of attempts':<24} {'bar':>4}  best and worst demonstration; failures", flush=True)
     missed, rows = 0, {}
     for name in given.cases or CASES:

@@ -88,10 +88,14 @@ class PutPlan(NamedTuple):
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
     """Pick up an object.
 
-    If ``places`` are given, the grasp must allow the object to be placed at one of them.
+    If ``places`` are given, grasps are preferred with which the object can be placed at one of them.
     """
     worker.sync()
     plan = _plan_pick(worker, robot, name, places)
+    if plan is None and places is not None:
+        # An object in the hand can still be dropped, or be put somewhere from which it can be grasped otherwise.
+        worker.sync()
+        plan = _plan_pick(worker, robot, name, None)
     if plan is None:
         raise FailedError(f"{robot} could not find a grasp for {name}")
     yield from seize(worker, robot, plan)
