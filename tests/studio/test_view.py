@@ -15,6 +15,7 @@ import pytest
 import simfoundry as sf
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Cylinder, closed_mesh
+from simfoundry.render.glb import glb_of
 from simfoundry.studio.acts.move import MoveObject
 from simfoundry.studio.acts.properties import SetProperties
 from simfoundry.studio.export import scene_html
@@ -22,7 +23,6 @@ from simfoundry.studio.server import StudioServer
 from simfoundry.studio.session import StudioSession
 from simfoundry.studio.view.canvas import Canvas
 from simfoundry.studio.view.contents import FrustumContent, SurfaceContent
-from simfoundry.render.glb import glb_of
 from simfoundry.studio.view.nodes import DisplayOptions, scene_nodes
 from simfoundry.studio.view.panels.adding import AddPanel
 from tests.studio.conftest import SCENE
