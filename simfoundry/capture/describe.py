@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.assets import mass
+from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.kinds import SUPPORT, MaterialPrior, kind_of, material_of
 from simfoundry.capture.scene_reading import MatchedReading
@@ -108,7 +109,8 @@ def object_spec(
     seen = None if read is None or segment is None else read.objects.get(segment)
     primitive = shape_spec(shape)
     surface = tessellate(shape.geometry)
-    volume = mass.mesh(surface.vertices, surface.faces).volume
+    is_open = primitive is None and open_edges(weld(surface.vertices, surface.faces)[1]) > 0
+    volume = hull_volume(surface) if is_open else mass.mesh(surface.vertices, surface.faces).volume
     kind = kind_of(shape)
     substance = kind.material if segment is None else material_prior(shape, segment, read)
     densities = substance.density, substance.lowest, substance.highest
@@ -123,6 +125,7 @@ def object_spec(
         asset=None if primitive is not None else f"meshes/{name}.obj",
         visual=f"meshes/{name}.obj" if primitive is not None else None,
         material=substance.name,
+        solid="hull" if is_open else "exact",
         mass=spec.Estimate(value=kilograms, range=(low, high), source=source),
         pose=pose_spec(shape.X_WO),
         origin=Origin(
@@ -133,6 +136,13 @@ def object_spec(
             models=models if seen is None or read is None else (*models, read.use),
         ),
     )
+
+
+def hull_volume(surface: Mesh) -> float:
+    """Return the volume of the convex hull of a mesh [m^3], for one that is not closed."""
+    from scipy.spatial import ConvexHull
+
+    return float(ConvexHull(surface.vertices).volume)
 
 
 def shape_spec(shape: FittedShape) -> shapes.Shape | None:

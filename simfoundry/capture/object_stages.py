@@ -165,8 +165,9 @@ def textured_objects(
     meshes = {}
     for done, (k, shape) in enumerate(shapes.items()):
         progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
-        if k in given and given[k].texture is not None:
-            meshes[k] = given[k]
+        own = given.get(k, shape.geometry)
+        if isinstance(own, Mesh) and own.texture is not None:
+            meshes[k] = own
             continue
         inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
         paint = partial(textured_mesh, shape, frame, view.support, view.mask(k))

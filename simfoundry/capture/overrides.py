@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import merged, read_mesh
@@ -25,6 +26,8 @@ OVERRIDES_FOLDER = "overrides"
 
 OBJECTS = "objects.yaml"
 
+JointWords = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
 HINT = "correct the name, or remove the entry"
 
 
@@ -35,6 +38,10 @@ class ObjectOverride(Model):
     pose: PoseSpec | None = Field(None, description="Pose of the object in the world of the scene, before it settles.")
     mesh: str | None = Field(
         None, description="Mesh file, relative to this document, in meters and with z up; replaces the fitted solid."
+    )
+    moves: bool | None = Field(None, description="Whether it has parts that move, whatever a model says.")
+    joints: tuple[JointWords, ...] = Field(
+        (), max_length=64, description="Joints of its parts, in the words of `simfoundry articulate --joint`."
     )
 
 

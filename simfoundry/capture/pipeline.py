@@ -13,7 +13,9 @@ from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.kinds import SUPPORT
+from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes
 from simfoundry.capture.model_stages.ask import StageModels
+from simfoundry.capture.model_stages.background import BACKGROUND, model_background
 from simfoundry.capture.model_stages.depth import completed_frame
 from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
 from simfoundry.capture.object_stages import (
@@ -31,13 +33,14 @@ from simfoundry.capture.removal import removal_layers
 from simfoundry.capture.scene_reading import MatchedReading, match_objects, read_scene, unmatched_findings
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels
+from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.models.setup import ModelSetup
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.models.surroundings import LightSpec
+from simfoundry.spec.models.surroundings import BackgroundSpec, LightSpec
 
 CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
 
@@ -77,36 +80,40 @@ def reconstruct(
         CaptureError: No support or no object is found in the image.
     """
     overrides, models = known.overrides, StageModels(known.setup, stages)
-    frame, completed = completed_frame(source.value, models)
-    seen = {"image": digest_of([frame.color, frame.depth, frame.K])}
+    measured = source.value
+    frame, completed = completed_frame(measured, models)
+    seen = {"image": digest_of([measured.color, measured.depth, measured.K])}
     progress("support", 0.0)
     chosen = "" if frame.support is None else frame.support.model_dump_json()
-    support = stages.run("support", seen | {"chosen": chosen}, lambda: find_support(frame))
+    support = stages.run("support", seen | {"chosen": chosen}, lambda: find_support(measured))
+    seen |= {} if completed is None else {"completed": completed.digest}
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
     segmentation, masked = segmented_frame(frame, support, seen, overrides, models, reading)
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
     shapes, carriers, findings = fitted_shapes(view, progress)
+    cleared, painters = cleared_images_of(view, shapes, models)
+    modelled = model_shapes(view, shapes, cleared, models)
     read = None if reading is None else match_objects(reading, segmentation.value.labels)
-    cleared, _ = cleared_images_of(view, shapes, models)
-    made_by = (*(completed.models if completed else ()), *masked)
-    words = {} if read is None else {k: word for k in shapes if (word := read.name(k)) is not None}
-    inputs = seen | {"segments": segmentation.digest, "shapes": digest_of(list(shapes.values()))}
-    inputs |= {"masks": digest_of(frame.instances), "given": json.dumps(dict(known.given)), "read": digest_of(words)}
-    find = partial(found_names, frame, segmentation.value, shapes, known.given, words)
-    found = stages.run("name", inputs, find, quick=True).value
-    names = _names(found, segmentation.value, known)
-    if overrides.names or any(item.name for item in overrides.objects.values()):
-        stages.overridden.add(("name", ""))
+    found, names = _named(view, modelled.shapes, known, read)
     keys = {k: overrides.of((names[k], found[k]))[0] for k in shapes}
-    shapes = {k: placed_by_person(view, shape, overrides, keys[k], k) for k, shape in shapes.items()}
+    placed = {k: placed_by_person(view, shape, overrides, keys[k], k) for k, shape in modelled.shapes.items()}
     given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
-    objects = textured_objects(view, shapes, carriers, given, progress)
-    spec = scene_spec(name, frame, support.value, objects, names, read, made_by)
+    objects = textured_objects(view, placed, carriers, given, progress)
+    moving = () if read is None else [k for k, each in read.objects.items() if each.is_articulated]
+    jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
+    splat = model_background(frame, objects.support, cleared[-1], models) if cleared else None
+    everywhere = (*(completed.models if completed else ()), *masked)
+    uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
+    spec = scene_spec(name, frame, support.value, objects, names, read, uses)
+    spec = _with_joints(spec, jointed, objects, names)
     files = mesh_files(SUPPORT_NAME, objects.top)
     for k, mesh in objects.meshes.items():
-        files |= mesh_files(names[k], mesh)
-    doubts = image_doubts(source.value, support.value, segmentation.value)
+        files |= jointed.objects[k].files if k in jointed.objects else mesh_files(names[k], mesh)
+    if splat is not None:
+        files[BACKGROUND] = splat.value
+    spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)
+    doubts = image_doubts(measured, support.value, segmentation.value)
     unmet = (CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in segmentation.value.unmet)
     return Reconstruction(
         spec,
@@ -121,12 +128,49 @@ def reconstruct(
             *unmet,
             *unmatched_findings(read),
             *models.findings({str(k): name for k, name in names.items()}),
+            *jointed.findings,
             *findings,
             *overrides.unused({*found.values(), *names.values()}),
             *doubts,
         ),
         removal_layers(cleared, names),
+        modelled.files(names),
+        modelled.report(names),
     )
+
+
+def _with_joints(
+    spec: SceneSpec, jointed: JointedObjects, objects: TexturedObjects, names: Mapping[int, str]
+) -> SceneSpec:
+    """Return the scene in which the objects with parts that move are assets with joints."""
+    changed = {
+        names[k]: jointed_spec(spec.objects[names[k]], each, objects.shapes[k], jointed.uses.get(k, ()))
+        for k, each in jointed.objects.items()
+    }
+    return spec.model_copy(update={"objects": {**spec.objects, **changed}})
+
+
+def _with_origin(spec: SceneSpec, models: tuple[ModelUse, ...], has_background: bool) -> SceneSpec:
+    """Return the scene with the models that contributed to all of it, and with its background."""
+    assert spec.origin is not None
+    background = BackgroundSpec(splat=BACKGROUND) if has_background else None
+    origin = spec.origin.model_copy(update={"models": tuple(dict.fromkeys(models))})
+    return spec.model_copy(update={"background": background, "origin": origin})
+
+
+def _named(
+    view: SegmentedView, shapes: Mapping[int, FittedShape], known: Statements, read: MatchedReading | None
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Return the names that objects have by the capture, by a model or by color and shape, and those in the scene."""
+    stages, segmentation = view.stages, view.segmentation
+    words = {} if read is None else {k: word for k in shapes if (word := read.name(k)) is not None}
+    inputs = {**view.seen, "segments": digest_of(segmentation), "shapes": digest_of(list(shapes.values()))}
+    inputs |= {"masks": digest_of(view.frame.instances), "given": json.dumps(dict(known.given))}
+    find = partial(found_names, view.frame, segmentation, shapes, known.given, words)
+    found = stages.run("name", {**inputs, "read": digest_of(words)}, find, quick=True).value
+    if known.overrides.names or any(item.name for item in known.overrides.objects.values()):
+        stages.overridden.add(("name", ""))
+    return found, _names(found, segmentation, known)
 
 
 def _names(found: Mapping[int, str], segmentation: Segmentation, known: Statements) -> dict[int, str]:
@@ -159,15 +203,15 @@ def scene_spec(
     fitted: TexturedObjects,
     names: Mapping[int, str],
     read: MatchedReading | None,
-    models: tuple[ModelUse, ...],
+    uses: Mapping[int, tuple[ModelUse, ...]],
 ) -> SceneSpec:
     """Return the scene of the fitted objects by their names.
 
-    ``read`` is what a model states about them, and ``models`` are those that found all of them.
+    ``read`` is what a model states about them, and ``uses`` are other models that contributed to each of them.
     """
     objects = {SUPPORT_NAME: describe.support_spec(name, fitted.support, fitted.thickness)}
     for k, shape in fitted.shapes.items():
-        objects[names[k]] = describe.object_spec(name, names[k], shape, k, read, models)
+        objects[names[k]] = describe.object_spec(name, names[k], shape, k, read, uses[k])
     priors = [SUPPORT, *(describe.material_prior(shape, k, read) for k, shape in fitted.shapes.items())]
     key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     return SceneSpec(
@@ -179,5 +223,5 @@ def scene_spec(
         cameras={"view": describe.camera_spec(frame, fitted.support)},
         lights={"key": key_light, "sky": LightSpec(type="dome", intensity=0.7)},
         relations=tuple(f"OnTop({names[k]}, {names.get(fitted.supports[k], SUPPORT_NAME)})" for k in fitted.shapes),
-        origin=Origin(capture=name, fit_error=describe.meters(support.residual), models=models),
+        origin=Origin(capture=name, fit_error=describe.meters(support.residual)),
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +26,17 @@ Progress = Callable[[str, float], None]
 class Reconstruction:
     """A reconstructed scene, along with the results of each stage of the reconstruction.
 
-    ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
-    number in ``segmentation``. ``findings`` lists what is doubtful, such as segments that did not become objects.
-    ``removal`` contains the names of the objects in the order in which they can be removed, those of a layer together.
+    Attributes:
+        spec: The scene.
+        files: The files that it references, by relative path.
+        support: The surface that supports the objects.
+        segmentation: The pixels of the objects.
+        names: The number of each object in the segmentation, by its name in the scene.
+        shapes: The solids of the objects, by name.
+        findings: What is doubtful, such as segments that did not become objects.
+        removal: Names of the objects in the order in which they can be removed, those of a layer together.
+        candidates: Files of shapes that were not used, by relative path.
+        compared: The costs by which the shapes of models were judged, by name of the object.
     """
 
     spec: SceneSpec
@@ -38,6 +47,8 @@ class Reconstruction:
     shapes: dict[str, FittedShape]
     findings: tuple[CaptureFinding, ...] = ()
     removal: tuple[tuple[str, ...], ...] = ()
+    candidates: Mapping[str, bytes] = field(default_factory=dict)
+    compared: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:

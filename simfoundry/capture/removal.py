@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
-from simfoundry.capture.segment.masks import Labels, Mask, disk, grown, shrunk
+from simfoundry.capture.segment.masks import Labels, Mask, closed, disk, grown, shrunk
 from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import filled_colors
@@ -24,6 +24,9 @@ NEARER, PAIRS_MIN = 0.01, 10
 
 # Width [px] of the rim around removed objects that is filled in as well, because colors mix there.
 RIM_PX = 3
+
+# Width [px] of the band beside an object in which pixels without depth are filled in, too: the shadow of a sensor.
+SHADOW_PX = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,8 @@ def _cleared(
     frame: Frame, support: SupportSurface, labels: Labels, shapes: Mapping[int, FittedShape], removed: Sequence[int]
 ) -> ClearedImage:
     gone = np.isin(labels, removed)
-    hole = grown(gone, disk(RIM_PX)) & ((labels == 0) | gone)
+    near = grown(gone, disk(SHADOW_PX)) & ~np.isfinite(frame.depth)
+    hole = (closed(grown(gone, disk(RIM_PX)), SHADOW_PX // 2) | near) & ((labels == 0) | gone)
     rows, columns = np.nonzero(hole)
     x, y = (columns - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1]
     rays = np.column_stack([x, y, np.ones(len(rows))]) @ support.X_WC.rotation.T

@@ -27,7 +27,7 @@ from simfoundry.capture.stages.status import write_source
 from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.render.raycast import Raycast, raycast
-from simfoundry.runtime.files import file_digests, write_file
+from simfoundry.runtime.files import file_digests, write_file, write_files
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.spec.diagnostics import SpecError
@@ -132,6 +132,7 @@ def run_capture(
                 report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
                 report |= {"edited": [*edited, *written.edited]}
                 report |= ({} if accuracy is None else {"accuracy": accuracy.to_json()}) | written.to_json()
+                write_files(staging, built.candidates)
                 report = _write_report(report, page, staging)
                 store.prune()
     except CaptureError as error:
@@ -227,6 +228,8 @@ def _report(
             "confidence": confidence,
             "settle": rest,
         }
+        if name in built.compared:
+            objects[name]["candidates"] = built.compared[name]
     return {
         "source": source,
         "passed": all(f.code in accepted for f in findings),

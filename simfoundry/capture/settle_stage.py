@@ -10,6 +10,7 @@ from pathlib import Path
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame
+from simfoundry.capture.model_stages.joints import ARTICULATED
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
@@ -85,4 +86,10 @@ def _kept(built: Reconstruction, standing: StandingScene, scene_file: Path) -> _
 
 def _used(files: Mapping[str, bytes], text: bytes) -> dict[str, bytes]:
     """Return the files whose object is still in the scene with this text."""
-    return {path: data for path, data in files.items() if Path(path).stem.encode() in text}
+
+    def is_used(path: str) -> bool:
+        folder = f"{path.rpartition('/')[0]}/"
+        jointed = folder.startswith(f"{ARTICULATED}/") and "/".join(folder.split("/")[:2]).encode() in text
+        return jointed or Path(path).stem.encode() in text
+
+    return {path: data for path, data in files.items() if is_used(path)}

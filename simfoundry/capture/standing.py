@@ -12,6 +12,7 @@ from simfoundry.capture.describe import mesh_files
 from simfoundry.capture.findings import HELD, CaptureFinding
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.kinds import kind_of
+from simfoundry.capture.model_stages.joints import ARTICULATED
 from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
@@ -29,6 +30,7 @@ from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
 
 TOPPLED_DEG, TOPPLED_M = 20.0, 0.03  # tilt and drift beyond which a solid is wrong; fitted poses are off by less
+OF_SHAPE = ("mesh", "pose", "parts", "articulate")  # tasks of models whose shape is replaced
 HELD_HINT = "correct its shape or pose in the studio, and remove `fixed`"
 HELD_NOTE = "held in place: none of its fitted solids comes to rest"
 
@@ -67,7 +69,8 @@ def settle_objects(
             break
         for name in (*lost, *toppled):
             built = _supported(built, name, frame)
-        shutil.rmtree(scene_file.parent / "meshes")
+        for folder in ("meshes", ARTICULATED):
+            shutil.rmtree(scene_file.parent / folder, ignore_errors=True)
     supports = {o.name: o.supports for o in settled.objects}
     spec = with_supports(spec, supports)
     write_scene(built, scene_file, spec)
@@ -91,13 +94,15 @@ def _supported(built: Reconstruction, name: str, frame: Frame) -> Reconstruction
 def _reshaped(built: Reconstruction, name: str, shape: FittedShape, frame: Frame) -> Reconstruction:
     k = built.names[name]
     mesh = textured_mesh(shape, frame, built.support, built.segmentation.labels == k)
-    stem = f"meshes/{name}."
-    files = {path: data for path, data in built.files.items() if not path.startswith(stem)} | mesh_files(name, mesh)
+    own = (f"meshes/{name}.", f"{ARTICULATED}/{name}/")
+    files = {path: data for path, data in built.files.items() if not path.startswith(own)} | mesh_files(name, mesh)
     item = describe.object_spec(built.spec.name, name, shape, k)
     before = built.spec.objects[name]
-    if item.origin is not None and before.origin is not None and before.origin.models:  # a model stated what it is
-        origin = item.origin.model_copy(update={"models": before.origin.models})
-        stated = {"category": before.category, "material": before.material, "mass": before.mass, "origin": origin}
+    if item.origin is not None and before.origin is not None and before.origin.models:
+        uses = tuple(use for use in before.origin.models if use.task not in OF_SHAPE)
+        stated: dict[str, object] = {"origin": item.origin.model_copy(update={"models": uses})}
+        if before.mass is not None and any(use.task == "read_scene" for use in uses):
+            stated |= {"category": before.category, "material": before.material, "mass": before.mass}
         item = item.model_copy(update=stated)
     prior = kind_of(shape).material
     material = Material(density=prior.density, friction=prior.friction)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,41 +11,138 @@ import pytest
 import yaml
 from PIL import Image
 
-from tests.capture.runs import again, ran
-from tests.models.stand_ins import StandIns, configured
+from simfoundry.assets.cache import Cache
+from simfoundry.capture.overlay import object_surface
+from simfoundry.capture.synthesize import synthesize
+from simfoundry.models.setup import ModelSetup
+from simfoundry.models.tasks.poses import Z_UP
+from simfoundry.render.raycast import raycast
+from simfoundry.scene.lower import lower, lower_file
+from simfoundry.scene.model import Scene
+from simfoundry.spec.load import load_scene
+from simfoundry.spec.models.model_sources import ModelSource
+from simfoundry.spec.models.scene import ObjectSpec
+from tests.capture.runs import again, output, ran
+from tests.models.stand_ins import SOLVED, StandIns, configured
 
-NAMES = {1: "tin of tea", 2: "jar of jam"}
+SCENE = """\
+simfoundry: scene/1
+name: two_things
+objects:
+  desk: {fixed: true, shape: {box: [0.9, 0.7, 0.03]}, color: [0.7, 0.55, 0.4], pose: {xyz: [0, 0, -0.015]}}
+  chest:
+    shape:
+      compound:
+        body: {shape: {box: [0.08, 0.08, 0.09]}, pose: {xyz: [0, 0, 0.045]}}
+        lid: {shape: {box: [0.13, 0.13, 0.02]}, pose: {xyz: [0, 0, 0.1]}}
+    mass: 0.2
+    color: [0.2, 0.5, 0.25]
+    pose: {xyz: [0.15, 0.12, 0], yaw_deg: 25}
+  jam: {shape: {box: [0.05, 0.06, 0.05]}, mass: 0.2, color: [0.7, 0.1, 0.1], pose: {xyz: [0.01, 0.1, 0.025]}}
+cameras:
+  view: {size: [240, 180], fx: 229, fy: 229, pose: {xyz: [-0.55, 0.05, 0.5], look_at: [0.05, 0, 0.02]}}
+lights: {key: {type: distant, direction: [0.5, -0.35, -1]}, sky: {type: dome, intensity: 0.45}}
+"""
+NAMES = {"chest": "toy chest", "jam": "jar of jam"}
+
+
+def glb_of_object(scene: Scene, name: str) -> bytes:
+    """Return an object as a mesh model might: with y up, in a unit of its own."""
+    import trimesh
+
+    (item,) = (each for each in scene.objects if each.name == name)
+    vertices, faces = object_surface(item)
+    mesh = trimesh.Trimesh(3.7 * vertices @ Z_UP[:3, :3], faces, process=False)
+    return bytes(mesh.export(file_type="glb"))
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StandIns]:
+    """A folder with a capture, and stand-ins that know the annotation of its picture."""
+    tmp = tmp_path_factory.mktemp("models")
+    (tmp / "two_things.scene.yaml").write_text(SCENE)
+    scene = lower_file(tmp / "two_things.scene.yaml")
+    synthesize(scene, scene.cameras[0], tmp / "capture", seed=0, masks=True)
+    labels = np.array(Image.open(tmp / "capture" / "instances.png")).astype(np.int32)
+    file = tmp / "capture" / "capture.yaml"
+    data = yaml.safe_load(file.read_text())
+    del data["frames"]["view"]["masks"]
+    file.write_text(yaml.safe_dump(data))
+    numbers = {item.name: k + 1 for k, item in enumerate(scene.objects)}
+    labels[labels == numbers["desk"]] = 0
+    names = {numbers[name]: phrase for name, phrase in NAMES.items()}
+    stand_ins = StandIns(
+        labels, names, (numbers["chest"],), {numbers[name]: glb_of_object(scene, name) for name in ("chest",)}
+    )
+    return tmp, stand_ins
 
 
 @pytest.fixture
-def annotated(folder: Path) -> StandIns:
-    """Stand-ins that know the annotation of the capture, which the capture itself no longer has."""
-    file = folder / "capture" / "capture.yaml"
-    labels = np.array(Image.open(folder / "out" / "segments.png"))
-    data = yaml.safe_load(file.read_text())
-    for frame in data["frames"].values():
-        del frame["masks"]
-    file.write_text(yaml.safe_dump(data))
-    return StandIns(labels.astype(np.int32), NAMES)
+def capture(made: tuple[Path, StandIns], tmp_path: Path) -> tuple[Path, StandIns]:
+    """A copy of :func:`made` that a test may change."""
+    shutil.copytree(made[0], tmp_path / "copy")
+    return tmp_path / "copy", replace(made[1], asked=[])
 
 
-@pytest.mark.slow  # 4 s: several runs
-def test_models_complete_read_segment_and_inpaint(folder: Path, annotated: StandIns) -> None:
-    with configured(annotated, folder) as setup:
-        run = again(folder, setup=setup)
-    assert {"complete_depth", "read_scene", "segment", "inpaint"} <= set(annotated.asked)
-    assert {("depth", ""), ("read", ""), ("masks", ""), ("inpaint", "")} <= ran(run)
-    assert set(run.reconstruction.names) == {"tin_of_tea", "jar_of_jam"}
-    for k, name in NAMES.items():
-        number = run.reconstruction.names[name.replace(" ", "_")]
-        assert np.array_equal(run.reconstruction.segmentation.labels == number, annotated.labels == k)
-    used = run.reconstruction.spec.objects["tin_of_tea"].origin
-    assert used is not None
-    assert [(use.task, use.name) for use in used.models] == [
-        ("complete_depth", "stand-in"),
-        ("segment", "stand-in"),
-        ("read_scene", "stand-in"),
-    ]
-    asked = len(annotated.asked)
-    assert not ran(again(folder, setup=setup)), "answers are kept: the servers are gone"
-    assert len(annotated.asked) == asked
+def recorded(folder: Path) -> ModelSetup:
+    """A setup in which all answers are recorded ones."""
+    source = ModelSource(recorded="answers")
+    return ModelSetup(folder, dict.fromkeys(SOLVED, (source, "a test")))
+
+
+@pytest.mark.slow  # 12 s: two runs with all stages
+def test_a_capture_from_recorded_answers(capture: tuple[Path, StandIns]) -> None:
+    folder, stand_ins = capture
+    with configured(stand_ins, folder, record="answers") as setup:
+        first = again(folder, setup=setup)
+    assert set(stand_ins.asked) == set(SOLVED), "each task is asked for"
+    before, asked = output(folder), len(stand_ins.asked)
+    assert not ran(again(folder, setup=setup)), "answers are kept with their stages: the server is gone"
+    shutil.rmtree(folder / "out")
+    run = again(folder, setup=recorded(folder))
+    assert output(folder) == before and len(stand_ins.asked) == asked
+    assert run.findings == first.findings
+
+    built, spec = run.reconstruction, run.reconstruction.spec
+    assert set(built.names) == {"toy_chest", "jar_of_jam"}
+    for k, name in stand_ins.names.items():
+        found = built.segmentation.labels == built.names[name.replace(" ", "_")]
+        assert np.array_equal(found, stand_ins.labels == k), "the masks are those of the model"
+    assert run.report["removal"] == [["jar_of_jam"], ["toy_chest"]], "the jar stands in front of the chest"
+    assert run.report["objects"]["toy_chest"]["candidates"]["used"] == "model"
+    assert run.report["objects"]["jar_of_jam"]["candidates"]["used"] == "fitted"
+    assert {p.name for p in (folder / "out" / "candidates").glob("*.obj")} == {
+        "toy_chest_fitted.obj", "jar_of_jam_model.obj",
+    }  # fmt: skip
+    tasks = {name: tasks_of(item) for name, item in spec.objects.items()}
+    assert tasks["jar_of_jam"] == ["complete_depth", "segment", "read_scene"]
+    assert tasks["toy_chest"][:3] == ["complete_depth", "segment", "mesh"]
+    assert tasks["toy_chest"][-3:] == ["read_scene", "parts", "articulate"]
+    assert spec.origin is not None and [use.task for use in spec.origin.models][-2:] == ["inpaint", "splat"]
+
+    scene = lower(load_scene(folder / "out" / "capture.scene.yaml"), Cache(folder / "cache"))
+    (chest,) = (item for item in scene.objects if item.name == "toy_chest")
+    assert [joint.name for joint in chest.joints] == ["lid"] and len(chest.links) == 2
+    vertices = chest.X_WO.apply(object_surface(chest)[0])
+    assert np.allclose(np.ptp(vertices[:, 2]), 0.11, atol=0.006), "the scale of the mesh was found"
+    assert scene.background is not None
+    camera = scene.cameras[0]
+    alone = raycast(replace(scene, objects=()), camera)
+    image = np.array(Image.open(folder / "capture" / "color.png")).astype(float)
+    seen = np.isfinite(alone.depth)
+    assert seen.mean() > 0.1 and np.abs(alone.color[seen] - image[seen]).mean() < 25, "the background is in its place"
+
+
+def tasks_of(item: ObjectSpec) -> list[str]:
+    """The tasks of the models that made an object."""
+    return [] if item.origin is None else [use.task for use in item.origin.models]
+
+
+@pytest.mark.slow  # 3 s
+def test_models_that_may_not_be_used_commercially_are_refused(capture: tuple[Path, StandIns]) -> None:
+    folder, stand_ins = capture
+    with configured(replace(stand_ins, commercial=False), folder) as setup:
+        run = again(folder, setup=replace(setup, commercial_only=True))
+    failed = [finding.message for finding in run.findings if finding.code == "SF640"]
+    assert len(failed) == 6 and all("may not be used commercially" in message for message in failed)
+    assert not any(tasks_of(item) for item in run.reconstruction.spec.objects.values())

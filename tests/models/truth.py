@@ -75,13 +75,14 @@ OBJECT_TO_CAMERA = np.array([
 ])  # fmt: skip
 
 
-def splat_ply(positions: Any) -> bytes:
-    """Return a splat with Gaussians at the given positions as PLY."""
+def splat_ply(positions: Any, colors: Any = 0.5) -> bytes:
+    """Return a splat with Gaussians at the given positions, with colors in [0, 1], as PLY."""
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"scale_{k}" for k in range(3))]
     names += [f"rot_{k}" for k in range(4)]
     head = "".join(f"property float {name}\n" for name in names)
     rows = np.zeros((len(positions), len(names)), np.float32)
     rows[:, :3], rows[:, 7:10], rows[:, 10] = positions, -4, 1
+    rows[:, 3:6] = (np.asarray(colors) - 0.5) / 0.28209479
     text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{head}end_header\n"
     return text.encode() + rows.tobytes()
 

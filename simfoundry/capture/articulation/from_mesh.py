@@ -12,7 +12,7 @@ import numpy as np
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, merged, read_mesh
 from simfoundry.capture.articulation.actor_critic import SATISFIED, JudgedJoints, propose_joints
-from simfoundry.capture.articulation.mesh_asset import LinkPhysics, mesh_asset
+from simfoundry.capture.articulation.mesh_asset import LinkPhysics, PartCollision, mesh_asset
 from simfoundry.capture.articulation.part_pictures import motion_picture, segment_picture
 from simfoundry.capture.articulation.placed_joints import PartJoint, check_joints, parse_joint, place, predicted
 from simfoundry.capture.articulation.run import picture_of
@@ -90,6 +90,7 @@ def articulate_mesh(
     joints: Sequence[str] = (),
     front: Front = "-y",
     progress: Callable[[str, float], None] | None = None,
+    collision: PartCollision = "decompose",
 ) -> ArticulatedMesh:
     """Divide a mesh into parts, find their joints, and write it as an asset with meshes and pictures beside it.
 
@@ -101,6 +102,7 @@ def articulate_mesh(
             instead of what a model would find.
         front: The direction in which the front of the mesh faces, with z up.
         progress: A callback that receives a description and the fraction that is done.
+        collision: How the parts collide: with convex parts of surfaces, or as solids where they are nearly convex.
 
     Raises:
         ModelError: If a model fails, or may not be used.
@@ -139,7 +141,7 @@ def articulate_mesh(
     show("writing the asset", 0.9)
     physics = {} if judged is None else judged.physics
     picture = picture_of(out)
-    _write(out, picture, mesh, found, physics, makers, mesh_file)
+    _write(out, picture, mesh, found, physics, makers, mesh_file, collision)
     doubt = ""
     if judged is not None and judged.rating < SATISFIED:
         doubt = f"the critic's best rating is {judged.rating} of 10: {judged.critiques[-1].suggestion}"
@@ -178,13 +180,14 @@ def _write(
     physics: dict[str, LinkPhysics],
     makers: Sequence[tuple[str, ModelIdentity]],
     mesh_file: Path,
+    collision: PartCollision,
 ) -> None:
     origin = {
         "note": ASSUMED,
         "models": tuple(model_use(task, identity).model_dump(exclude_none=True) for task, identity in makers),
     }
     name = plain_name(out.name.split(".")[0])
-    asset = mesh_asset(name, mesh, joints, physics, origin)
+    asset = mesh_asset(name, mesh, joints, physics, origin, collision)
     text = to_yaml(AssetSpec.model_validate(asset.data), comment=f"{MARK}\nfrom {mesh_file.name}")
     for relative, content in asset.files.items():
         write_atomically(out.parent / relative, content)

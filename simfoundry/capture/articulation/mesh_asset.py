@@ -30,6 +30,10 @@ LIGHTEST = 0.002
 BODY = "body"
 
 
+# How a part collides, see `collision` of a body.
+PartCollision = Literal["decompose", "auto", "none"]
+
+
 @dataclass(frozen=True)
 class LinkPhysics:
     """Known physical properties of a part.
@@ -59,7 +63,7 @@ def mesh_asset(
     joints: Sequence[PartJoint],
     physics: Mapping[str, LinkPhysics],
     origin: Mapping[str, Any],
-    collision: Literal["decompose", "none"] = "decompose",
+    collision: PartCollision = "decompose",
 ) -> MeshAsset:
     """Return the asset of a mesh.
 

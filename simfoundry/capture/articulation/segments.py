@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.mesh import MeshPart, adjacent_faces, merged
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.geometry.ray_casts import area_normals
 
 Labels = NDArray[np.int32]
@@ -99,16 +99,17 @@ def in_object_frame(pieces: Sequence[MeshPart], front: Front) -> tuple[MeshPart,
         pieces: The geometries [m], z up.
         front: The direction in which the front faces.
     """
+    X_AM = object_frame(pieces, front).inverse()
+    return tuple(MeshPart(X_AM.apply(p.vertices), p.faces, p.uv, p.texture, p.rgba) for p in pieces)
+
+
+def object_frame(pieces: Sequence[MeshPart], front: Front) -> Pose:
+    """Return the pose of the object's frame A in that of its mesh; see :func:`in_object_frame`."""
     quarters = _QUARTERS[front]
     c, s = (1, 0, -1, 0)[quarters], (0, 1, 0, -1)[quarters]
-    R_AM = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=np.float64)
+    R_MA = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], dtype=np.float64)
     low, high = bounds(pieces)
-    corners = np.array([low, high]) @ R_AM.T
-    middle = corners.mean(axis=0)
-    shift = np.array([middle[0], middle[1], corners[:, 2].min()])
-    return tuple(
-        MeshPart(piece.vertices @ R_AM.T - shift, piece.faces, piece.uv, piece.texture, piece.rgba) for piece in pieces
-    )
+    return Pose.of(np.array([*(low + high)[:2] / 2, low[2]]), quat_from_matrix(R_MA))
 
 
 def divide(pieces: Sequence[MeshPart], labels: Labels) -> SegmentedMesh:

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from simfoundry.capture.findings import MODEL_FAILED, CaptureFinding
 from simfoundry.capture.stages.runner import StageRunner, StaleStageError
-from simfoundry.errors import SimfoundryError
+from simfoundry.errors import PicklableError, SimfoundryError
 from simfoundry.models.provenance import ModelIdentity, model_use
 from simfoundry.models.setup import ModelSetup
 from simfoundry.spec.models.origin import ModelUse
@@ -23,7 +23,7 @@ Makers = Mapping[str, ModelIdentity]
 GIVE_UP = 2
 
 # Exceptions that an answer causes if it is well-formed but nothing can be made of it, such as a mesh without volume.
-UNUSABLE = (SimfoundryError, ValueError, ArithmeticError, IndexError)
+UNUSABLE = (PicklableError, ValueError, ArithmeticError, IndexError)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.candidates import JointedObject, ShapeChoice
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
 from simfoundry.capture.removal import ClearedImage
@@ -30,7 +31,7 @@ TYPES: dict[str, type[Any]] = {
     for each in (
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
         *(Frame, SupportSurface, SupportRival, Segmentation, ClearedImage, FittedShape, CaptureFinding),
-        *(SettleResult, ObjectSettle, SceneState),
+        *(SettleResult, ObjectSettle, SceneState, ShapeChoice, JointedObject),
     )
 }
 

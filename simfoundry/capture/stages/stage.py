@@ -87,6 +87,20 @@ STAGES = (
         is_optional=True,
     ),
     Stage(
+        "mesh",
+        "asks a model that is configured for `mesh` for each object, and keeps the shape that fits the image best",
+        ("model_stages/meshes.py", "shapes/evidence.py", "shapes/register_mesh.py", "shapes/mesh_template.py"),
+        per_object=True,
+        is_optional=True,
+    ),
+    Stage(
+        "refine",
+        "refines the pose of each mesh by a model that is configured for `pose`",
+        ("model_stages/meshes.py", "shapes/evidence.py"),
+        per_object=True,
+        is_optional=True,
+    ),
+    Stage(
         "name",
         "names each object as stated, or after its color and shape",
         ("naming.py", "describe.py", "kinds.py"),
@@ -102,6 +116,19 @@ STAGES = (
         "takes the colors of each object and of the support from the image",
         ("shapes/texture.py", "support_object.py"),
         per_object=True,
+    ),
+    Stage(
+        "parts",
+        "finds the parts that move and their joints by models that are configured for `parts` and `articulate`",
+        ("model_stages/joints.py", "articulation"),
+        per_object=True,
+        is_optional=True,
+    ),
+    Stage(
+        "background",
+        "makes a splat of the surroundings by a model that is configured for `splat`",
+        ("model_stages/background.py",),
+        is_optional=True,
     ),
     Stage(
         "settle",

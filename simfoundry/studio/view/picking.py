@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.overlay import RAY_RAD, CaptureOverlay, Surface, object_surface
+from simfoundry.capture.overlay import RAY_RAD, CaptureOverlay, object_surface
 from simfoundry.capture.shapes.evidence import cast_mesh
+from simfoundry.capture.shapes.register_mesh import Surface
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import tessellate
 from simfoundry.scene.model import Background, Scene
