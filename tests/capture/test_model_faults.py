@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scaffold import Result
 
 from simfoundry.capture.run import CaptureRun
 from simfoundry.models.setup import ModelSetup
@@ -21,7 +20,7 @@ from simfoundry.models.wire import BundleFile, BundleImage
 from simfoundry.spec.models.model_sources import ModelSource
 from tests.capture.runs import again, ran
 from tests.capture.test_model_stages import capture, made
-from tests.models.stand_ins import SOLVED, StandIns, configured
+from tests.models.stand_ins import SOLVED, Result, StandIns, configured
 from tests.models.test_transports import talking
 
 __all__ = ["capture", "made"]
