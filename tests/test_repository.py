@@ -189,7 +189,7 @@ def test_every_dependency_is_fixed_and_mujoco_is_not_the_faulty_one() -> None:
 @of_the_checkout
 def test_every_imported_library_is_a_dependency() -> None:
     named = {"cv2": "opencv-python-headless", "PIL": "pillow", "pxr": "usd-core", "yaml": "pyyaml", "zmq": "pyzmq"}
-    named |= {"pydantic_ai": "pydantic-ai-slim", "collada": "pycollada"}
+    named |= {"pydantic_ai": "pydantic-ai-slim", "collada": "pycollada", "mcap_ros2": "mcap-ros2-support"}
     extras = PYPROJECT["project"]["optional-dependencies"]
     whole = {
         name: entries

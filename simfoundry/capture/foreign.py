@@ -19,8 +19,9 @@ from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Shot
 
 PICTURES = (".bmp", ".exr", ".heic", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
-VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
-RECORDINGS = (".bag", ".db3", ".mcap", ".r3d", ".svo", ".svo2")
+VIDEOS = (".avi", ".m4v", ".mov", ".mp4", ".webm")
+RECORDINGS = (".bag", ".db3", ".mcap", ".r3d")
+OTHER_RECORDINGS = (".klg", ".mkv", ".oni", ".svo", ".svo2")  # of vendors, which only their own software reads
 
 # Maximum number of frames that are read, evenly spread over a sequence: fusion uses 16, and one is reconstructed.
 FRAMES_MAX = 64
@@ -48,7 +49,13 @@ def media_error(path: Path) -> SpecError | None:
         )
     elif suffix in RECORDINGS:
         what = "is a recording"
-        hint = "export color and depth images and the intrinsics with the tools of the sensor, and describe them there"
+        hint = f"`simfoundry capture {path.name}` unpacks it into a folder with a capture.yaml"
+    elif suffix in OTHER_RECORDINGS:
+        what = "is a recording in a vendor's format"
+        hint = (
+            "export color and depth images and the intrinsics with the vendor's software, and describe them there; "
+            f"recordings that can be read are {', '.join(RECORDINGS)}"
+        )
     else:
         return None
     more = "; `simfoundry schema capture` prints all keys"

@@ -11,6 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.exr import read_exr
 from simfoundry.capture.foreign import foreign_capture, media_error
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
@@ -285,7 +286,7 @@ class _Reader:
         """Return the pixel values in an image file. They are converted to ``mode`` if it is specified."""
         file = self.loaded.file(image)
         try:
-            picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
+            picture = _stored(file, mode)
         except (OSError, ValueError, SyntaxError, EOFError, OverflowError, AttributeError) as error:
             reason = " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
             self.refuse("SF501", path, f"{image} could not be read as an image: {reason}", "export it again")
@@ -360,6 +361,13 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
             )
             np.minimum.at(out, row[inside] * width + column[inside], z[inside])
     return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
+
+
+def _stored(file: Path, mode: str) -> NDArray[Any]:
+    suffix = file.suffix.lower()
+    if suffix == ".exr":
+        return read_exr(file, NUMBERS_MAX)
+    return _numpy(file) if suffix == ".npy" else _decoded(file, mode)
 
 
 def _numpy(file: Path) -> NDArray[Any]:

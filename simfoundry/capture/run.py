@@ -21,6 +21,7 @@ from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_out
 from simfoundry.capture.outputs import write_masks, write_merged
 from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction
+from simfoundry.capture.recordings.unpack import is_recording, unpack_recording
 from simfoundry.capture.settle_stage import standing_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
@@ -79,9 +80,10 @@ def run_capture(
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
-    ``path`` is the capture document or a folder that contains ``capture.yaml``. ``out`` is replaced atomically at the
-    end, so a failed run leaves it unchanged. Identical inputs produce identical bytes. ``accepted`` contains the
-    codes of findings that do not keep the scene from passing.
+    ``path`` is the capture document, a folder that contains ``capture.yaml``, or a recording, which is unpacked into
+    the folder ``OUT_capture`` beside ``out``, where it may then be edited. ``out`` is replaced atomically at the end,
+    so a failed run leaves it unchanged. Identical inputs produce identical bytes. ``accepted`` contains the codes of
+    findings that do not keep the scene from passing.
 
     Stages whose inputs have not changed since the last run to ``out`` are not run again. ``redo_from`` names the first
     stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
@@ -97,6 +99,8 @@ def run_capture(
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
+    if is_recording(path):
+        path = unpack_recording(path, out.with_name(f"{out.name}_capture"), force, progress)
     loaded = open_capture(path)
     folder = out.resolve()
     assert isinstance(loaded.spec, CaptureSpec)

@@ -23,7 +23,7 @@ TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 PANORAMA_SUFFIXES = (".hdr", ".exr", *TEXTURE_SUFFIXES)
 # Formats of Gaussian splats: those of trainers, SPZ (Niantic), glTF, and USD.
 SPLAT_SUFFIXES = (".ply", ".spz", ".glb", ".usda", ".usdc", ".usd")
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".exr")
 # Maximum length of a file reference [characters]; well below Linux's 4096, to leave room for the project folder.
 MAX_PATH = 512
 

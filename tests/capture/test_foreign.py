@@ -101,7 +101,7 @@ def test_damaged_folders_are_errors(tmp_path: Path, text: str, message: str) -> 
 
 @pytest.mark.parametrize(
     ("name", "what", "hint"),
-    [("a.png", "is a picture", "depth"), ("a.MP4", "is a video", "ffmpeg"), ("a.bag", "is a recording", "export")],
+    [("a.png", "is a picture", "depth"), ("a.MP4", "is a video", "ffmpeg"), ("a.svo", "vendor's format", ".mcap")],
 )
 def test_what_is_no_capture_says_what_it_lacks(tmp_path: Path, name: str, what: str, hint: str) -> None:
     (tmp_path / name).write_bytes(b"\x89PNG")
