@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,7 @@ class Frame:
         decomposition: Constraints on the division into objects, or None.
         support: The surface that a person chose as the support, or None.
         findings: What is doubtful about the images.
+        models: Models that found the depth, each as the plain data of a :class:`ModelUse`.
     """
 
     color: NDArray[np.uint8]
@@ -62,6 +64,7 @@ class Frame:
     decomposition: Decomposition | None = None
     support: SupportChoice | None = None
     findings: tuple[CaptureFinding, ...] = ()
+    models: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def points(self) -> Array:

@@ -17,6 +17,7 @@ from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.contract import ModelError
+from simfoundry.models.provenance import ModelIdentity, model_use
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
@@ -112,6 +113,7 @@ class _Reader:
     shot: Shot
     setup: ModelSetup | None = None
     findings: list[Diagnostic] = field(default_factory=list)
+    models: tuple[dict[str, Any], ...] = ()
 
     def fail(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> None:
         """Add a finding."""
@@ -169,7 +171,7 @@ class _Reader:
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
-        return Frame(color, depth, K, masks, shot.decomposition, shot.support)
+        return Frame(color, depth, K, masks, shot.decomposition, shot.support, models=self.models)
 
     def pixels(self, width: int, height: int) -> None:
         """Add a finding for each stated pixel that is not in the image."""
@@ -206,7 +208,7 @@ class _Reader:
         stereo = self.shot.stereo
         try:
             if stereo is None:
-                return estimated_depth(color, K, setup)
+                return self.stated(setup, "depth", *estimated_depth(color, K, setup))
             right = self.stored(stereo.right, ("stereo", "right"), mode="RGB").astype(np.uint8, copy=False)
             if right.shape != color.shape:
                 message = f"{stereo.right} is {_size(right)}, but {self.shot.color} is {_size(color)}"
@@ -215,11 +217,18 @@ class _Reader:
             if lens:
                 hint = "rectify the pair, and state the intrinsics of the rectified images without `distortion`"
                 self.refuse("SF501", ("camera", "distortion"), "a stereo pair must be rectified", hint)
-            return stereo_depth(color, right, K, stereo.baseline, setup)
+            return self.stated(setup, "stereo", *stereo_depth(color, right, K, stereo.baseline, setup))
         except ModelError as error:
             place = ("depth",) if stereo is None else ("stereo",)
             missing = "the frame has neither `depth` nor `stereo`: " if stereo is None else ""
             self.refuse("SF502", () if stereo is None else place, f"{missing}{error}", DEPTH_HINT)
+
+    def stated(self, setup: ModelSetup, task: str, depth: Array, made_by: ModelIdentity) -> Array:
+        """Return the depth that was found for a task, and note the model, if it is not the offline method."""
+        source = setup.source(task)
+        if source is not None and not source.offline:
+            self.models += (model_use(task, made_by).model_dump(exclude_none=True),)
+        return depth
 
     def depth(self, measured: DepthImage) -> Array:
         """Return the measured depth [m].

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from simfoundry.capture.candidates import JointedObject, ShapeChoice
 from simfoundry.capture.describe import mesh_files
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.model_stages.ask import StageModels
-from simfoundry.capture.model_stages.joints import jointed_object, written_joints
+from simfoundry.capture.model_stages.joints import joint_inputs, jointed_object, stated_joints
 from simfoundry.capture.model_stages.meshes import ObjectView, model_mesh, model_pose, object_picture
 from simfoundry.capture.object_stages import SegmentedView, TexturedObjects
 from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import nearby_labels
 from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.stages.runner import StaleStageError
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import tessellate
 from simfoundry.scene.state import pose_spec
@@ -126,8 +128,12 @@ def jointed_objects(
         is_moving = k in moving if override is None or override.moves is None else override.moves
         X_WO = textured.shapes[k].X_WO
         if joints and models.setup is not None and not models.asks("parts"):
+            inputs = joint_inputs(names[k], mesh, X_WO, eye, joints)
+            compute = partial(stated_joints, names[k], mesh, X_WO, eye, joints, models.setup)
             try:
-                out.objects[k] = written_joints(names[k], mesh, X_WO, eye, joints, models.setup)[0]
+                out.objects[k] = view.stages.run("parts", inputs, compute, str(k)).value
+            except StaleStageError:
+                continue
             except SimfoundryError as error:
                 hint = "compare the joints with those that `simfoundry articulate` accepts for the mesh"
                 out.findings.append(CaptureFinding(NOT_FOLLOWED, str(error), hint, (names[k],)))

@@ -103,7 +103,8 @@ def reconstruct(
     moving = () if read is None else [k for k, each in read.objects.items() if each.is_articulated]
     jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
     splat = model_background(frame, objects.support, cleared[-1], models) if cleared else None
-    everywhere = (*(completed.models if completed else ()), *masked)
+    sensed = tuple(ModelUse.model_validate(dict(use)) for use in measured.models)
+    everywhere = (*sensed, *(completed.models if completed else ()), *masked)
     uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
     spec = scene_spec(name, frame, support.value, objects, names, read, uses)
     spec = _with_joints(spec, jointed, objects, names)

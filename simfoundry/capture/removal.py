@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
-from simfoundry.capture.segment.masks import Labels, Mask, closed, disk, grown, shrunk
+from simfoundry.capture.segment.masks import SQUARE, Labels, Mask, closed, disk, grown, shrunk
 from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import filled_colors
@@ -24,6 +24,9 @@ NEARER, PAIRS_MIN = 0.01, 10
 
 # Width [px] of the rim around removed objects that is filled in as well, because colors mix there.
 RIM_PX = 3
+
+# Longer side [px] of the image in which the colors of the ground are blurred; they have no detail in any case.
+BLURRED_PX = 320
 
 # Width [px] of the band beside an object in which pixels without depth are filled in, too: the shadow of a sensor.
 SHADOW_PX = 12
@@ -155,7 +158,7 @@ def _colors(frame: Frame, labels: Labels, shown: Labels, hole: Mask) -> np.ndarr
     """Return the colors of an image whose hole shows the surfaces ``shown``."""
     out = frame.color.copy()
     ground = hole & (shown == 0)
-    out[ground] = filled_colors(frame.color, (labels == 0) & ~hole)[ground]
+    out[ground] = _ground_colors(frame.color, (labels == 0) & ~hole)[ground]
     for k in np.unique(shown[hole & (shown > 0)]):
         own = (labels == k) & ~hole
         core = shrunk(own, disk(2))
@@ -165,9 +168,23 @@ def _colors(frame: Frame, labels: Labels, shown: Labels, hole: Mask) -> np.ndarr
     return out
 
 
+def _ground_colors(color: np.ndarray, bare: Mask) -> np.ndarray:
+    """Return an image in which the pixels that are not bare have the blurred colors of bare ones near them."""
+    import cv2
+
+    height, width = bare.shape
+    step = max(1.0, max(height, width) / BLURRED_PX)
+    size = max(1, round(width / step)), max(1, round(height / step))
+    small = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
+    seen = np.asarray(cv2.resize(bare.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999)
+    filled = filled_colors(small, seen if seen.any() else ~seen)
+    return np.asarray(cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
 def _nearest(mask: Mask, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows and columns of the pixels of a mask that are nearest to the given pixels."""
-    from scipy.ndimage import distance_transform_edt
+    from scipy.spatial import cKDTree
 
-    at = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return at[0][rows, columns], at[1][rows, columns]
+    rim = np.argwhere(mask & ~shrunk(mask, SQUARE))  # what is nearest to a pixel outside of a mask is on its rim
+    at = rim[cKDTree(rim).query(np.column_stack([rows, columns]))[1]]
+    return at[:, 0], at[:, 1]

@@ -12,6 +12,7 @@ from simfoundry.capture.frame import FARTHEST, NEAREST
 from simfoundry.geometry.frames import Array
 from simfoundry.models.contract import ModelError
 from simfoundry.models.open import open_model
+from simfoundry.models.provenance import ModelIdentity
 from simfoundry.models.setup import ModelSetup
 
 T = TypeVar("T", bound=np.generic)
@@ -45,8 +46,8 @@ def undistorted(image: NDArray[T], K: Array, distortion: Sequence[float], smooth
 
 def stereo_depth(
     left: NDArray[np.uint8], right: NDArray[np.uint8], K: Array, baseline: float, setup: ModelSetup
-) -> Array:
-    """Return the depth [m] of the left image of a rectified stereo pair.
+) -> tuple[Array, ModelIdentity]:
+    """Return the depth [m] of the left image of a rectified stereo pair, and what found it.
 
     The model of the task `stereo` is used if one is configured, and otherwise semi-global matching with a check that
     both images agree. Pixels without depth are NaN.
@@ -55,17 +56,20 @@ def stereo_depth(
         ModelError: No depth was found.
     """
     found = open_model(setup, "stereo").match_stereo(left, right, K, baseline)
-    return _in_range(np.where(found.valid, found.depth, np.nan), "stereo matching")
+    return _in_range(np.where(found.valid, found.depth, np.nan), "stereo matching"), found.made_by
 
 
-def estimated_depth(color: NDArray[np.uint8], K: Array, setup: ModelSetup) -> Array:
-    """Return the depth [m] of an image that the model of the task `depth` estimates. Pixels without depth are NaN.
+def estimated_depth(color: NDArray[np.uint8], K: Array, setup: ModelSetup) -> tuple[Array, ModelIdentity]:
+    """Return the depth [m] of an image, and the model of the task `depth` that estimates it.
+
+    Pixels without depth are NaN.
 
     Raises:
         ModelError: No model is configured, or it found no depth.
     """
     found = open_model(setup, "depth").estimate_depth(color, K)
-    return _in_range(np.where(found.depth > 0, found.depth, np.nan), "the model of the task `depth`")
+    depth = _in_range(np.where(found.depth > 0, found.depth, np.nan), "the model of the task `depth`")
+    return depth, found.made_by
 
 
 def _in_range(depth: NDArray[np.floating], who: str) -> Array:

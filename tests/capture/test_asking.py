@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
+from simfoundry.capture.load import load_frame, open_capture
 from simfoundry.capture.model_stages.ask import MODEL_STAGES, Makers, StageModels
 from simfoundry.capture.model_stages.joints import LEAST_FACES, subdivided
 from simfoundry.capture.removal import cleared_images, removal_order
+from simfoundry.capture.stages.codec import decode, encode
 from simfoundry.capture.stages.runner import StageRunner
 from simfoundry.capture.stages.stage import STAGES
 from simfoundry.capture.stages.store import StageStore
@@ -21,7 +23,10 @@ from simfoundry.models.contract import ModelError
 from simfoundry.models.provenance import ModelIdentity
 from simfoundry.models.setup import ModelSetup
 from simfoundry.models.tasks.registry import TASKS
+from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.model_sources import ModelSource
+from tests.capture import captures
+from tests.models.stand_ins import StandIns, configured
 
 MAKER = ModelIdentity(name="maker", version="2", licence="MIT", commercial=True)
 SOURCE = ModelSource(url="http://127.0.0.1:9")
@@ -110,3 +115,16 @@ def test_a_finer_surface_is_the_same_surface() -> None:
         return float((a * np.cross(b, c)).sum() / 6)
 
     assert np.isclose(volume(fine), 0.006) and np.isclose(volume(box), 0.006)
+
+
+def test_depth_from_a_model_states_the_model(tmp_path: Path) -> None:
+    folder = captures.write(tmp_path / "a")
+    captures.edit(folder, "depth:\n      image: depth.png\n      scale: 0.001", "pose: {}")
+    stand_ins = StandIns(np.zeros((captures.HEIGHT, captures.WIDTH), np.int32), {}, measured=captures.plane())
+    with configured(stand_ins, tmp_path, "depth") as setup:
+        frame = load_frame(open_capture(folder), setup=setup)
+        assert np.allclose(frame.depth, captures.plane()) and [use["task"] for use in frame.models] == ["depth"]
+        assert frame.models[0]["name"] == "stand-in" and decode(encode(frame)).models == frame.models
+    stand_ins.measured = 1000 * captures.plane()  # in millimeters
+    with configured(stand_ins, tmp_path, "depth") as setup, pytest.raises(SpecError, match="millimeters"):
+        load_frame(open_capture(folder), setup=setup)

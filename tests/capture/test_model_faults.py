@@ -32,7 +32,12 @@ STAGE = {
 }  # fmt: skip
 
 # Tasks that fail together, so that no failure keeps another task from being asked for.
-TOGETHER = (("complete_depth", "segment", "inpaint", "mesh", "articulate", "splat"), ("pose", "parts"), ("read_scene",))
+TOGETHER = (
+    ("complete_depth", "inpaint", "mesh", "articulate", "splat"),
+    ("pose", "parts"),
+    ("segment",),
+    ("read_scene",),
+)
 
 
 def member(name: str, change: Callable[[Any], Any]) -> Callable[[Result], None]:
@@ -132,7 +137,7 @@ def faulty(stand_ins: StandIns, folder: Path, fault: str, tasks: tuple[str, ...]
         yield replace(setup, sources={**setup.sources, **dict.fromkeys(tasks, (source, "a test"))})
 
 
-@pytest.mark.slow  # 20 s: 19 runs, most of whose stages are cached
+@pytest.mark.slow  # 30 s: 25 runs, most of whose stages are cached
 def test_each_fault_at_each_stage_is_a_finding(capture: tuple[Path, StandIns], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(http, "PAUSES_S", (0.0,))
     folder, stand_ins = capture
@@ -145,7 +150,7 @@ def test_each_fault_at_each_stage_is_a_finding(capture: tuple[Path, StandIns], m
             assert len(failed) == len(stages), (fault, tasks, [finding.text() for finding in failed])
             assert all("\n" not in f.message and "run again when the model answers" in f.hint for f in failed)
             assert not {stage for stage, _ in ran(run)} & stages - {"mesh"}
-            assert len(run.reconstruction.shapes) == 2 and (folder / "out" / "capture.scene.yaml").is_file()
+            assert len(run.reconstruction.shapes) >= 2 and (folder / "out" / "capture.scene.yaml").is_file()
             assert not used(run) & set(tasks) - {"complete_depth"}, (fault, tasks)
     with configured(stand_ins, folder) as setup:
         whole = again(folder, setup=setup)

@@ -146,3 +146,30 @@ def test_models_that_may_not_be_used_commercially_are_refused(capture: tuple[Pat
     failed = [finding.message for finding in run.findings if finding.code == "SF640"]
     assert len(failed) == 6 and all("may not be used commercially" in message for message in failed)
     assert not any(tasks_of(item) for item in run.reconstruction.spec.objects.values())
+
+
+@pytest.mark.slow  # 2 s
+def test_a_person_states_joints_and_what_moves(folder: Path, made: tuple[Path, StandIns]) -> None:
+    stand_ins = replace(made[1], asked=[])
+    overrides = folder / "capture" / "overrides" / "objects.yaml"
+    overrides.parent.mkdir()
+    overrides.write_text("objects: {green_box: {joints: ['lid=2:revolute:back_bottom:top:70']}}\n")
+    with configured(stand_ins, folder, "parts") as setup:
+        run = again(folder, setup=setup)
+    assert stand_ins.asked == ["parts"], "stated joints need no model"
+    assert run.reconstruction.spec.objects["green_box"].asset == "articulated/green_box/green_box.asset.yaml"
+    scene = lower(load_scene(run.scene_file), Cache(folder / "cache"))
+    (lid,) = next(item for item in scene.objects if item.name == "green_box").joints
+    assert (lid.name, lid.type.value) == ("lid", "revolute")
+    overrides.write_text("objects: {green_box: {joints: ['lid=9:revolute:back_bottom:top:70']}}\n")
+    with configured(stand_ins, folder, "parts") as setup:
+        run = again(folder, setup=setup)
+    (finding,) = [finding for finding in run.findings if finding.code == "SF602"]
+    assert "there is no segment 9" in finding.message and finding.objects == ("green_box",)
+    overrides.write_text("objects: {green_box: {moves: true}}\n")
+    stand_ins.asked.clear()
+    with configured(stand_ins, folder, "parts", "articulate") as setup:
+        run = again(folder, setup=setup)
+    assert stand_ins.asked == ["parts", "articulate"]
+    assert tasks_of(run.reconstruction.spec.objects["green_box"]) == ["parts", "articulate"]
+    assert not (folder / "out" / "meshes" / "green_box.obj").exists()

@@ -45,6 +45,7 @@ class StandIns:
         asked: The tasks that were asked for, in order.
         spoil: Changes the answer for a task, for tests of faults.
         commercial: What the server states about commercial use.
+        measured: Depth [m] of the picture, shape (h, w), which the task `depth` is answered with.
     """
 
     labels: Labels
@@ -54,10 +55,11 @@ class StandIns:
     asked: list[str] = field(default_factory=list)
     spoil: Mapping[str, Callable[[Result], None]] = field(default_factory=dict)
     commercial: bool = True
+    measured: Any = None
 
     def model(self) -> Model:
         """Return a server of all tasks."""
-        solvers = {name: getattr(self, name) for name in SOLVED}
+        solvers = {name: getattr(self, name) for name in (*SOLVED, "depth")}
         identity = {**IDENTITY, "commercial": self.commercial}
         return Model(identity, {name: self._noted(name, solve) for name, solve in solvers.items()})
 
@@ -81,6 +83,10 @@ class StandIns:
             for k, box in zip(numbers, boxes, strict=True)
         ]  # fmt: skip
         return Result(values={"objects": objects, "support": "table"})
+
+    def depth(self, request: Bundle) -> Result:
+        """Return the depth that a sensor measured."""
+        return Result({"depth": np.nan_to_num(np.asarray(self.measured, np.float32))})
 
     def segment(self, request: Bundle) -> Result:
         """Return the annotated masks with the asked phrases, or those that fit the asked boxes best."""

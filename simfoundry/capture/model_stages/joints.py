@@ -53,9 +53,20 @@ def jointed_object(
         stated: Joints that a person states, in the words of `simfoundry articulate --joint`.
         models: The models.
     """
-    inputs = {"name": name, "mesh": digest_of(mesh), "front": _front(X_WM, eye), "joints": "\n".join(stated)}
     compute = partial(written_joints, name, mesh, X_WM, eye, stated)
-    return models.ask("parts", inputs, compute, label)
+    return models.ask("parts", joint_inputs(name, mesh, X_WM, eye, stated), compute, label)
+
+
+def stated_joints(
+    name: str, mesh: Mesh, X_WM: Pose, eye: Array, stated: Sequence[str], setup: ModelSetup
+) -> JointedObject:
+    """Return an object with joints that a person states; see :func:`written_joints`."""
+    return written_joints(name, mesh, X_WM, eye, stated, setup)[0]
+
+
+def joint_inputs(name: str, mesh: Mesh, X_WM: Pose, eye: Array, stated: Sequence[str]) -> dict[str, str]:
+    """Return digests of what the joints of an object depend on, besides models; see :func:`jointed_object`."""
+    return {"name": name, "mesh": digest_of(mesh), "front": _front(X_WM, eye), "joints": "\n".join(stated)}
 
 
 def written_joints(

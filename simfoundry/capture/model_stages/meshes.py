@@ -19,7 +19,7 @@ from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, gather
 from simfoundry.capture.shapes.fit import MAX_ALTERNATIVES, FittedShape
-from simfoundry.capture.shapes.mesh_template import MeshTemplate
+from simfoundry.capture.shapes.mesh_template import MeshTemplate, simplified_surface
 from simfoundry.capture.shapes.register_mesh import pose_agreement, register_upright
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.errors import SimfoundryError
@@ -35,6 +35,9 @@ from simfoundry.spec.models.scene import SceneSpec
 
 # Number of triangles that are asked for: enough for a handle, and few enough for a simulator's convex pieces.
 FACES = 8000
+
+# Number of triangles above which a mesh is simplified, without its texture: the model did not do what it was asked.
+FACES_MAX = 40_000
 
 # Transparent margin around the object in its picture, as a share of the longer side; models were trained with some.
 MARGIN = 0.15
@@ -168,6 +171,8 @@ def _centered(parts: Sequence[MeshPart]) -> Mesh:
         vertices, faces, uv, texture = parts[0].vertices, parts[0].faces, parts[0].uv, parts[0].texture
     else:
         (vertices, faces), uv, texture = merged(parts), None, None
+    if len(faces) > FACES_MAX:
+        (vertices, faces), uv, texture = simplified_surface(vertices, faces, FACES), None, None
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     shifted = vertices - np.array([*(low + high)[:2] / 2, low[2]])
     bare = uv is None or texture is None

@@ -67,14 +67,16 @@ class MeshTemplate:
         )  # fmt: skip
 
 
-def simplified_surface(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
-    """Return a mesh of about :data:`COARSE_FACES` triangles with nearly the same surface."""
+def simplified_surface(
+    vertices: Array, faces: NDArray[np.int32], count: int = COARSE_FACES
+) -> tuple[Array, NDArray[np.int32]]:
+    """Return a mesh of about ``count`` triangles with nearly the same surface."""
     corners, sides = weld(vertices, faces)
-    if len(sides) <= COARSE_FACES:
+    if len(sides) <= count:
         return corners, np.ascontiguousarray(sides, np.int32)
     import fast_simplification
 
-    found, triangles = fast_simplification.simplify(corners, sides, target_count=COARSE_FACES)
+    found, triangles = fast_simplification.simplify(corners, sides, target_count=count)
     if not len(triangles):
         return corners, np.ascontiguousarray(sides, np.int32)
     return np.asarray(found, np.float64), np.ascontiguousarray(triangles, np.int32)
