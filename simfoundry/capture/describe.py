@@ -120,7 +120,7 @@ def object_spec(
         low, high = (float(f"{factor * seen.mass:.2g}") for factor in MASS_RANGE)
         kilograms, source = seen.mass, read.use.name
     return ObjectSpec(
-        category=kind.name if seen is None else plain_name(seen.category),
+        category=(shape.model or kind.name) if seen is None else plain_name(seen.category),
         shape=primitive,
         asset=None if primitive is not None else f"meshes/{name}.obj",
         visual=f"meshes/{name}.obj" if primitive is not None else None,
@@ -133,6 +133,7 @@ def object_spec(
             fit_error=meters(shape.fit_m),
             confidence=round(shape.confidence, 2),
             segment=segment,
+            note=f"CAD model `{shape.model}`" if shape.model else None,
             models=models if seen is None or read is None else (*models, read.use),
         ),
     )

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from simfoundry.assets.cache import Cache
+from simfoundry.capture.cad.library import CadLibrary, open_library
 from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.fusion import fused_frames, load_fused_frame
@@ -83,6 +85,21 @@ def statements(loaded: Loaded, frame_name: str, previous: PreviousOutput, frame:
         return Statements(given, overrides)
 
 
+def stated_library(loaded: Loaded, folder: Path | None, cache: Cache | None) -> CadLibrary | None:
+    """Return the CAD library of a capture, if it states one. ``folder`` replaces it, with meshes in meters.
+
+    Raises:
+        SimfoundryError: The library cannot be used.
+    """
+    assert isinstance(loaded.spec, CaptureSpec)
+    if folder is not None:
+        return open_library(folder, cache=cache)
+    stated = loaded.spec.cad
+    if stated is None:
+        return None
+    return open_library(loaded.path.parent / stated.folder, stated.scale, cache)
+
+
 def labels_of(previous: PreviousOutput, names: Collection[str]) -> tuple[str, ...]:
     """Return the labels of the objects that the last run called ``names``.
 
@@ -103,7 +120,7 @@ def examine(out: Path) -> list[StageStatus]:
         SimfoundryError: ``out`` was not written by a capture, or the capture is unusable.
     """
     out = out.resolve()
-    document, frame_name = read_source(out / STAGES_FOLDER)
+    document, frame_name, cad = read_source(out / STAGES_FOLDER)
     loaded = open_capture(document)
     assert isinstance(loaded.spec, CaptureSpec)
     frame_name = checked_frame_name(loaded, frame_name)
@@ -114,7 +131,11 @@ def examine(out: Path) -> list[StageStatus]:
     try:
         setup = load_setup(loaded.path)
         source = load_stage(loaded, frame_name, stages, setup)
-        known = replace(statements(loaded, frame_name, previous, source.value), setup=setup)
+        known = replace(
+            statements(loaded, frame_name, previous, source.value),
+            setup=setup,
+            cad=stated_library(loaded, cad, Cache.default()),
+        )
         built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True
         if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing

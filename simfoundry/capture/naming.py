@@ -35,7 +35,7 @@ def found_names(
     wanted |= {k: name for name, k in segmentation.pieces.items()}
     wanted = {**read, **wanted}
     for k, shape in shapes.items():
-        wanted.setdefault(k, f"{color_word(dominant_color(frame, labels == k))}_{kind_of(shape).name}")
+        wanted.setdefault(k, shape.model or f"{color_word(dominant_color(frame, labels == k))}_{kind_of(shape).name}")
     return dict(zip(shapes, unique_names(wanted[k] for k in shapes), strict=True))
 
 

@@ -9,6 +9,8 @@ from functools import partial
 
 import numpy as np
 
+from simfoundry.capture.cad.library import CadLibrary
+from simfoundry.capture.cad.match import CadLookup
 from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
@@ -111,9 +113,9 @@ def cleared_images_of(
 
 
 def fitted_shapes(
-    view: SegmentedView, progress: Progress
+    view: SegmentedView, progress: Progress, cad: CadLibrary | None = None
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
-    """Fit a solid to each segment.
+    """Fit a solid to each segment, or take a model of the CAD library that explains it better.
 
     Raises:
         CaptureError: No object could be fitted.
@@ -122,7 +124,9 @@ def fitted_shapes(
     def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
         inputs = {**view.seen, "mask": digest_of(mask), "others": digest_of(others)}
         inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
-        compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others)
+        inputs |= {} if cad is None else {"cad": cad.digest}
+        suggest = None if cad is None else CadLookup(cad).candidates
+        compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others, suggest=suggest)
         return view.stages.run("shape", inputs, compute, str(k)).value
 
     shapes, carriers, findings = fit_segments(

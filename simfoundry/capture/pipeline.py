@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from simfoundry.capture import describe
+from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
@@ -55,6 +56,7 @@ class Statements:
         last: Numbers of the objects in the last run, shape (h, w), or None.
         last_names: Numbers in ``last``, by the names in the last run.
         setup: The models that may be asked, or None to ask none.
+        cad: Models that objects may be, or None.
     """
 
     given: Mapping[str, int] = field(default_factory=dict)
@@ -62,6 +64,7 @@ class Statements:
     last: Labels | None = None
     last_names: Mapping[str, int] = field(default_factory=dict)
     setup: ModelSetup | None = None
+    cad: CadLibrary | None = None
 
 
 def reconstruct(
@@ -91,7 +94,7 @@ def reconstruct(
     reading = read_scene(models, frame.color)
     segmentation, masked = segmented_frame(frame, support, seen, overrides, models, reading)
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
-    shapes, carriers, findings = fitted_shapes(view, progress)
+    shapes, carriers, findings = fitted_shapes(view, progress, known.cad)
     cleared, painters = cleared_images_of(view, shapes, models)
     modelled = model_shapes(view, shapes, cleared, models)
     read = None if reading is None else match_objects(reading, segmentation.value.labels)
@@ -131,6 +134,7 @@ def reconstruct(
             *models.findings({str(k): name for k, name in names.items()}),
             *jointed.findings,
             *findings,
+            *(() if known.cad is None else known.cad.findings()),
             *overrides.unused({*found.values(), *names.values()}),
             *doubts,
         ),

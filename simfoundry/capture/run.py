@@ -15,7 +15,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.inputs import labels_of, load_stage, statements
+from simfoundry.capture.inputs import labels_of, load_stage, stated_library, statements
 from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
 from simfoundry.capture.outputs import write_masks, write_merged
@@ -77,6 +77,7 @@ def run_capture(
     page: ReportPage | None = None,
     setup: ModelSetup | None = None,
     tasks: TaskRequest | None = None,
+    cad: Path | None = None,
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
@@ -91,7 +92,8 @@ def run_capture(
     ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
     report and its pictures, by file name. ``setup`` names the models to ask, by default those that are configured for
     the capture. Where one fails, there is a finding, and the method without a model is used. ``tasks`` requests tasks
-    in the scene; if there are fewer, there is a finding.
+    in the scene; if there are fewer, there is a finding. ``cad`` is a folder of CAD models, instead of the one that the
+    capture states.
 
     Raises:
         SpecError: The capture or the ground truth is unusable. The error contains all findings.
@@ -110,13 +112,14 @@ def run_capture(
     previous = previous_output(folder, loaded.path, scene_name, force)
     labels = labels_of(previous, only)
     models = setup or load_setup(loaded.path)
+    library = stated_library(loaded, cad, cache)
     real = None if truth is None else _GroundTruth.load(truth, frame_name, cache)
     try:
         with stage_store(folder) as store:
-            write_source(store.folder, loaded.path, frame_name)
+            write_source(store.folder, loaded.path, frame_name, cad)
             stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
             source = load_stage(loaded, frame_name, stages, models)
-            known = replace(statements(loaded, frame_name, previous, source.value), setup=models)
+            known = replace(statements(loaded, frame_name, previous, source.value), setup=models, cad=library)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
                 standing = standing_scene(built, source.value, staging / scene_name, cache, progress, stages)

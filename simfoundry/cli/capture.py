@@ -53,6 +53,7 @@ class _WithStatus(click.Command):
 @click.option(
     "--against", type=FILE, metavar="TRUTH", help="Compare the scene with this ground truth, a scene document."
 )
+@click.option("--cad", type=FOLDER, help="Folder of meshes, in meters, that objects may be, instead of the stated one.")
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 @click.option("--tasks", type=click.IntRange(1, 1000), metavar="N", help="Also write N tasks that the scene affords.")
 @commercial_only_option
@@ -64,6 +65,7 @@ def capture_command(
     redo_from: str | None,
     only: tuple[str, ...],
     against: Path | None,
+    cad: Path | None,
     codes: tuple[str, ...],
     tasks: int | None,
     commercial_only: bool,
@@ -82,6 +84,8 @@ def capture_command(
 
     `--tasks` writes NAME.task.yaml files, each verified as `simfoundry propose` does. If the model for `read_scene` is
     one of a provider, it proposes them.
+
+    An object that a mesh of the folder `--cad` explains better than a solid becomes that mesh.
 
     `--against` prints the measures of the paper. The camera in TRUTH has the name of the frame, or is the only one.
     """
@@ -110,6 +114,7 @@ def capture_command(
             only,
             truth=against,
             page=capture_page,
+            cad=cad,
             setup=models,
             tasks=None if tasks is None else _task_request(tasks, models),
         )

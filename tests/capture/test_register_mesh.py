@@ -26,8 +26,8 @@ def bracket() -> Mesh:
     return closed_mesh(vertices, np.concatenate([meshes[0][0].faces, meshes[1][0].faces + 8]))
 
 
-def evidence_of(mesh: Mesh, X_WO: Pose) -> Evidence:
-    """Exact depth of a mesh on the plane z = 0, as a camera 0.7 m away sees it."""
+def evidence_of(mesh: Mesh, X_WO: Pose, size: int = 1) -> Evidence:
+    """Exact depth of a mesh on the plane z = 0, as a camera 0.7 m away sees it in 160 x 120 pixels times the size."""
 
     def item(name: str, geometry: Mesh | Box, pose: Pose) -> SceneObject:
         link = Link("body", 1.0, np.zeros(3), np.eye(3), (Visual("v", geometry, frozen_array([1, 1, 1, 1])),), ())
@@ -36,9 +36,10 @@ def evidence_of(mesh: Mesh, X_WO: Pose) -> Evidence:
     table = item("table", Box(np.array([1.0, 1.0, 0.02])), Pose.of((0, 0, -0.01)))
     scene = Scene("one", frozen_array([0, 0, -9.81]), (table, item("bracket", mesh, X_WO)))
     X_WC = look_at(np.array([-0.5, 0.1, 0.5]), np.array([0.0, 0.0, 0.03]))
-    ray = raycast(scene, Camera("view", 160, 120, 190.0, 190.0, 79.5, 59.5, X_WC))
+    f, w, h = 190.0 * size, 160 * size, 120 * size
+    ray = raycast(scene, Camera("view", w, h, f, f, (w - 1) / 2, (h - 1) / 2, X_WC))
     mask = ray.objects == 2
-    frame = Frame(ray.color, ray.depth, np.array([[190.0, 0, 79.5], [0, 190.0, 59.5], [0, 0, 1]]))
+    frame = Frame(ray.color, ray.depth, np.array([[f, 0, (w - 1) / 2], [0, f, (h - 1) / 2], [0, 0, 1]]))
     return gather(frame, SupportSurface(X_WC, np.zeros((0, 2)), 0.0, ~mask), mask, 0.0)
 
 

@@ -28,8 +28,18 @@ _BLIND_HIT = 0.15  # cost of a background pixel without depth that the solid cov
 _IN_FRONT = 0.2  # minimum cosine between a ray and the view axis for rays that share a view frame
 
 # Cost advantage over an upright box or cylinder that each family requires to be chosen. The more flexible a family is,
-# the less meaningful its lower cost is.
-PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
+# the less meaningful its lower cost is. A CAD model has no sizes to choose, so it wins all the same if noise makes
+# its cost 0.02 higher than that of a box around it.
+PRIOR = {
+    "box": 0.0,
+    "cylinder": 0.0,
+    "sphere": 0.02,
+    "lying": 0.08,
+    "hollow": 0.02,
+    "lathe": 0.06,
+    "completed": 0.14,
+    "cad": -0.02,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,7 +404,7 @@ class FitCandidate:
 
     The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
     mesh. For a body of revolution, ``profile`` contains pairs (radius, height) [m], as an array of shape (k, 2).
-    ``guessed`` is True if a prior supplied an extent that was not visible.
+    ``guessed`` is True if a prior supplied an extent that was not visible. ``model`` is the name of a CAD model.
     """
 
     family: str
@@ -403,6 +413,7 @@ class FitCandidate:
     agreement: RayAgreement
     guessed: bool = False
     profile: Array | None = None
+    model: str = ""
 
     @property
     def cost(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,10 @@ OVERSIZE = 2.0  # maximum size relative to the visible part; a nearly flat side 
 GAIN = 0.03  # minimum fraction of the object that a completed shape must explain in addition to a simple one
 
 MAX_ALTERNATIVES = 2  # each one that is tried costs a settling of the entire scene
+
+# Least share of the visible points that a CAD model must explain to be a candidate at all.
+EXPLAINED = 0.7
+
 # Families of shapes with a level base, which stand if anything does.
 STABLE = frozenset({"box", "cylinder", "lathe", "hollow"})
 
@@ -39,6 +44,7 @@ class FittedShape:
         hollow: True for an open container that is modeled with its cavity.
         profile: Pairs (radius, height) [m], shape (k, 2), or None if the mesh is not a body of revolution.
         alternatives: The next best solids, which replace this one if it does not come to rest.
+        model: Name of the CAD model that it is, or an empty string.
     """
 
     geometry: Geometry
@@ -48,10 +54,21 @@ class FittedShape:
     hollow: bool
     profile: Array | None = None
     alternatives: tuple[FittedShape, ...] = ()
+    model: str = ""
+
+
+# Returns further candidates for the evidence, such as CAD models.
+Suggest = Callable[[Evidence], list[FitCandidate]]
 
 
 def fit_shape(
-    frame: Frame, support: SupportSurface, mask: Mask, base_z: float, *, labels: Labels | None = None
+    frame: Frame,
+    support: SupportSurface,
+    mask: Mask,
+    base_z: float,
+    *,
+    labels: Labels | None = None,
+    suggest: Suggest | None = None,
 ) -> FittedShape:
     """Fit the solid that best explains the object under ``mask``, a bool array of shape (h, w).
 
@@ -62,6 +79,7 @@ def fit_shape(
         base_z: Height in the world of the surface on which the object stands [m].
         labels: Labels of all objects in the image (int32, shape (h, w)). If they are specified, pixels of other objects
             without depth are treated as unknown rather than free.
+        suggest: Returns further candidates, which are judged like the others.
 
     Raises:
         CaptureError: Fewer than ``MIN_POINTS`` pixels have depth.
@@ -78,17 +96,18 @@ def fit_shape(
         raise CaptureError("SF505", message, hint)
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(evidence)
-    best = choose([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1])
+    known = [] if suggest is None else [c for c in suggest(evidence) if c.agreement.explained > EXPLAINED]
+    best = choose([*(c for c in found if max(size_of(c.geometry)) <= reach), *known] or found[:1])
     others = sorted((c for c in found if c is not best and c.family in STABLE), key=lambda c: c.cost)
-    alternatives = tuple(_fitted(c, evidence) for c in others[:MAX_ALTERNATIVES])
-    return replace(_fitted(best, evidence), alternatives=alternatives)
+    kept = [*others[:MAX_ALTERNATIVES], *(c for c in known if c is not best)]
+    return replace(_fitted(best, evidence), alternatives=tuple(_fitted(c, evidence) for c in kept))
 
 
 def _fitted(candidate: FitCandidate, evidence: Evidence) -> FittedShape:
     fit_m = candidate.agreement.fit if math.isfinite(candidate.agreement.fit) else evidence.scale
     hollow = candidate.family == "hollow"
     sure = confidence(candidate, evidence)
-    return FittedShape(candidate.geometry, candidate.X_WO, fit_m, sure, hollow, candidate.profile)
+    return FittedShape(candidate.geometry, candidate.X_WO, fit_m, sure, hollow, candidate.profile, (), candidate.model)
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:

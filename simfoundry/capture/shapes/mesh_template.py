@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,9 @@ SIDE_ANGLE_DEG, MAX_SIDES = 25.0, 12
 # Least share of the area of the convex hull that faces down on a side. Objects rarely rest on less.
 SIDE_SHARE = 0.02
 
+# Number of directions from which silhouettes are measured: 15 degrees apart.
+DIRECTIONS = 100
+
 
 @dataclass(frozen=True, eq=False)
 class MeshTemplate:
@@ -41,6 +45,7 @@ class MeshTemplate:
             identity, with the mesh as it is.
         center: Center of the bounding box [m], shape (3,).
         diameter: Length of the diagonal of the bounding box [m].
+        silhouettes: Least and largest area of the silhouette of the convex hull, over all directions [m²].
     """
 
     mesh: Mesh
@@ -51,6 +56,7 @@ class MeshTemplate:
     sides: Array
     center: Array
     diameter: float
+    silhouettes: tuple[float, float]
 
     @classmethod
     def of(cls, mesh: Mesh) -> MeshTemplate:
@@ -61,10 +67,9 @@ class MeshTemplate:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-        return cls(
-            mesh, vertices, faces, points, normals, resting_sides(vertices), (low + high) / 2,
-            max(float(np.linalg.norm(high - low)), 1e-9),
-        )  # fmt: skip
+        diameter = max(float(np.linalg.norm(high - low)), 1e-9)
+        sides, areas = resting_sides(vertices), hull_silhouettes(vertices)
+        return cls(mesh, vertices, faces, points, normals, sides, (low + high) / 2, diameter, areas)
 
 
 def simplified_surface(
@@ -80,6 +85,26 @@ def simplified_surface(
     if not len(triangles):
         return corners, np.ascontiguousarray(sides, np.int32)
     return np.asarray(found, np.float64), np.ascontiguousarray(triangles, np.int32)
+
+
+def hull_silhouettes(vertices: Array) -> tuple[float, float]:
+    """Return the least and the largest area of the silhouette of the convex hull of points, over all directions [m²].
+
+    By Cauchy's formula, the silhouette in a direction is half the sum of the areas of all faces, seen from there.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        found = ConvexHull(vertices)
+    except (QhullError, ValueError):
+        return 0.0, float("inf")
+    corners = vertices[found.simplices]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    k = np.arange(DIRECTIONS) + 0.5
+    z, turn = 1 - k / DIRECTIONS, k * math.pi * (3 - math.sqrt(5))  # a spiral over half of the sphere
+    directions = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+    seen = np.abs(directions @ found.equations[:, :3].T) @ area / 2
+    return float(seen.min()), float(seen.max())
 
 
 def resting_sides(vertices: Array) -> Array:

@@ -72,7 +72,7 @@ STAGES = (
     Stage(
         "shape",
         "fits a solid to each object: its geometry and its pose",
-        ("shapes", "reconstruct.py", "segment/constraints.py"),
+        ("shapes", "reconstruct.py", "segment/constraints.py", "cad"),
         per_object=True,
     ),
     Stage(

@@ -57,21 +57,22 @@ def listed_states(stages: StageRunner, names: Mapping[str, str], complete: bool)
     return out
 
 
-def write_source(folder: Path, capture: Path, frame: str) -> None:
-    """Note in the folder of stages which frame of which capture it belongs to."""
+def write_source(folder: Path, capture: Path, frame: str, cad: Path | None = None) -> None:
+    """Note in the folder of stages which frame of which capture it belongs to, and the CAD library of the command."""
     data = {"capture": str(capture.resolve()), "frame": frame}
+    data |= {} if cad is None else {"cad": str(cad.resolve())}
     (folder / SOURCE).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def read_source(folder: Path) -> tuple[Path, str]:
-    """Return the capture document and the frame that a folder of stages belongs to.
+def read_source(folder: Path) -> tuple[Path, str, Path | None]:
+    """Return the capture document and the frame of a folder of stages, and the CAD library of the command, if any.
 
     Raises:
         SimfoundryError: The folder does not tell.
     """
     try:
         data = json.loads((folder / SOURCE).read_bytes())
-        return Path(data["capture"]), str(data["frame"])
+        return Path(data["capture"]), str(data["frame"]), Path(data["cad"]) if "cad" in data else None
     except (OSError, ValueError, KeyError, TypeError):
         raise SimfoundryError(
             f"{folder.parent} is not the output of a capture; specify the folder that `simfoundry capture` wrote"

@@ -192,9 +192,35 @@ class Shot(Model):
             raise fault("sf107", "`depth` and `stereo` exclude each other: the depth of a pair is computed", "stereo")
 
 
+class CadFolder(Model):
+    """A folder of meshes that objects may be."""
+
+    folder: str = Field(
+        min_length=1,
+        description="Folder with meshes (OBJ, glTF, STL, PLY) or assets, relative to this document. Objects that they "
+        "explain best become these meshes.",
+    )
+    scale: Positive = Field(1.0, description="Length of one unit of the meshes [m].")
+
+
+def _of_path(value: Any) -> Any:
+    """Return the CAD library that a path alone states."""
+    return {"folder": value} if isinstance(value, str) else value
+
+
+class _PathSchema:
+    """A schema that also accepts a path, which the model itself stores as a folder."""
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [handler(core), {"type": "string", "minLength": 1}]}
+
+
 class CaptureSpec(DocumentSpec):
     """A capture of a real scene."""
 
     simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
     frames: dict[Name, Shot] = Field(min_length=1, description="Views by name; the first is reconstructed by default.")
     truth: FileName | None = Field(None, description="A scene document with the ground truth.")
+    cad: Annotated[CadFolder, BeforeValidator(_of_path), _PathSchema()] | None = Field(
+        None, description="A folder of meshes that objects may be: its path, or a mapping with their units."
+    )

@@ -1,0 +1,1 @@
+"""CAD libraries: folders of meshes that objects in a capture may be."""
