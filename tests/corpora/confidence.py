@@ -12,6 +12,7 @@ import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,7 @@ def print_table(solids: Sequence[Judged]) -> None:
     """Print a line for each bin of confidence, and the mean error of all."""
     confidence, f1 = np.array([s.confidence for s in solids]), np.array([s.f1 for s in solids])
     print(f"{'confidence':12} {'objects':>7} {'mean confidence':>16} {'mean F1':>8} {'F1 below 0.5':>13}")
-    for low, high in zip(BINS, BINS[1:], strict=False):
+    for low, high in pairwise(BINS):
         inside = (confidence >= low) & (confidence < high)
         if inside.any():
             row = f"{inside.sum():7d} {confidence[inside].mean():16.2f} {f1[inside].mean():8.2f}"
