@@ -38,7 +38,6 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.models.setup import ModelSetup
-from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.surroundings import BackgroundSpec, LightSpec
@@ -223,7 +222,7 @@ def scene_spec(
         simfoundry="scene/1",
         name=name,
         viewpoint="view",
-        materials={prior.name: Material(density=prior.density, friction=prior.friction) for prior in priors},
+        materials={prior.name: prior.material for prior in priors},
         objects=objects,
         cameras={"view": describe.camera_spec(frame, fitted.support)},
         lights={"key": key_light, "sky": LightSpec(type="dome", intensity=0.7)},

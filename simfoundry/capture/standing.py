@@ -21,7 +21,6 @@ from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
@@ -105,8 +104,7 @@ def _reshaped(built: Reconstruction, name: str, shape: FittedShape, frame: Frame
             stated |= {"category": before.category, "material": before.material, "mass": before.mass}
         item = item.model_copy(update=stated)
     prior = kind_of(shape).material
-    material = Material(density=prior.density, friction=prior.friction)
-    materials = {**built.spec.materials, prior.name: material}
+    materials = {**built.spec.materials, prior.name: prior.material}
     update = {"objects": {**built.spec.objects, name: item}, "materials": materials}
     spec = built.spec.model_copy(update=update)
     return replace(built, spec=spec, files=files, shapes={**built.shapes, name: shape})

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from simfoundry.capture import describe
 from simfoundry.capture.findings import HELD
 from simfoundry.capture.frame import Segmentation
-from simfoundry.capture.kinds import SUPPORT, kind_of
+from simfoundry.capture.kinds import CAN, SUPPORT, kind_of
 from simfoundry.capture.reconstruct import Reconstruction
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.capture.standing import StandingScene, settle_objects
-from simfoundry.geometry.frames import Pose, frozen_array
-from simfoundry.geometry.shapes import Box, hull_mesh
+from simfoundry.geometry.frames import Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, hull_mesh
+from simfoundry.runtime.files import write_file
+from simfoundry.scene.lower import lower_file
 from simfoundry.spec.models.base import Material
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.reuse import FramedPose
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.shapes import BoxShape
+from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.worlds import open_world
+from simfoundry.worlds.rest import simulate
 from tests.capture import pictures
 
 SETUP = pictures.Setup((pictures.Box((0.05, 0.02, 0.06), (0.10, 0.08, 0.12)),))
+ALMOST_LYING = quat_from_rpy(-math.pi / 2, math.radians(89.99), 0.9)  # as a pose is rounded to 0.01 deg
 BESIDE = Pose.of((2.0, 0.0, 0.0))  # where there is no table
 CORNERS = [(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0.12, 0.1, 0.15), (0.12, -0.1, 0.15), (-0.02, 0, 0.15)]
 """A solid on a base of 1 cm whose center of mass is beside it [m]."""
@@ -43,7 +53,7 @@ def settled(folder: Path, X_WO: Pose, alternatives: tuple[FittedShape, ...]) -> 
     spec = SceneSpec(
         simfoundry="scene/1",
         name="tower",
-        materials={name: Material(density=p.density, friction=p.friction) for name, p in names.items()},
+        materials={name: p.material for name, p in names.items()},
         objects={
             "table": describe.support_spec("tower", support, None).model_copy(update={"visual": None}),
             "tower": describe.object_spec("tower", "tower", shape, 1),
@@ -73,3 +83,17 @@ def test_what_finds_no_rest_is_held_in_place_and_reported(tmp_path: Path) -> Non
     assert held.fixed and held.origin is not None and "held in place" in (held.origin.note or "")
     (item,) = (o for o in standing.scene.objects if o.name == "tower")
     assert item.fixed and np.allclose(item.X_WO.p, BESIDE.p, atol=1e-4)
+
+
+@pytest.mark.parametrize("resists", [True, False])
+def test_a_lying_can_stays_in_pybullet_because_it_resists_rolling(tmp_path: Path, resists: bool) -> None:
+    pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    material = CAN.material if resists else Material(density=CAN.density, friction=CAN.friction)
+    can = FittedShape(Cylinder(0.022, 0.085), Pose.of((0, 0, 0.0218), ALMOST_LYING), 0.001, 0.8, False)
+    top = ObjectSpec(fixed=True, shape=BoxShape(box=(1.0, 1.0, 0.04)), pose=FramedPose(xyz=(0.0, 0.0, -0.02)))
+    item = describe.object_spec("can", "can", can).model_copy(update={"material": "can", "visual": None})
+    spec = SceneSpec(simfoundry="scene/1", name="can", materials={"can": material}, objects={"table": top, "can": item})
+    write_file(tmp_path / "can.scene.yaml", to_yaml(spec).encode())
+    with open_world(lower_file(tmp_path / "can.scene.yaml"), "pybullet") as world:
+        (motion,) = simulate(world, 2.0)
+    assert motion.stays == resists

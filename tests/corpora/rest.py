@@ -99,7 +99,8 @@ def main() -> int:
                 continue
         scenes.append(scene)
         motion = "  ".join(f"{e} {scene.farthest[e] * 1000:.1f} mm" for e in ENGINES)
-        print(f"{name:12} {scene.segments} segments {scene.objects} objects {scene.held} held  {motion}  {scene.seconds:.0f} s")
+        counts = f"{scene.segments} segments {scene.objects} objects {scene.held} held"
+        print(f"{name:12} {counts}  {motion}  {scene.seconds:.0f} s", flush=True)
         for engine, motions in scene.moving.items():
             for m in motions:
                 print(f"  MOVES in {engine}: {m.name} {m.moved * 1000:.1f} mm, {m.turned_deg:.1f} deg", flush=True)
