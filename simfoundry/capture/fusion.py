@@ -81,6 +81,30 @@ def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None)
     return replace(frame, depth=fused_depth(frame.depth, views), findings=(*frame.findings, *findings))
 
 
+def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> tuple[tuple[Frame, Pose], ...]:
+    """Return the other frames that have a pose, each with the pose of its camera in that of the frame ``name``.
+
+    Frames of another size, and those whose depth contradicts that of the frame, are left out.
+
+    Raises:
+        SpecError: A frame cannot be used.
+    """
+    assert isinstance(loaded.spec, CaptureSpec)
+    shots, found = loaded.spec.frames, []
+    own, others = shots[name].pose, fused_frames(loaded.spec, name)
+    if own is None or not others:
+        return ()
+    view = load_frame(loaded, name, setup)
+    for other in others:
+        stated = shots[other].pose
+        assert stated is not None
+        frame, X_VF = load_frame(loaded, other, setup), pose(own).inverse() @ pose(stated)
+        share = agreement_of(view.depth, seen_from(frame, X_VF, view))
+        if frame.color.shape == view.color.shape and share is not None and share >= AGREEING:
+            found.append((frame, X_VF))
+    return tuple(found)
+
+
 def seen_from(frame: Frame, X_view_camera: Pose, view: Frame) -> Array:
     """Return the depth [m] of ``frame`` as seen by the camera of ``view``, shape (h, w), NaN where it saw nothing.
 

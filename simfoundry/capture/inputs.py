@@ -12,7 +12,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.cad.library import CadLibrary, open_library
 from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.fusion import fused_frames, load_fused_frame
+from simfoundry.capture.fusion import fused_frames, load_fused_frame, posed_views
 from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks
 from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
@@ -135,6 +135,7 @@ def examine(out: Path) -> list[StageStatus]:
             statements(loaded, frame_name, previous, source.value),
             setup=setup,
             cad=stated_library(loaded, cad, Cache.default()),
+            views=partial(posed_views, loaded, frame_name, setup),
         )
         built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -16,7 +16,7 @@ from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.kinds import SUPPORT
 from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes
 from simfoundry.capture.model_stages.ask import StageModels
-from simfoundry.capture.model_stages.background import BACKGROUND, model_background
+from simfoundry.capture.model_stages.background import BACKGROUND, Views, model_background
 from simfoundry.capture.model_stages.depth import completed_frame
 from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
 from simfoundry.capture.object_stages import (
@@ -56,6 +56,7 @@ class Statements:
         last_names: Numbers in ``last``, by the names in the last run.
         setup: The models that may be asked, or None to ask none.
         cad: Models that objects may be, or None.
+        views: Loads the other frames of the capture, each with the pose of its camera in that of this one.
     """
 
     given: Mapping[str, int] = field(default_factory=dict)
@@ -64,6 +65,7 @@ class Statements:
     last_names: Mapping[str, int] = field(default_factory=dict)
     setup: ModelSetup | None = None
     cad: CadLibrary | None = None
+    views: Callable[[], Views] = tuple
 
 
 def reconstruct(
@@ -104,7 +106,7 @@ def reconstruct(
     objects = textured_objects(view, placed, carriers, given, progress)
     moving = () if read is None else [k for k, each in read.objects.items() if each.is_articulated]
     jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
-    splat = model_background(frame, objects.support, cleared[-1], models) if cleared else None
+    splat = model_background(frame, objects.support, shapes, cleared[-1], known.views, models) if cleared else None
     sensed = tuple(ModelUse.model_validate(dict(use)) for use in measured.models)
     everywhere = (*sensed, *(completed.models if completed else ()), *masked)
     uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}

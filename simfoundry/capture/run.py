@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError, Frame
+from simfoundry.capture.fusion import posed_views
 from simfoundry.capture.inputs import labels_of, load_stage, stated_library, statements
 from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
@@ -119,7 +121,9 @@ def run_capture(
             write_source(store.folder, loaded.path, frame_name, cad)
             stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
             source = load_stage(loaded, frame_name, stages, models)
-            known = replace(statements(loaded, frame_name, previous, source.value), setup=models, cad=library)
+            views = partial(posed_views, loaded, frame_name, models)
+            stated = statements(loaded, frame_name, previous, source.value)
+            known = replace(stated, setup=models, cad=library, views=views)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
                 standing = standing_scene(built, source.value, staging / scene_name, cache, progress, stages)

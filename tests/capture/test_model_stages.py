@@ -13,15 +13,20 @@ from PIL import Image
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.overlay import object_surface
-from simfoundry.capture.synthesize import synthesize
+from simfoundry.capture.synthesize import simulate_frame, synthesize, write_capture
+from simfoundry.geometry.frames import look_at
 from simfoundry.models.setup import ModelSetup
 from simfoundry.models.tasks.poses import Z_UP
 from simfoundry.render.raycast import raycast
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
+from simfoundry.scene.state import pose_spec
 from simfoundry.spec.load import load_scene
+from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.spec.models.model_sources import ModelSource
 from simfoundry.spec.models.scene import ObjectSpec
+from simfoundry.spec.yaml.write import to_yaml
+from tests.capture.conftest import SCENE as BOXES
 from tests.capture.runs import again, output, ran
 from tests.models.stand_ins import SOLVED, StandIns, configured
 
@@ -173,3 +178,30 @@ def test_a_person_states_joints_and_what_moves(folder: Path, made: tuple[Path, S
     assert stand_ins.asked == ["parts", "articulate"]
     assert tasks_of(run.reconstruction.spec.objects["green_box"]) == ["parts", "articulate"]
     assert not (folder / "out" / "meshes" / "green_box.obj").exists()
+
+
+@pytest.mark.slow  # 4 s
+def test_a_background_is_made_of_all_posed_frames_without_objects(made: tuple[Path, StandIns], tmp_path: Path) -> None:
+    (tmp_path / "boxes.scene.yaml").write_text(BOXES)
+    scene, shots = lower_file(tmp_path / "boxes.scene.yaml"), {}
+    for k, y in enumerate((0.05, -0.15, 0.25)):
+        camera = replace(scene.cameras[0], X_WC=look_at(np.array([-0.6, y, 0.6]), np.array([0.02, 0, 0.02])))
+        frame = replace(simulate_frame(raycast(scene, camera), np.random.default_rng(k)), instances=None)
+        shot = write_capture(tmp_path / "capture" / f"f{k}", frame)
+        assert shot.depth is not None
+        depth = shot.depth.model_copy(update={"image": f"f{k}/depth.png"})
+        update = {"color": f"f{k}/color.png", "depth": depth, "pose": pose_spec(camera.X_WC)}
+        shots[f"f{k}"] = shot.model_copy(update=update)
+    spec = CaptureSpec(simfoundry="capture/1", name="posed", frames=shots)
+    (tmp_path / "capture" / "capture.yaml").write_text(to_yaml(spec))
+    stand_ins = replace(made[1], asked=[], trained=[])
+    with configured(stand_ins, tmp_path, "splat") as setup:
+        run = again(tmp_path, setup=setup)
+    assert stand_ins.asked == ["splat"] and len(stand_ins.trained) == 3
+    for k, image in enumerate(stand_ins.trained):
+        before = np.array(Image.open(tmp_path / "capture" / f"f{k}" / "color.png")).astype(int)
+        after = image.astype(int)
+        for channel, other in ((0, 1), (1, 0)):  # the red box and the green one
+            was, now = (picture[..., channel] - picture[..., other] > 60 - 40 * channel for picture in (before, after))
+            assert was.sum() > 150 and now.sum() < 0.1 * was.sum(), (k, channel)
+    assert run.reconstruction.spec.background is not None and (tmp_path / "out" / "background.ply").is_file()

@@ -45,6 +45,7 @@ class StandIns:
         asked: The tasks that were asked for, in order.
         spoil: Changes the answer for a task, for tests of faults.
         commercial: What the server states about commercial use.
+        trained: The images from which the last splat was made.
         measured: Depth [m] of the picture, shape (h, w), which the task `depth` is answered with.
     """
 
@@ -56,6 +57,7 @@ class StandIns:
     spoil: Mapping[str, Callable[[Result], None]] = field(default_factory=dict)
     commercial: bool = True
     measured: Any = None
+    trained: list[Any] = field(default_factory=list)
 
     def model(self) -> Model:
         """Return a server of all tasks."""
@@ -153,6 +155,7 @@ class StandIns:
         assert isinstance(images, tuple)
         seen = np.asarray(points) @ np.asarray(poses)[0, :3, :3].T + np.asarray(poses)[0, :3, 3]
         pixels = np.rint((seen @ np.asarray(K)[0].T)[:, :2] / seen[:, 2:]).astype(int)
+        self.trained[:] = [image.pixels for image in images]
         picture = images[0].pixels
         columns, rows = np.clip(pixels.T, 0, [[picture.shape[1] - 1], [picture.shape[0] - 1]])
         return Result({"splat": BundleFile("ply", splat_ply(np.asarray(points), picture[rows, columns] / 255))})

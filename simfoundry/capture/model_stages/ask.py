@@ -49,7 +49,7 @@ MODEL_STAGES: Mapping[str, ModelStage] = {
     "mesh": ModelStage(("mesh",), "the solids that were fitted to the depth are used"),
     "refine": ModelStage(("pose",), "the poses are those that were fitted to the depth"),
     "parts": ModelStage(("articulate", "parts"), "the objects have no joints"),
-    "background": ModelStage(("splat",), "the scene has no background"),
+    "background": ModelStage(("splat", "inpaint"), "the scene has no background"),
 }
 
 
