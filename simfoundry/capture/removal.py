@@ -61,7 +61,8 @@ def removal_order(frame: Frame, segmentation: Segmentation) -> tuple[tuple[int, 
     under an object of a later layer. If objects hide each other in a circle, the nearest is removed first.
     """
     numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
-    before = {k: {a for a, b in _in_front(frame, segmentation.labels) if b == k} for k in numbers}
+    in_front = _in_front(frame, segmentation.labels)
+    before = {k: {a for a, b in in_front if b == k} for k in numbers}
     for k, carrier in segmentation.supports.items():
         if carrier in before:
             before[carrier].add(k)

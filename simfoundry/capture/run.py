@@ -42,6 +42,9 @@ from simfoundry.worlds.settle import SettleResult, settle
 # Makes an HTML page of a report and its pictures, by file name.
 ReportPage = Callable[[Mapping[str, Any], Mapping[str, bytes]], str]
 
+# Compression of pictures: a quarter of the time that the best one takes, for files that are a fifth larger.
+FAST = 3
+
 # The page that people look at, with what `report.json` contains.
 PAGE = "report.html"
 
@@ -170,7 +173,7 @@ class _GroundTruth:
         difference = difference_image(rendered.color, color)
         panels = [("capture", color), ("reconstruction", rendered.color), ("difference", difference)]
         panels.append(("ground truth", raycast(self.scene, self.camera).color))
-        save_png(folder / "accuracy.png", side_by_side(panels, columns=2))
+        save_png(folder / "accuracy.png", side_by_side(panels, columns=2), FAST)
         return scene_accuracy(self.scene, self.camera, scene, rendered, color)
 
 
@@ -198,7 +201,7 @@ def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settle
     seen = raycast(scene, scene.cameras[0], settled.state)
     tinted = overlay(frame.color, built.segmentation.labels, 0.45)
     panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
-    save_png(folder / "compare.png", side_by_side(panels))
+    save_png(folder / "compare.png", side_by_side(panels), FAST)
     return seen
 
 

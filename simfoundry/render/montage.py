@@ -67,20 +67,20 @@ def label_color(label: int) -> tuple[int, int, int]:
     return round(255 * r), round(255 * g), round(255 * b)
 
 
-def png_bytes(image: Image) -> bytes:
+def png_bytes(image: Image, level: int = 9) -> bytes:
     """Encode an image as PNG. Identical images produce identical bytes."""
     from PIL import Image as Pillow
     from PIL.PngImagePlugin import PngInfo
 
     buffer, info = io.BytesIO(), PngInfo()
     info.add_text("Software", MARK)
-    Pillow.fromarray(image).save(buffer, format="PNG", compress_level=9, pnginfo=info)
+    Pillow.fromarray(image).save(buffer, format="PNG", compress_level=level, pnginfo=info)
     return buffer.getvalue()
 
 
-def save_png(path: Path, image: Image) -> None:
+def save_png(path: Path, image: Image, level: int = 9) -> None:
     """Save an image as a PNG file, creating the folder if necessary."""
-    write_atomically(path, png_bytes(image))
+    write_atomically(path, png_bytes(image, level))
 
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:

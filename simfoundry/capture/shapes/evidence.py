@@ -255,36 +255,44 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
     cone, a cylinder or a ring.
     """
     o, d = _to_local(eye, rays, X_WO)
-    r0, z0 = profile[:-1, 0][:, None], profile[:-1, 1][:, None]
-    r1, z1 = profile[1:, 0][:, None], profile[1:, 1][:, None]
-    rise = z1 - z0
-    flat = np.abs(rise) < 1e-9
-    slope = np.where(flat, 0.0, (r1 - r0) / np.where(flat, 1.0, rise))
+    is_ring = np.abs(np.diff(profile[:, 1])) < 1e-9
+    best, slant = np.full(len(d), np.inf), np.zeros(len(d))
+    start, end = profile[:-1], profile[1:]
+    if not is_ring.all():
+        best, slant = _cone_hits(o, d, start[~is_ring], end[~is_ring], best, slant)
+    if is_ring.any():
+        r0, r1, z0 = start[is_ring, 0][:, None], end[is_ring, 0][:, None], start[is_ring, 1][:, None]
+        safe_dz = np.where(np.abs(d[:, 2]) < 1e-12, 1e-12, d[:, 2])
+        t = (z0 - o[2]) / safe_dz
+        radius = np.hypot(o[0] + t * d[:, 0], o[1] + t * d[:, 1])
+        hit = (t > 1e-6) & (radius >= np.minimum(r0, r1)) & (radius <= np.maximum(r0, r1))
+        best, slant = _nearer(best, slant, np.where(hit, t, np.inf), np.broadcast_to(np.abs(d[:, 2]), t.shape))
+    return SolidHits(best, slant)
+
+
+def _cone_hits(o: Array, d: Array, start: Array, end: Array, best: Array, slant: Array) -> tuple[Array, Array]:
+    """Return the nearest hits of local rays on the cones that edges (radius, height) sweep out, or previous hits."""
+    r0, z0, z1 = start[:, 0][:, None], start[:, 1][:, None], end[:, 1][:, None]
+    slope = (end[:, 0][:, None] - r0) / (z1 - z0)
     # On the cone through an edge, |xy| = g + slope * z.
     g = r0 - slope * z0
     rho, w = g + slope * o[2], slope * d[:, 2]
     a = d[:, 0] ** 2 + d[:, 1] ** 2 - w**2
     b = o[0] * d[:, 0] + o[1] * d[:, 1] - rho * w
     c = o[0] ** 2 + o[1] ** 2 - rho**2
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    exists = b * b - a * c > 0
+    square = b * b - a * c
+    exists, root = square > 0, np.sqrt(np.maximum(square, 0.0))
     safe_a = np.where(np.abs(a) < 1e-12, 1e-12, a)
-    best = np.full(len(d), np.inf)
-    slant = np.zeros(len(d))
+    low, high = np.minimum(z0, z1), np.maximum(z0, z1)
     tilt = 1.0 / np.sqrt(1.0 + slope**2)
     for sign in (-1.0, 1.0):
         t = (-b + sign * root) / safe_a
         z, radius = o[2] + t * d[:, 2], rho + t * w
-        on_edge = exists & ~flat & (t > 1e-6) & (z >= np.minimum(z0, z1)) & (z <= np.maximum(z0, z1)) & (radius >= 0)
+        on_edge = exists & (t > 1e-6) & (z >= low) & (z <= high) & (radius >= 0)
         x, y = o[0] + t * d[:, 0], o[1] + t * d[:, 1]
         cosine = tilt * ((x * d[:, 0] + y * d[:, 1]) / np.maximum(radius, 1e-9) - slope * d[:, 2])
         best, slant = _nearer(best, slant, np.where(on_edge, t, np.inf), np.abs(cosine))
-    safe_dz = np.where(np.abs(d[:, 2]) < 1e-12, 1e-12, d[:, 2])
-    t = (z0 - o[2]) / safe_dz
-    radius = np.hypot(o[0] + t * d[:, 0], o[1] + t * d[:, 1])
-    in_ring = flat & (t > 1e-6) & (radius >= np.minimum(r0, r1)) & (radius <= np.maximum(r0, r1))
-    best, slant = _nearer(best, slant, np.where(in_ring, t, np.inf), np.broadcast_to(np.abs(d[:, 2]), t.shape))
-    return SolidHits(best, slant)
+    return best, slant
 
 
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
@@ -376,9 +384,18 @@ def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     return RayAgreement(
         explained=float((own & hit & (distance < scale)).sum() / max(1, int(own.sum()))),
         intrusion=float(free.sum() / count),
-        fit=float(np.median(fitted)) if fitted.size else float("inf"),
+        fit=_median(fitted) if fitted.size else float("inf"),
         cost=float((cost + FREE_WEIGHT * free.sum()) / count),
     )
+
+
+def _median(values: Array) -> float:
+    """Return the median of finite values as ``numpy.median`` does, in a fifth of its time: a fit needs thousands."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
+    return float((low + high) / 2)
 
 
 def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
@@ -392,10 +409,10 @@ def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Arr
     The hits to compare are the previous hits, which have shape (m,), and the candidates on each edge, which have shape
     (k, m).
     """
-    pick = np.argmin(depth, axis=0)[None]
-    nearest = np.take_along_axis(depth, pick, 0)[0]
+    pick, column = np.argmin(depth, axis=0), np.arange(depth.shape[1])
+    nearest = depth[pick, column]
     closer = nearest < best
-    return np.where(closer, nearest, best), np.where(closer, np.take_along_axis(cosine, pick, 0)[0], slant)
+    return np.where(closer, nearest, best), np.where(closer, cosine[pick, column], slant)
 
 
 @dataclass(frozen=True, eq=False)

