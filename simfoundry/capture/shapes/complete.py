@@ -17,7 +17,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, cast_mesh, smooth_gaps
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, cast_mesh, is_seen_free, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
@@ -28,7 +28,6 @@ _THINNEST = 0.003  # [m] minimum thickness of a solid: the depth noise at half a
 _STEPS = 48  # number of free-space samples behind a column; they are 2 to 5 mm apart
 _MIN_IN_SLICE = 12  # minimum number of points in a slice for two percentiles to be meaningful
 _PAD = 0.0025  # [m] height of the pad under a solid that would tip over
-_SEEN_PAST = 0.01  # [m] a point is free if the observed surface is at least this far behind it
 
 
 class _Slice(NamedTuple):
@@ -72,15 +71,8 @@ class _Axes:
 
     def is_free(self, t: Array, s: Array, level: float) -> Mask:
         """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera observed to be free."""
-        frame = self.evidence.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
-        p_C = self.evidence.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
-        u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
-        v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
-        h, w = frame.depth.shape
-        known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
-        observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
-        return np.asarray(known & (observed > p_C[..., 2] + _SEEN_PAST))
+        return is_seen_free(self.evidence, np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
 
 
 def complete(evidence: Evidence) -> FitCandidate:

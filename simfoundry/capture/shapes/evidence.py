@@ -25,6 +25,7 @@ WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free sp
 FREE_WEIGHT = 0.7  # cost of a free ray that the solid blocks, relative to a miss; silhouettes are off by about a pixel
 _BLIND_MISS = 0.4  # cost of an object pixel without depth that the solid misses
 _BLIND_HIT = 0.15  # cost of a background pixel without depth that the solid covers; often the projector's shadow
+SEEN_PAST = 0.01  # [m] a point is free if the observed surface is at least this far behind it
 _IN_FRONT = 0.2  # minimum cosine between a ray and the view axis for rays that share a view frame
 
 # Cost advantage over an upright box or cylinder that each family requires to be chosen. The more flexible a family is,
@@ -38,6 +39,8 @@ PRIOR = {
     "hollow": 0.02,
     "lathe": 0.06,
     "completed": 0.14,
+    "relief": 0.1,
+    "mirrored": 0.1,
     "cad": -0.02,
 }
 
@@ -126,6 +129,18 @@ def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, lab
     inside = mask[rows, cols]
     hidden = np.zeros(len(rows), dtype=bool) if labels is None else (labels[rows, cols] > 0) & ~inside
     return Evidence(frame, support, points, rays, depth, inside, hidden, scale, base_z)
+
+
+def is_seen_free(evidence: Evidence, points: Array) -> Mask:
+    """Return a mask of the points in the world [m], shape (..., 3), that the camera observed to be free."""
+    frame = evidence.frame
+    p_C = evidence.support.X_WC.inverse().apply(points)
+    u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
+    v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
+    h, w = frame.depth.shape
+    known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
+    observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
+    return np.asarray(known & (observed > p_C[..., 2] + SEEN_PAST))
 
 
 def main_body(points: Array, pitch: float) -> Mask:
