@@ -13,6 +13,7 @@ import numpy as np
 from simfoundry.errors import SimfoundryError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.lower import pose
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.models.base import PoseSpec
@@ -28,6 +29,13 @@ FRAMES_MAX = 64
 
 # Maximum size of a text file with cameras [bytes]: 100,000 frames of BOP take 30 MB.
 TEXT_MAX = 50_000_000
+
+# Cameras of the first Kinect as 7-Scenes uses them, whose images are not registered. Its authors state the intrinsics
+# of the depth camera; those of the color camera and the offset between both [m] are the defaults of OpenNI. With them,
+# the mugs of its red kitchen are where the color image shows them.
+KINECT_DEPTH = Intrinsics(fx=585, fy=585, cx=320, cy=240)
+KINECT_COLOR = Intrinsics(fx=525, fy=525, cx=320, cy=240)
+KINECT_OFFSET = (-0.025, 0.0, 0.0)
 
 NEEDED = "a capture needs, besides a color image, its depth and the intrinsics of the camera, stated in a capture.yaml"
 
@@ -128,15 +136,21 @@ def _seven_scenes(folder: Path) -> dict[str, Shot]:
     """Return the frames `frame-N.color`, `.depth` and `.pose` of one folder, as 7-Scenes has them."""
     file = folder / "camera-intrinsics.txt"
     K = _intrinsics(_matrix(file), file)
+    own = K if K == KINECT_DEPTH else None
+    color_camera = K if own is None else KINECT_COLOR
     stems = sorted(p.name.removesuffix(".depth.png") for p in folder.glob("frame-*.depth.png"))
     shots = {}
     for stem in _spread(stems):
         color = next((f"{stem}.color{s}" for s in (".png", ".jpg") if (folder / f"{stem}.color{s}").is_file()), None)
         if color is None:
             continue
-        image = DepthImage(image=f"{stem}.depth.png", invalid=(0, 65535))
+        offset = None if own is None else PoseSpec(xyz=KINECT_OFFSET)
+        image = DepthImage(image=f"{stem}.depth.png", invalid=(0, 65535), camera=own, pose=offset)
+        X_WC = _stated_pose(folder / f"{stem}.pose.txt")
+        if X_WC is not None and offset is not None:  # it is that of the depth camera, which was tracked
+            X_WC = pose_spec(pose(X_WC) @ pose(offset).inverse())
         name = re.sub(r"\W", "_", stem)
-        shots[name] = Shot(color=color, depth=image, camera=K, pose=_stated_pose(folder / f"{stem}.pose.txt"))
+        shots[name] = Shot(color=color, depth=image, camera=color_camera, pose=X_WC)
     return shots
 
 

@@ -3,8 +3,8 @@
     python -m tests.benchmarks.capture [--tables 5] [--large]
 
 Synthetic tables of 640 x 480 pixels with about ten objects go through the command in processes of its own: once, once
-more without a change, and once after the mask of one object was changed. `--large` adds a table of 3840 x 2160 pixels. On a
-machine that others use, processor time (user and system) is what can be compared.
+more without a change, and once after the mask of one object was changed. `--large` adds a table of 3840 x 2160 pixels.
+On a machine that others use, processor time (user and system) is what can be compared.
 """
 
 from __future__ import annotations
@@ -79,9 +79,7 @@ def main() -> int:
     ratios = [b.processor / a.processor for a, b in zip(first, again, strict=True)]
     middle, slowest = statistics.median(r.processor for r in first), max(r.processor for r in first)
     again_share = statistics.median(ratios)
-    print(
-        f"processor time: median {middle:.1f} s, slowest {slowest:.1f} s; after one changed mask {again_share:.2f} of it"
-    )
+    print(f"processor time: median {middle:.1f} s, slowest {slowest:.1f} s, changed mask {again_share:.2f} of it")
     for line in missed:
         print(f"missed: {line}")
     return 1 if missed else 0

@@ -82,6 +82,19 @@ def test_frames_of_7_scenes(tmp_path: Path) -> None:
     assert len(check(tmp_path, "frame_000000").frames) == FRAMES_MAX
 
 
+def test_the_cameras_of_the_kinect_are_registered(tmp_path: Path) -> None:
+    """7-Scenes states the depth camera and its pose; the color camera has a wider view from 2.5 cm beside it."""
+    images(tmp_path, "frame-000000.color.png", "frame-000000.depth.png")
+    (tmp_path / "frame-000000.pose.txt").write_text(matrix_text(X_WC.matrix))
+    (tmp_path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
+    loaded = open_capture(tmp_path)
+    assert isinstance(loaded.spec, CaptureSpec)
+    shot = loaded.spec.frames["frame_000000"]
+    assert (shot.camera.fx, shot.camera.cx) == (525, 320) and shot.depth is not None and shot.depth.camera is not None
+    assert shot.depth.camera.fx == 585 and shot.depth.pose is not None and shot.pose is not None
+    assert np.abs((pose(shot.pose) @ pose(shot.depth.pose)).matrix - X_WC.matrix).max() < 2e-4
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
