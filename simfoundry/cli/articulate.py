@@ -81,6 +81,8 @@ def articulate_command(
     if not opened:
         if frame or hinge or box:
             raise SimfoundryError("--frame, --hinge and --box are for captures; state joints of a mesh with --joint")
+        if source.is_dir():
+            raise SimfoundryError(f"{source} is a folder: add a capture of the same object opened, or name a mesh file")
         return _articulate_mesh(source, out, joints, cast("Front", front or "-y"), commercial_only, force, as_json)
     if joints or front:
         raise SimfoundryError("--joint and --front are for a mesh; two captures show the joint themselves")

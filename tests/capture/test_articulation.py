@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 import simfoundry as sf
+from simfoundry.capture.articulation.ground import find_ground
 from simfoundry.capture.articulation.run import Articulated, articulate
+from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.synthesize import synthesize
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.model import JointType
+from simfoundry.scene.model import Camera, JointType
 from tests.capture.furniture import Captured, captured
 from tests.cli.command import run
 
@@ -75,6 +79,52 @@ def test_a_drawer_that_leaves_the_image_is_doubtful(tmp_path: Path) -> None:
     assert (tmp_path / "chest.png").is_file()
 
 
+@pytest.mark.slow  # 3 s
+def test_a_drawer_is_no_flap_if_little_of_its_front_is_in_the_image(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "drawer", 100, WIDTH)
+    found = articulate(truth.shut, [truth.opened], tmp_path / "chest.asset.yaml")
+    assert found.estimate.is_cut and found.estimate.motion.kind is JointType.PRISMATIC
+    assert errors(found, truth)[0] < 2 and found.estimate.motion.q == pytest.approx(truth.furniture.opened, abs=0.01)
+
+
+@pytest.mark.slow  # 6 s
+@pytest.mark.parametrize(("kind", "seed"), [("drawer", 5000), ("lid", 5003)])
+def test_captures_in_the_wrong_order_are_doubtful(kind: str, seed: int, tmp_path: Path) -> None:
+    truth = captured(tmp_path, kind, seed, WIDTH)
+    right = run("articulate", truth.shut, truth.opened, "-o", tmp_path / "a.asset.yaml")
+    wrong = run("articulate", truth.opened, truth.shut, "-o", tmp_path / "b.asset.yaml")
+    assert right.code == 0 and wrong.code == 1
+    assert "the part stands out most in the first capture" in wrong.out
+
+
+@pytest.mark.slow  # 2 s
+def test_a_change_that_no_joint_explains_is_refused(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "drawer", 5000, WIDTH)
+    scene = truth.shut.parent / "drawer_0.scene.yaml"
+    box = "  mug: {fixed: true, shape: {box: [0.08, 0.08, 0.12]}, mass: 1, pose: {xyz: [%s, 0.06]}}\n"
+    f, c = 600 * WIDTH / 640, ((WIDTH - 1) / 2, (WIDTH * 3 // 4 - 1) / 2)
+    camera = Camera("front", WIDTH, WIDTH * 3 // 4, f, f, *c, truth.X_WC[0])
+    away = truth.X_WC[0].rotation[:2, 2] * -1 / np.linalg.norm(truth.X_WC[0].rotation[:2, 2])
+    folders = []
+    for k, aside in enumerate((0.3, 0.4)):
+        x, y = 0.18 * away + aside * np.array([-away[1], away[0]])
+        path = scene.with_name(f"moved_{k}.scene.yaml")
+        path.write_text(scene.read_text() + box % f"{x:.3f}, {y:.3f}")
+        folders.append(synthesize(sf.load(path).lower(), camera, tmp_path / f"moved_{k}", k).parent)
+    refused = run("articulate", *folders, "-o", tmp_path / "a.asset.yaml")
+    assert refused.code == 2 and not (tmp_path / "a.asset.yaml").exists()
+    refused.one_line("no joint explains what changed between the captures", "leave everything else where it is")
+
+
+@pytest.mark.slow  # 1 s
+def test_the_front_of_a_cabinet_is_not_the_ground(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "flap", 5002, WIDTH)
+    frame = load_frame(open_capture(truth.shut))
+    up = truth.X_WC[0].rotation.T @ [0, 0, 1]
+    assert find_support(frame).X_WC.rotation.T[:, 2] @ up < 0.95, "the front fills the image"
+    assert find_ground(frame).X_WC.rotation.T[:, 2] @ up > 0.999
+
+
 def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     truth = captured(tmp_path, "lid", 3, WIDTH, moves=True)
     out = tmp_path / "a.asset.yaml"
@@ -88,6 +138,8 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     first.write_text("".join(line for line in first.open() if not line.startswith("    pose:")))
     with pytest.raises(SimfoundryError, match="leave the camera where it is"):
         articulate(truth.shut, [truth.opened], out)
+    alone = run("articulate", truth.shut, "-o", out)
+    assert alone.code == 2 and "add a capture of the same object opened" in alone.err
     missing = run("articulate", tmp_path / "nowhere", truth.opened, "-o", out)
     assert missing.code == 2 and "does not exist" in missing.err
     assert not out.exists()

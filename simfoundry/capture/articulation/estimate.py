@@ -15,7 +15,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from simfoundry.capture.articulation.evidence import MotionEvidence, pixels_of, surface
+from simfoundry.capture.articulation.evidence import FEWEST, MotionEvidence, pixels_of, surface
 from simfoundry.capture.articulation.motions import (
     QUANTILES,
     SLIDES,
@@ -39,8 +39,11 @@ FINALISTS, REPEATED, EVALUATIONS = 6, 3, 160
 # Distance between two hinges that are different ones [m].
 APART = 0.05
 
-# Edges of the initial simplex: amount of motion [m, rad], pivot [m], and tilt of the axis [rad].
-SLIDE_STEP, TURN_STEP, PIVOT_STEP, TILT_STEP = 0.02, 0.08, 0.015, 0.06
+# Edges of the initial simplex: amount of motion [m, rad], pivot [m], tilt of the axis [rad], and thickness [m].
+SLIDE_STEP, TURN_STEP, PIVOT_STEP, TILT_STEP, BACK_STEP = 0.02, 0.08, 0.015, 0.06, 0.005
+
+# Smallest thickness of a part whose back is seen [m], such as a sheet of metal.
+THINNEST = 0.001
 
 # Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
 DRIFT = 5.0
@@ -51,6 +54,10 @@ LEAST = 1e-3
 # Smallest sine of the angle between two normals of a box.
 SQUARE = 0.9
 
+# Largest vertical share of the normal of an upright front, and how much farther out the part must have been before it
+# counts as opened first [m]: fronts and handles stand out by half as much.
+UPRIGHT, FARTHER = 0.3, 0.04
+
 # Margin of a part's outline, and how far handles stand off it [m].
 OUTLINE, PROUD = 0.004, 0.1
 
@@ -58,8 +65,21 @@ OUTLINE, PROUD = 0.004, 0.1
 BORDER, LEAST_CUT = 3, 10
 
 # Largest angle between an axis and one of the object's box for which they are taken as the same [rad]: noise turns axes
-# by about as much.
-SNAP = math.radians(8.0)
+# by about as much. Up to the second angle they are the same if the box's axis scores lower by at most SNAP_COST.
+SNAP, FAR_SNAP, SNAP_COST = math.radians(8.0), math.radians(20.0), 0.06
+
+# Share of new surface that a door explains if it is seen as a whole. The tray of a drawer looks like a flap that
+# explains less, if the front of the drawer is out of sight.
+WHOLE = 0.7
+
+# Surfaces of a tray are along the slide or across it: bounds of the cosines between their normals and the slide, and
+# the share of new surface that must keep them. Noise of normals is 10 degrees.
+ALONG, ACROSS, TRAY_SHARE = 0.3, 0.95, 0.85
+
+# Largest shares of surface that speak against a slide whose front is mostly out of sight, and the smallest share that
+# must speak for it. Amounts to try are close enough that the front comes within reach of where it is [m].
+AGAINST, IN_FAVOR = 0.03, 0.05
+AMOUNTS = tuple(k / 100 for k in range(1, 51))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +108,7 @@ class JointEstimate:
         is_snapped: True if the axis is one of the object's box instead of the one that fits best.
         runner_up: The score of the best motion of another type, or about another hinge, relative to this one.
         is_cut: True if the border of the second image cuts off the part.
+        is_reversed: True if the part stands out from the object in the first view more than in the second.
     """
 
     motion: Motion
@@ -98,6 +119,7 @@ class JointEstimate:
     is_snapped: bool
     runner_up: float
     is_cut: bool
+    is_reversed: bool
 
 
 def estimate_joint(
@@ -132,6 +154,9 @@ def estimate_joint(
     refined = [_refined(motion, evidence) for motion in found]
     refined = [_refined(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]]
     best = max(refined, key=evidence.score)
+    is_flap = best.kind is JointType.REVOLUTE and evidence.judge(best).explained < WHOLE
+    if is_flap and _is_cut(first, second) and (slide := _slide_out_of_sight(evidence, fronts)) is not None:
+        return _estimate(slide, True, evidence, fronts, refined, first, second)
     snapped = _snapped(best, evidence, axes)
     return _estimate(snapped or best, snapped is not None, evidence, fronts, refined, first, second)
 
@@ -169,23 +194,26 @@ def _estimate(
     second: PosedView,
 ) -> JointEstimate:
     """Return the estimate for a motion; ``refined`` are the motions that compete with it."""
-    explained, contradicted = evidence.judge(final)
+    judged = evidence.judge(final)
     front = max(fronts, key=lambda patch: _kept(final, patch, second))
     others = [evidence.score(motion) for motion in refined if _differs(motion, final)]
     return JointEstimate(
         final,
         front,
         _part(final, front, first, second),
-        explained,
-        contradicted,
+        judged.explained,
+        judged.contradicted,
         is_snapped,
         max([0.0, *others]) / max(1e-9, evidence.score(final)),
         _is_cut(first, second),
+        _is_reversed(evidence, fronts),
     )
 
 
-# What refinement may change: the amount of a motion, the place of its axis, and the direction of its axis.
+# What refinement may change: the amount of a motion, the place and the direction of its axis, and the thickness of a
+# part whose back is seen.
 EVERYTHING = frozenset(("q", "pivot", "axis"))
+SNAPPED = frozenset(("q", "pivot", "back"))
 
 
 def _refined(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EVERYTHING) -> Motion:
@@ -197,18 +225,25 @@ def _refined(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EV
     other = cross(motion.axis, side)
     is_turn = motion.kind is JointType.REVOLUTE
     may_shift, may_tilt = is_turn and "pivot" in free, "axis" in free
+    may_thicken = motion.back > 0 and "back" in free
     steps = [TURN_STEP if is_turn else SLIDE_STEP]
-    steps += [PIVOT_STEP] * 2 * may_shift + [TILT_STEP] * 2 * may_tilt
+    steps += [PIVOT_STEP] * 2 * may_shift + [TILT_STEP] * 2 * may_tilt + [BACK_STEP] * may_thicken
 
     def at(x: Array) -> Motion:
         shift = x[1:3] if may_shift else np.zeros(2)
         tilt = x[-2:] if may_tilt else np.zeros(2)
+        back = max(THINNEST, float(motion.back + x[-1])) if may_thicken else motion.back
         axis = motion.axis + tilt[0] * side + tilt[1] * other
         pivot = motion.pivot + shift[0] * side + shift[1] * other
-        return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=max(LEAST, float(motion.q + x[0])))
+        q = max(LEAST, float(motion.q + x[0]))
+        return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=q, back=back)
+
+    edge = motion.pivot if motion.edge is None else motion.edge
 
     def cost(x: Array) -> float:
-        return DRIFT * float(np.linalg.norm(x[1:3])) * may_shift - evidence.score(at(x))
+        there = at(x)
+        drift = float(np.linalg.norm(cross(there.pivot - edge, there.axis))) if may_shift else 0.0
+        return DRIFT * drift - evidence.score(there)
 
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
     options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
@@ -234,9 +269,31 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     """Return the motion with the axis of the object's box that is close to its own, or None."""
     near = max(axes, key=lambda axis: abs(float(axis @ motion.axis)))
     cosine = float(near @ motion.axis)
-    if abs(cosine) < math.cos(SNAP):
+    if abs(cosine) < math.cos(FAR_SNAP):
         return None
-    return _refined(replace(motion, axis=near * math.copysign(1.0, cosine)), evidence, EVERYTHING - {"axis"})
+    # A tilt can make up for the wrong side of a panel, so that both sides are tried without one.
+    sides = {0.0, TYPICAL_BACK, motion.back} if motion.kind is JointType.REVOLUTE else {motion.back}
+    along = replace(motion, axis=near * math.copysign(1.0, cosine))
+    tried = [_refined(replace(along, back=back), evidence, SNAPPED) for back in sorted(sides)]
+    snapped = max(tried, key=evidence.score)
+    is_near = abs(cosine) > math.cos(SNAP)
+    return snapped if is_near or evidence.score(snapped) > evidence.score(motion) - SNAP_COST else None
+
+
+def _slide_out_of_sight(evidence: MotionEvidence, fronts: Sequence[Patch]) -> Motion | None:
+    """Return the slide of a drawer whose front has mostly left the second image, or None if there is none."""
+    found = []
+    for front in fronts:
+        cosines = np.abs(evidence.new.normals @ front.normal)
+        if ((cosines < ALONG) | (cosines > ACROSS)).mean() > TRAY_SHARE:
+            slides = [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in AMOUNTS]
+            found.append(_refined(max(slides, key=evidence.score), evidence, frozenset("q")))
+    if not found:
+        return None
+    slide = max(found, key=evidence.score)
+    judged = evidence.judge(slide)
+    is_good = max(judged.impossible, judged.contradicted) < AGAINST and judged.explained > IN_FAVOR
+    return slide if is_good else None
 
 
 def _is_cut(first: PosedView, second: PosedView) -> bool:
@@ -246,6 +303,24 @@ def _is_cut(first: PosedView, second: PosedView) -> bool:
     h, w = second.depth.shape
     at_border = (rows < BORDER) | (columns < BORDER) | (rows >= h - BORDER) | (columns >= w - BORDER)
     return int(at_border.sum()) > LEAST_CUT
+
+
+def _is_reversed(evidence: MotionEvidence, fronts: Sequence[Patch]) -> bool:
+    """Return True if what moved was farther out of the box around the rest of the object than it is now."""
+    facing = [front.normal for front in fronts if abs(front.normal[2]) < UPRIGHT]
+    if not facing or len(evidence.still.points) < FEWEST:
+        return False
+    x = facing[0] * [1, 1, 0]
+    basis = np.column_stack([x / np.linalg.norm(x), cross(np.array([0.0, 0.0, 1.0]), x / np.linalg.norm(x))])
+    basis = np.column_stack([basis, [0.0, 0.0, 1.0]])
+    low, high = np.quantile(evidence.still.points @ basis, QUANTILES, axis=0)
+
+    def outside(points: Array) -> float:
+        local = points @ basis
+        return float(np.linalg.norm(np.maximum(np.maximum(low - local, local - high), 0), axis=1).mean())
+
+    gone = evidence.moved.points[evidence.moved.is_gone]
+    return bool(len(gone) and len(evidence.new.points)) and outside(gone) > outside(evidence.new.points) + FARTHER
 
 
 def _kept(motion: Motion, front: Patch, second: PosedView) -> int:

@@ -24,6 +24,9 @@ SAMPLE, COARSE = 2500, 500
 # far edge of a door, so that their distances are larger.
 REACH, COARSE_REACH = 0.012, 0.03
 
+# With fewer new points than this, the surface that is gone decides: those of a panel of 7 x 7 cm, seen edge-on.
+LEAST_NEW = 40
+
 # A motion that brings fewer points onto surface than this explains nothing.
 LEAST_HELD = 5
 
@@ -56,23 +59,43 @@ class Surface:
         return self if n <= SAMPLE else self.at(np.sort(rng.choice(n, SAMPLE, replace=False)))
 
 
+@dataclass(frozen=True)
+class MotionJudgement:
+    """What two views say about a motion.
+
+    Attributes:
+        explained: The share of new points that the motion brings there from surface that is not there any more. If
+            hardly any are new, it is the share of gone points that the motion brings to surface that was not seen.
+        contradicted: The share of gone points that the motion brings to where the second view sees free space.
+        impossible: The share of new points that the motion brings there from where the first view sees free space.
+    """
+
+    explained: float
+    contradicted: float
+    impossible: float
+
+
 @dataclass(frozen=True, eq=False)
 class MotionEvidence:
     """The surfaces by which motions are judged.
 
     Attributes:
+        first: The first view.
         second: The second view.
         moved: The surface of the first view that the second one does not see any more: it is gone, or hidden.
         new: The surface of the second view where the first one sees free space.
         still: The surface that both views see.
         reach: The distance at which a new point counts as not explained [m].
+        is_coarse: True if motions are tried in steps, so that new points seem to come from free space a step away.
     """
 
+    first: PosedView
     second: PosedView
     moved: Surface
     new: Surface
     still: Surface
     reach: float = REACH
+    is_coarse: bool = False
 
     @staticmethod
     def of(first: PosedView, second: PosedView, rng: np.random.Generator, box: Mask | None = None) -> MotionEvidence:
@@ -92,6 +115,7 @@ class MotionEvidence:
         if may_move.sum() < FEWEST:
             raise SimfoundryError("nothing moved inside the stated box; draw it around the part in the first capture")
         return MotionEvidence(
+            first,
             second,
             before.at(may_move).sampled(rng),
             after.at(after.is_gone).sampled(rng),
@@ -101,12 +125,13 @@ class MotionEvidence:
     def coarse(self) -> MotionEvidence:
         """Return fewer points with a larger reach, to judge many motions."""
         moved, new = (each.at(slice(None, None, max(1, len(each.points) // COARSE))) for each in (self.moved, self.new))
-        return replace(self, moved=moved, new=new, reach=COARSE_REACH)
+        return replace(self, moved=moved, new=new, reach=COARSE_REACH, is_coarse=True)
 
-    def judge(self, motion: Motion) -> tuple[float, float]:
-        """Return the share of new points that a motion explains, and the share of gone points that it contradicts.
+    def judge(self, motion: Motion) -> MotionJudgement:
+        """Return what the views say about a motion.
 
-        Only points that are certainly gone can contradict: hidden ones may belong to something that never moved.
+        Only points that are certainly gone can contradict: hidden ones may belong to something that never moved. New
+        points can come from where nothing was seen, such as the inside of a drawer, but not from free space.
         """
         from scipy.spatial import cKDTree
 
@@ -114,22 +139,29 @@ class MotionEvidence:
         sight = self.second.sight(moved)
         held, gone = sight == Sight.SEEN, self.moved.is_gone
         wrong = float(((sight == Sight.FREE) & gone).sum() / max(1, gone.sum()))
-        if held.sum() < LEAST_HELD or not len(self.new.points):
-            return 0.0, wrong
+        if len(self.new.points) < LEAST_NEW:  # as if a lid is raised before a background without depth
+            arrived = held & gone & (self.first.sight(moved) != Sight.SEEN)
+            return MotionJudgement(float(arrived.sum() / max(1, gone.sum())), wrong, 0.0)
+        impossible = 0.0 if self.is_coarse else self._impossible(motion)
+        if held.sum() < LEAST_HELD:
+            return MotionJudgement(0.0, wrong, impossible)
         turned = self.moved.normals[held] @ motion.rotation.T
         distance, k = cKDTree(moved[held]).query(self.new.points, distance_upper_bound=self.reach)
         near = np.isfinite(distance)
         # An edge-on panel shows its rim, so that normals count only by their angle.
         aligned = np.abs(np.einsum("ij,ij->i", turned[k[near]], self.new.normals[near]))
         weight = (1 - (distance[near] / self.reach) ** 2) * aligned
-        return float(weight.sum() / len(self.new.points)), wrong
+        return MotionJudgement(float(weight.sum() / len(self.new.points)), wrong, impossible)
+
+    def _impossible(self, motion: Motion) -> float:
+        return float((self.first.sight(motion.sources(self.new.points)) == Sight.FREE).mean())
 
     def score(self, motion: Motion) -> float:
         """Return the score of a motion; higher is better."""
-        explained, contradicted = self.judge(motion)
+        judged = self.judge(motion)
         is_turn = motion.kind is JointType.REVOLUTE
         size = motion.q / math.pi if is_turn else motion.q
-        return explained - contradicted - SMALLER * size - EASIER * is_turn
+        return judged.explained - judged.contradicted - judged.impossible - SMALLER * size - EASIER * is_turn
 
 
 def surface(view: PosedView, other: PosedView) -> Surface:

@@ -45,6 +45,7 @@ class Motion:
         pivot: A point on the axis [m], shape (3,).
         q: The amount of motion from the first view to the second [m or rad], positive.
         back: The thickness of the part [m] if the second view shows its back, otherwise 0.
+        edge: A point on the edge of the part [m] that a hinge should be near, shape (3,), or None.
     """
 
     kind: JointType
@@ -52,12 +53,19 @@ class Motion:
     pivot: Array
     q: float
     back: float = 0.0
+    edge: Array | None = None
 
     def moved(self, points: Array) -> Array:
         """Return points [m], shape (n, 3), after the motion."""
         if self.kind is JointType.PRISMATIC:
             return points + self.q * self.axis
         return np.asarray((points - self.pivot) @ self.rotation.T + self.pivot)
+
+    def sources(self, points: Array) -> Array:
+        """Return where points [m], shape (n, 3), were before the motion."""
+        if self.kind is JointType.PRISMATIC:
+            return points - self.q * self.axis
+        return np.asarray((points - self.pivot) @ self.rotation + self.pivot)
 
     @property
     def rotation(self) -> Array:
@@ -137,7 +145,7 @@ def candidate_motions(fronts: Sequence[Patch], axes: Sequence[Array]) -> Iterato
         outline = _outline(front, axes)
         yield [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in SLIDES]
         for (pivot, axis), back in product(_edges(front, outline), (0.0, TYPICAL_BACK)):
-            yield [Motion(JointType.REVOLUTE, axis, pivot, q, back) for q in TURNS]
+            yield [Motion(JointType.REVOLUTE, axis, pivot, q, back, pivot) for q in TURNS]
 
 
 def _outline(front: Patch, axes: Sequence[Array]) -> FrontOutline:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from simfoundry.capture.articulation.asset import ArticulatedParts, articulated_parts
-from simfoundry.capture.articulation.estimate import JointEstimate, StatedPart, amount_about, estimate_joint
+from simfoundry.capture.articulation.estimate import WHOLE, JointEstimate, StatedPart, amount_about, estimate_joint
 from simfoundry.capture.articulation.evidence import FEWEST
+from simfoundry.capture.articulation.ground import find_ground
 from simfoundry.capture.articulation.views import PosedView, Sight
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame, open_capture
-from simfoundry.capture.segment.find_support import find_support
 from simfoundry.errors import SimfoundryError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
@@ -55,9 +55,8 @@ TINT = np.array([255.0, 40.0, 200.0])
 # The `note` of an asset.
 ASSUMED = "assumed: wood, walls, panels and the inside; the range is what was seen, from shut to open"
 
-# Share of new surface that a door explains if it is seen as a whole. The tray of a drawer looks like a flap that
-# explains less, if the front of the drawer is out of sight.
-WHOLE = 0.7
+# A joint that explains less than this share of new surface is an accident.
+LEAST = 0.05
 
 # Confidence is doubtful below this share of explained surface, or if another type of joint explains nearly as much.
 DOUBTFUL, CLOSE = 0.25, 0.8
@@ -144,7 +143,7 @@ def articulate(
     loaded = [open_capture(path) for path in (shut, *opened)]
     frames = [load_frame(each, frame, setup) for each in loaded]
     try:
-        X_WC = find_support(frames[0]).X_WC
+        X_WC = find_ground(frames[0]).X_WC
     except CaptureError as error:
         raise SpecError([loaded[0].finding(error.code, ("frames",), error.message, error.hint)]) from None
     poses = (X_WC, *(X_WC @ _between(loaded[0], other, frame) for other in loaded[1:]))
@@ -159,6 +158,11 @@ def articulate(
     estimate, first, second, best_frame = max(found, key=lambda each: each[0].explained)
     amounts = [amount_about(estimate.motion, *each[1:3]) for each in found if each[0] is not estimate]
     farthest = replace(estimate, motion=replace(estimate.motion, q=max([estimate.motion.q, *amounts])))
+    if hinge is None and estimate.explained < LEAST:
+        raise SimfoundryError(
+            f"no joint explains what changed between the captures (the best one explains {estimate.explained:.0%}): "
+            "open one part of the object, and leave everything else where it is; if you did, state its hinge"
+        )
     if not estimate.part.any():
         raise SimfoundryError(
             "the part that moved cannot be told from the rest of the object; capture it from where its front is visible"
@@ -174,7 +178,7 @@ def articulate(
     text = to_yaml(AssetSpec.model_validate(parts.data), comment=MARK)
     write_atomically(out, text.encode())
     write_atomically(picture_of(out), _picture([frames[0], best_frame], estimate, (first, second)))
-    return Articulated(out, estimate, parts, X_WC, _doubt(estimate))
+    return Articulated(out, estimate, parts, X_WC, _doubt(estimate, hinge is not None))
 
 
 def _stated(
@@ -269,13 +273,20 @@ def _near_the_change(first: PosedView, second: PosedView) -> tuple[PosedView, Po
     return found[0], found[1]
 
 
-def _doubt(estimate: JointEstimate) -> str:
-    """Return the reason for a person to look at the result, or an empty string."""
+def _doubt(estimate: JointEstimate, is_stated: bool) -> str:
+    """Return the reason for a person to look at the result, or an empty string.
+
+    A hinge that a person states, ``is_stated``, may have any direction.
+    """
     is_turn = estimate.motion.kind is JointType.REVOLUTE
+    if estimate.is_reversed:
+        return "the part stands out most in the first capture, which must show it shut; are the captures in this order?"
     if is_turn and estimate.is_cut and estimate.explained < WHOLE:
         return "the part reaches the border of the second image, so that its front may be out of sight"
     if estimate.explained < DOUBTFUL:
         return f"the joint explains only {estimate.explained:.0%} of the surface that is new in the second capture"
+    if not is_stated and not estimate.is_snapped:
+        return "the axis is along none of the object's box, which is rare for furniture"
     if estimate.runner_up > CLOSE:
         return "a joint of another type, or another hinge, explains the captures nearly as well"
     return ""
