@@ -106,6 +106,16 @@ def test_a_recording_is_unpacked_once_and_edits_stay(tmp_path: Path) -> None:
         unpack_recording(file, folder, force=True)
 
 
+def test_poses_that_a_recording_does_not_state_are_estimated(tmp_path: Path) -> None:
+    """The recorded camera sees a bare plane, along which it could move unnoticed: only the first pose is known."""
+    folder = unpack_recording(recordings.write_realsense_bag(tmp_path / "a.bag"), tmp_path / "out")
+    loaded = open_capture(folder)
+    assert isinstance(loaded.spec, CaptureSpec) and "poses were estimated" in loaded.spec.description
+    poses = [shot.pose for shot in loaded.spec.frames.values()]
+    assert poses[1:] == [None, None] and poses[0] is not None
+    assert np.abs(pose(poses[0]).matrix - recordings.X_COLOR_DEPTH.inverse().matrix).max() < 1e-3
+
+
 def test_a_bag_of_ros_2_is_a_folder(tmp_path: Path) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore

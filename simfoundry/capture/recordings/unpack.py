@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.foreign import RECORDINGS
 from simfoundry.capture.frame import FARTHEST, NEAREST
+from simfoundry.capture.recordings.odometry import DepthOdometry
 from simfoundry.capture.recordings.record3d import Record3DRecording
 from simfoundry.capture.recordings.recording import DepthRecording, RecordedFrame, RecordingError
 from simfoundry.capture.recordings.ros import RosRecording
@@ -30,6 +32,10 @@ FRAMES = 24
 
 # Unit of unpacked depth images [m]; 16 bits then reach to 6.5 m, farther than any tabletop.
 DEPTH_SCALE = 1e-4
+
+# Rate at which frames without poses are registered [1/s], and their maximum number: each takes 0.1 s, and a person who
+# films a table goes round it in half a minute.
+TRACKED_HZ, TRACKED_MAX = 10.0, 300
 
 # File in an unpacked capture that states where it comes from.
 SOURCE = "recording.json"
@@ -69,22 +75,49 @@ def unpack_recording(
                 f"{folder} was unpacked from another recording; choose another folder with -o, or use --force"
             )
     recording = open_recording(path)
-    times = recording.times_s
-    chosen = sorted({int(k) for k in np.linspace(0, len(times) - 1, min(FRAMES, len(times))).round()})
-    shots: dict[str, Shot] = {}
+    chosen = _evenly_spread(len(recording.times_s), FRAMES)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with scratch(folder.parent, folder.name) as staging:
-        for done, frame in enumerate(recording.frames(chosen)):
-            progress(f"frame {done + 1} of {len(chosen)}", done / len(chosen))
-            name = f"f{done:02d}"
-            shots[name] = _write_frame(frame, staging, name)
-        description = f"{len(shots)} of {len(times)} frames of the recording {path.name}."
+        shots, is_tracked = _unpacked(recording, chosen, staging, progress)
+        description = f"{len(shots)} of {len(recording.times_s)} frames of the recording {path.name}."
+        if is_tracked:
+            description += " The poses were estimated from the depth, as the recording states none."
         name = plain_name(path.stem) or "recording"
         spec = CaptureSpec(simfoundry="capture/1", name=name, description=description, frames=shots)
         write_file(staging / "capture.yaml", to_yaml(spec).encode())
         write_file(staging / SOURCE, (json.dumps(source, indent=2) + "\n").encode())
         replace_folder(staging, folder)
     return folder
+
+
+def _evenly_spread(count: int, most: int) -> list[int]:
+    """Return at most ``most`` indices below ``count``, evenly spread."""
+    return sorted({int(k) for k in np.linspace(0, count - 1, min(most, count)).round()})
+
+
+def _unpacked(
+    recording: DepthRecording, chosen: Sequence[int], folder: Path, progress: Progress
+) -> tuple[dict[str, Shot], bool]:
+    """Write frames to a folder, and return their entries in the capture, and whether their poses had to be estimated.
+
+    For an estimate, frames between them are registered as well, :data:`TRACKED_HZ` of them per second.
+    """
+    (first,) = recording.frames(chosen[:1])
+    odometry = DepthOdometry() if first.X_WC is None and len(chosen) > 1 else None
+    used = list(chosen)
+    if odometry is not None:
+        wanted = int(recording.times_s[-1] * TRACKED_HZ) + 1
+        used = sorted({*chosen, *_evenly_spread(len(recording.times_s), min(wanted, TRACKED_MAX))})
+    shots: dict[str, Shot] = {}
+    for index, frame in zip(used, recording.frames(used), strict=True):
+        progress(f"frame {index + 1}", index / len(recording.times_s))
+        if odometry is not None:
+            X_WD = odometry.track(frame.depth, frame.K_depth)
+            frame = replace(frame, X_WC=None if X_WD is None else X_WD @ frame.X_color_depth.inverse())
+        if index in chosen:
+            name = f"f{len(shots):02d}"
+            shots[name] = _write_frame(frame, folder, name)
+    return shots, odometry is not None
 
 
 def open_recording(path: Path) -> DepthRecording:
