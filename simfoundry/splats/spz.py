@@ -1,5 +1,6 @@
-"""Gaussian splats as SPZ files (Niantic), versions 2 and 3: quantized, and compressed with gzip.
+"""Gaussian splats as SPZ files (Niantic): quantized, and compressed with gzip (versions 2 and 3) or Zstandard (4).
 
+Version 4 has the values of version 3 in one compressed stream for each attribute; it is read, but not written.
 Positions are fixed-point numbers of 24 bits, scales are logarithms in steps of 1/16, opacities and colors have 8 bits,
 and rotations 8 bits (version 2) or 9 bits and a sign (version 3) for each of three quaternion components. The axes are
 x right, y up, z backward.
@@ -11,6 +12,7 @@ import gzip
 import math
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -25,8 +27,17 @@ from simfoundry.splats.y_up import turned_y_up, turned_z_up
 _MAGIC = 0x5053474E
 _HEAD = struct.Struct("<IIIBBBB")  # magic, version, count, degree, fractional bits, flags, reserved
 
+# The header of version 4: magic, version, count, degree, fractional bits, flags, number of streams, offset of the table
+# of streams, and 12 reserved bytes. The table has the compressed and the real size of each stream.
+_HEAD_4 = struct.Struct("<IIIBBBBI12x")
+_ENTRY_4 = struct.Struct("<QQ")
+_HAS_EXTENSIONS = 2  # a flag; extensions can change the range of the harmonics
+
+# Largest window of a Zstandard frame [bytes], which bounds the memory that reading takes; writers use up to 8 MiB.
+_MAX_WINDOW = 2**27
+
 # Bytes of the quaternion of a Gaussian in each version.
-_TURN_BYTES = {2: 3, 3: 4}
+_TURN_BYTES = {2: 3, 3: 4, 4: 4}
 # Range of the first harmonic coefficient that 8 bits represent: 0.5 +- 0.5 / 0.15.
 _COLOR_SCALE = 0.15
 # Largest magnitude of a component that is not the largest of a unit quaternion, and its number of steps (9 bits).
@@ -60,7 +71,7 @@ def read_spz(path: Path) -> GaussianSplat:
     except OSError as error:
         raise _unreadable(path.name, error.strerror or str(error)) from None
     if packed[:4] == struct.pack("<I", _MAGIC):  # its header is not compressed
-        raise _unreadable(path.name, "it has version 4 of the format or later; write version 3")
+        return _read_streams(path.name, packed)
     stream = zlib.decompressobj(wbits=31)  # gzip
     try:
         head = stream.decompress(packed, _HEAD.size)
@@ -73,11 +84,63 @@ def read_spz(path: Path) -> GaussianSplat:
         raise _unreadable(path.name, "it ends before its last Gaussian")
     ends = np.cumsum(sizes)
     parts = np.split(np.frombuffer(body, dtype=np.uint8)[: ends[-1]], ends[:-1])
+    return _splat_of(path.name, parts, (version, count, degree, fraction))
+
+
+def _splat_of(name: str, parts: Sequence[Bytes], header: tuple[int, int, int, int]) -> GaussianSplat:
+    """Return the splat of quantized attributes, each of shape (bytes,), in the order of the file."""
+    version, count, degree, fraction = header
     rest = (degree + 1) ** 2 - 1
     colors, scales = (part.reshape(count, 3) for part in parts[2:4])
     turns = parts[4].reshape(count, _TURN_BYTES[version])
     arrays = _Arrays(parts[0].reshape(count, 9), parts[1], colors, scales, turns, parts[5].reshape(count, rest, 3))
-    return turned_z_up(_decoded(path.name, arrays, fraction))
+    return turned_z_up(_decoded(name, arrays, fraction))
+
+
+def _read_streams(name: str, packed: bytes) -> GaussianSplat:
+    """Read the Gaussians of a file of version 4.
+
+    Raises:
+        MeshError: If the file is not a usable splat, or if Zstandard is not installed.
+    """
+    if len(packed) < _HEAD_4.size:
+        raise _unreadable(name, "it ends in its header")
+    *_, flags, number, at = _HEAD_4.unpack_from(packed)
+    header = version, count, degree, _ = _header(name, packed[: _HEAD.size], (4,))
+    if flags & _HAS_EXTENSIONS:
+        raise _unreadable(name, "it has extensions, which are not supported; write it without them, or as version 3")
+    sizes = _sizes(count, degree, version)
+    start = at + number * _ENTRY_4.size
+    fewest = len(sizes) - (sizes[-1] == 0)  # the last stream may be absent if there are no harmonics
+    if not fewest <= number <= len(sizes) or start > len(packed):
+        raise _unreadable(name, f"it has {number} streams; {len(sizes)} attributes are expected")
+    parts = []
+    for k in range(number):
+        length, real = _ENTRY_4.unpack_from(packed, at + k * _ENTRY_4.size)
+        if real != sizes[k] or length > len(packed) - start:
+            raise _unreadable(name, f"stream {k + 1} does not have the size of {count} Gaussians")
+        parts.append(_unzipped(name, packed[start : start + length], real))
+        start += length
+    return _splat_of(name, [*parts, *[np.zeros(0, np.uint8)] * (len(sizes) - number)], header)
+
+
+def _unzipped(name: str, data: bytes, size: int) -> Bytes:
+    """Return ``size`` bytes of a Zstandard frame."""
+    try:
+        import zstandard
+    except ImportError:
+        reason = "version 4 of the format needs the package zstandard; install it with `pip install zstandard`"
+        raise _unreadable(name, reason) from None
+    if size == 0:
+        return np.zeros(0, np.uint8)
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW).stream_reader(data) as reader:
+            body = reader.read(size)
+    except zstandard.ZstdError:
+        raise _unreadable(name, "its compressed data is damaged") from None
+    if len(body) < size:
+        raise _unreadable(name, "it ends before its last Gaussian")
+    return np.frombuffer(body, np.uint8)
 
 
 def spz_bytes(splat: GaussianSplat, version: Literal[2, 3] = 3) -> bytes:
@@ -111,13 +174,19 @@ def spz_bytes(splat: GaussianSplat, version: Literal[2, 3] = 3) -> bytes:
     return gzip.compress(head + b"".join(part.tobytes() for part in arrays), mtime=0)
 
 
-def _header(name: str, head: bytes) -> tuple[int, int, int, int]:
-    """Return the version, the number of Gaussians, the degree, and the number of bits after the point."""
+def _header(name: str, head: bytes, versions: Sequence[int] = (2, 3)) -> tuple[int, int, int, int]:
+    """Return the version, the number of Gaussians, the degree, and the number of bits after the point.
+
+    ``versions`` are those that have the compression of the file.
+    """
     if len(head) < _HEAD.size or struct.unpack_from("<I", head)[0] != _MAGIC:
         raise _unreadable(name, "it is not an SPZ file")
     _, version, count, degree, fraction, _, _ = _HEAD.unpack(head)
-    if version not in _TURN_BYTES:
-        raise _unreadable(name, f"it has version {version} of the format; versions 2 and 3 are supported")
+    if version not in versions:
+        raise _unreadable(
+            name,
+            f"it has version {version} of the format; versions 2 and 3 with gzip, and 4 with Zstandard can be read",
+        )
     if degree > MAX_DEGREE:
         raise _unreadable(name, f"its spherical harmonics have degree {degree}; the limit is {MAX_DEGREE}")
     if fraction > 24:

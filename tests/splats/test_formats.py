@@ -7,6 +7,7 @@ import json
 import math
 import struct
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,32 @@ def test_spz_is_exact_to_its_steps(splat: GaussianSplat, version: int, tmp_path:
         np.testing.assert_array_equal(getattr(twice, name), getattr(found, name), err_msg=name)
     # If the two largest components are almost equal, the other one may be left out the second time.
     assert apart(twice, found).max() < math.radians(0.35 if version == 3 else 1e-4)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_spz_version_4_has_the_values_of_version_3_in_streams(degree: int, tmp_path: Path) -> None:
+    zstandard = pytest.importorskip("zstandard")
+    three = spz_bytes(random_splat(50, degree, 0), 3)
+    body = gzip.decompress(three)
+    sizes = [50 * size for size in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1))]
+    at = np.cumsum([16, *sizes])
+    streams = [zstandard.compress(body[a:b]) for a, b in pairwise(at)]
+    # Header, table of sizes, and streams, as in the README of nianticlabs/spz.
+    head = body[:4] + struct.pack("<I", 4) + body[8:15] + struct.pack("<BI12x", len(streams), 32)
+    table = b"".join(struct.pack("<QQ", len(one), size) for one, size in zip(streams, sizes, strict=True))
+    (tmp_path / "four.spz").write_bytes(head + table + b"".join(streams))
+    (tmp_path / "three.spz").write_bytes(three)
+    four, same = (read_splat(tmp_path / f"{name}.spz") for name in ("four", "three"))
+    for name in ("positions", "scales", "rotations", "opacities", "harmonics"):
+        np.testing.assert_array_equal(getattr(four, name), getattr(same, name))
+    damaged = bytearray(head + table + b"".join(streams))
+    damaged[len(head + table)] ^= 0xFF
+    (tmp_path / "four.spz").write_bytes(damaged)
+    with pytest.raises(MeshError, match="compressed data is damaged"):
+        read_splat(tmp_path / "four.spz")
+    (tmp_path / "four.spz").write_bytes(head[:14] + b"\2" + head[15:] + table + b"".join(streams))
+    with pytest.raises(MeshError, match="extensions, which are not supported"):
+        read_splat(tmp_path / "four.spz")
 
 
 def test_spz_has_the_bytes_that_its_format_defines(tmp_path: Path) -> None:
@@ -226,7 +253,12 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
     "claims": ("a.spz", gzip.compress(spz_head(3, 4_000_000)), "ends before its last Gaussian"),
     "billions": ("a.spz", gzip.compress(spz_head(3, 2**32 - 1)), "must have 1 to 5000000"),
     "version 1": ("a.spz", gzip.compress(spz_head(1, 3)), "version 1"),
-    "version 4": ("a.spz", spz_head(4, 3), "version 4"),
+    "version 5": ("a.spz", spz_head(5, 3) + bytes(16), "version 5"),
+    "version 4 in gzip": ("a.spz", gzip.compress(spz_head(4, 3)), "version 4"),
+    "version 4 cut": ("a.spz", spz_head(4, 3), "ends in its header"),
+    "version 4 without streams": ("a.spz", spz_head(4, 3) + bytes(16), "0 streams"),
+    "version 4 far away": ("a.spz", spz_head(4, 3)[:-1] + b"\6" + b"\xff" * 4 + bytes(12), "6 streams"),
+    "version 4 claims": ("a.spz", spz_head(4, 3)[:-1] + b"\6 " + bytes(15 + 96), "size of 3 Gaussians"),
     "degree": ("a.spz", gzip.compress(spz_head(3, 1, 9)), "degree 9"),
     "fraction": ("a.spz", gzip.compress(spz_head(3, 1, 0, 99)), "99 bits"),
     "other gzip": ("a.spz", gzip.compress(b"hello, this is no splat"), "not an SPZ file"),
