@@ -87,6 +87,18 @@ def foreign_capture(folder: Path) -> CaptureSpec | None:
     return None
 
 
+def scene_folder(folder: Path) -> Path | None:
+    """Return a folder in ``folder`` that is a capture or has the layout of another data set, or None."""
+    try:
+        inner = sorted(path for path in folder.iterdir() if path.is_dir())[:FRAMES_MAX]
+    except OSError:
+        return None
+    is_scene = (
+        any(is_layout(path) for is_layout, _ in _LAYOUTS) or (path / "capture.yaml").is_file() for path in inner
+    )
+    return next((path for path, found in zip(inner, is_scene, strict=True) if found), None)
+
+
 def _bop(folder: Path) -> dict[str, Shot]:
     """Return the frames of a scene in the BOP format, with lengths in millimeters."""
     file = folder / "scene_camera.json"
@@ -108,11 +120,12 @@ def _bop(folder: Path) -> dict[str, Shot]:
             if known:
                 X_CW[:3, :3] = np.array(camera["cam_R_w2c"], dtype=float).reshape(3, 3)
                 X_CW[:3, 3] = np.array(camera["cam_t_w2c"], dtype=float) / 1000
-            pose = _pose(np.asarray(np.linalg.inv(X_CW), dtype=np.float64)) if known else None
+            X_WC = _pose(np.asarray(np.linalg.inv(X_CW), dtype=np.float64)) if known else None
+            image = DepthImage(image=depth, scale=0.001 * scale)
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            raise SimfoundryError(f"{file} has no valid camera for the image {key}: {error}") from None
-        image = DepthImage(image=depth, scale=0.001 * scale)
-        shots[f"f{stem}"] = Shot(color=color, depth=image, camera=_intrinsics(K, file), pose=pose)
+            reason = " ".join(str(error).split("\n")[0].split())
+            raise SimfoundryError(f"{file} has no valid camera for the image {key}: {reason}") from None
+        shots[f"f{stem}"] = Shot(color=color, depth=image, camera=_intrinsics(K, file), pose=X_WC)
     return shots
 
 
@@ -133,9 +146,12 @@ def _scannet(folder: Path) -> dict[str, Shot]:
 
 
 def _seven_scenes(folder: Path) -> dict[str, Shot]:
-    """Return the frames `frame-N.color`, `.depth` and `.pose` of one folder, as 7-Scenes has them."""
+    """Return the frames `frame-N.color`, `.depth` and `.pose` of one folder, as 7-Scenes has them.
+
+    The data set states one camera for all folders; a file in the folder is used instead.
+    """
     file = folder / "camera-intrinsics.txt"
-    K = _intrinsics(_matrix(file), file)
+    K = _intrinsics(_matrix(file), file) if file.exists() else KINECT_DEPTH
     own = K if K == KINECT_DEPTH else None
     color_camera = K if own is None else KINECT_COLOR
     stems = sorted(p.name.removesuffix(".depth.png") for p in folder.glob("frame-*.depth.png"))
@@ -159,7 +175,7 @@ _Layout = tuple[Callable[[Path], bool], Callable[[Path], dict[str, Shot]]]
 _LAYOUTS: tuple[_Layout, ...] = (
     (lambda folder: (folder / "scene_camera.json").is_file(), _bop),
     (lambda folder: (folder / "intrinsic" / "intrinsic_depth.txt").is_file() and (folder / "depth").is_dir(), _scannet),
-    (lambda folder: (folder / "camera-intrinsics.txt").is_file(), _seven_scenes),
+    (lambda folder: next(folder.glob("frame-*.depth.png"), None) is not None, _seven_scenes),
 )
 
 
@@ -213,6 +229,9 @@ def _stated_pose(file: Path) -> PoseSpec | None:
 
 def _pose(X_WC: Array) -> PoseSpec | None:
     """Return a camera pose, or None where tracking was lost, which data sets mark by infinite or zero matrices."""
-    if X_WC.shape != (4, 4) or not np.isfinite(X_WC).all() or abs(np.linalg.det(X_WC[:3, :3]) - 1) > 0.01:
+    if X_WC.shape != (4, 4) or not np.isfinite(X_WC).all():
+        return None
+    turn = X_WC[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 0.01 or np.linalg.det(turn) < 0:
         return None
     return pose_spec(Pose.from_matrix(X_WC))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.exr import read_exr
-from simfoundry.capture.foreign import foreign_capture, media_error
+from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
@@ -72,7 +72,9 @@ def open_capture(path: Path) -> Loaded:
         return loaded
     if not file.exists():
         message = "the folder has no capture.yaml, which describes the files in the capture"
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
+        inner = scene_folder(path)
+        hint = EXAMPLE if inner is None else f"it contains captures, of which one is `simfoundry capture {inner}`"
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=hint)])
     return load_capture(file)
 
 
@@ -237,6 +239,9 @@ class _Reader:
         """
         hint = "provide raw distances as a 16-bit PNG, TIFF or .npy file, not a depth image rendered for viewing"
         raw = self.raw(measured.image, ("depth", "image"), hint)
+        if raw.dtype.itemsize == 1:
+            message = f"{measured.image} has 8 bits per pixel, whose 256 steps are too coarse for depth"
+            self.refuse("SF501", ("depth", "image"), message, hint)
         values = raw.astype(np.float64)
         valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, measured.invalid)
         if not valid.any():
@@ -286,6 +291,8 @@ class _Reader:
         ``hint`` describes the expected content.
         """
         picture = self.stored(image, path)
+        if picture.ndim == 3 and picture.shape[2] == 1:
+            picture = picture[:, :, 0]
         if picture.ndim != 2:
             what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
             self.refuse("SF501", path, f"{image} has {what}; one channel is expected", hint)

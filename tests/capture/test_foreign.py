@@ -86,8 +86,9 @@ def test_the_cameras_of_the_kinect_are_registered(tmp_path: Path) -> None:
     """7-Scenes states the depth camera and its pose; the color camera has a wider view from 2.5 cm beside it."""
     images(tmp_path, "frame-000000.color.png", "frame-000000.depth.png")
     (tmp_path / "frame-000000.pose.txt").write_text(matrix_text(X_WC.matrix))
+    loaded = open_capture(tmp_path)  # 7-Scenes itself has no file with the intrinsics
     (tmp_path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
-    loaded = open_capture(tmp_path)
+    assert open_capture(tmp_path).spec == loaded.spec
     assert isinstance(loaded.spec, CaptureSpec)
     shot = loaded.spec.frames["frame_000000"]
     assert (shot.camera.fx, shot.camera.cx) == (525, 320) and shot.depth is not None and shot.depth.camera is not None
@@ -103,6 +104,8 @@ def test_the_cameras_of_the_kinect_are_registered(tmp_path: Path) -> None:
         ('{"0": {"cam_K": [1, 2]}}', "has no valid camera for the image 0"),
         ('{"0": {"cam_K": [0, 0, 0, 0, 0, 0, 0, 0, 1]}}', "does not contain the intrinsics of a camera"),
         ("{}", "contains no frame with both a color and a depth image"),
+        ('{"0": {"cam_K": [9, 0, 8, 0, 9, 6, 0, 0, 1], "depth_scale": -1}}', "has no valid camera for the image 0"),
+        ('{"0": {"cam_K": [9, 0, 8, 0, 9, 6, 0, 0, 1], "depth_scale": "x"}}', "has no valid camera for the image 0"),
     ],
 )
 def test_damaged_folders_are_errors(tmp_path: Path, text: str, message: str) -> None:
@@ -110,6 +113,13 @@ def test_damaged_folders_are_errors(tmp_path: Path, text: str, message: str) -> 
     (tmp_path / "scene_camera.json").write_text(text)
     with pytest.raises(SimfoundryError, match=message.replace(".", r"\.")):
         open_capture(tmp_path)
+
+
+def test_a_folder_of_scenes_names_one_of_them(tmp_path: Path) -> None:
+    (tmp_path / "000003").mkdir()
+    (tmp_path / "000003" / "scene_camera.json").write_text("{}")
+    done = run("capture", tmp_path, "-o", tmp_path / "out")
+    assert done.code == 2 and f"simfoundry capture {tmp_path / '000003'}" in done.err
 
 
 @pytest.mark.parametrize(

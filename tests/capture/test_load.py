@@ -153,6 +153,10 @@ def _tenths_as_millimeters(folder: Path) -> None:
     save(folder, "depth.png", np.rint(plane() * 10000).astype(np.uint16))
 
 
+def _eight_bits(folder: Path) -> None:
+    Image.fromarray(np.full((HEIGHT, WIDTH), 80, np.uint8)).save(folder / "depth.png")
+
+
 def _channels(folder: Path) -> None:
     save(folder, "depth.png", color())
 
@@ -242,6 +246,7 @@ BAD = {
     "mm as 0.1 mm": (_millimeters_as_tenths, "SF502", (8, 14), "median is 0.08 m", "millimeters; use `scale: 0.001`"),
     "0.1 mm as mm": (_tenths_as_millimeters, "SF502", (8, 14), "0% of depth.png", "tenths of a millimeter"),
     "channels": (_channels, "SF501", (7, 14), "depth.png has 3 channels", "16-bit PNG"),
+    "8 bits": (_eight_bits, "SF501", (7, 14), "depth.png has 8 bits per pixel", "16-bit PNG"),
     "words": (_words, "SF501", (7, 14), "does not contain an image", ""),
     "scalar": (_scalar, "SF501", (7, 14), "does not contain an image", ""),
     "row": (_row, "SF501", (7, 14), "has 1 dimensions", "16-bit PNG"),
