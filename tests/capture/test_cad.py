@@ -92,9 +92,13 @@ def test_the_models_in_a_folder(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "can.obj", folder / "can.ply.txt")
     library = open_library(folder, cache=Cache(tmp_path / "cache"))
     assert [m.name for m in library.models] == ["bracket", "broken", "can", "carton", "odd"]
-    assert [f.message.split(" was not used")[0] for f in library.findings()] == [
-        "the CAD model broken.obj", "the CAD model odd.stl",
-    ]  # fmt: skip
+    reasons = [f.message.removeprefix("the CAD model ") for f in library.findings()]
+    assert reasons[0] == "broken.obj was not used: broken.obj is not closed: 3 edges have a face on only one side"
+    assert reasons[1].startswith("odd.stl was not used: odd.stl ") and len(reasons) == 2
+    in_other_units = [f.message for f in open_library(folder, 25.4).findings()]
+    assert "the CAD model 001_bracket/textured.obj was not used: textured.obj is 4.02 m across, more than a table" in (
+        in_other_units
+    )
     bracket_again = MeshTemplate.of(bracket())
     kept = open_library(folder, cache=Cache(tmp_path / "cache"))
     for path in folder.rglob("*.obj"):  # what was prepared once is not read again
@@ -171,3 +175,12 @@ def test_a_capture_takes_models_and_says_so(folder: Path, tmp_path: Path) -> Non
     result = CliRunner().invoke(capture_command, arguments)
     assert set(json.loads(result.stdout)["objects"]) != {"bracket"}
     assert [s.state for s in examine(out) if s.stage == "shape"] == ["cached"]
+
+
+@pytest.mark.slow
+def test_a_larger_model_does_not_sink_into_the_table(folder: Path) -> None:
+    evidence = evidence_of(tessellate(Box(np.array([0.1, 0.05, 0.06]))), Pose.of((0, 0, 0.03)))
+    found = fitted(evidence, open_library(folder))  # its carton of 0.05 x 0.1 x 0.16 shows the same faces, 10 cm sunk
+    assert isinstance(found.geometry, Box) and not found.model
+    (other,) = CadLookup(open_library(folder)).candidates(evidence)
+    assert other.model != "carton" or other.cost > 0.1

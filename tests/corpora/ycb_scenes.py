@@ -9,9 +9,11 @@ from __future__ import annotations
 import functools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.assets import mass
 from simfoundry.assets.convex import hull
@@ -121,13 +123,25 @@ def _camera(rng: np.random.Generator, distance: tuple[float, float]) -> Camera:
 def _picture(seed: int, rng: np.random.Generator, objects: list[SceneObject], sensor: str,
              distance: tuple[float, float]) -> SyntheticTable | None:  # fmt: skip
     scene, camera = _scene(objects), _camera(rng, distance)
+    if not _is_visible(raycast(scene, _smaller(camera)).objects - 1, len(objects), FEW_PIXELS // 32):
+        return None  # most pictures are rejected, so that they are drawn small first
     ray = raycast(scene, camera)
     truth = np.where(ray.objects > 1, ray.objects - 1, 0).astype(np.int32)
-    edge = np.concatenate([truth[:4].ravel(), truth[-4:].ravel(), truth[:, :4].ravel(), truth[:, -4:].ravel()])
-    if edge.any() or min((truth == k).sum() for k in range(1, len(objects) + 1)) < FEW_PIXELS:
+    if not _is_visible(truth, len(objects), FEW_PIXELS):
         return None
     frame = simulate_frame(ray, rng, SENSORS[sensor])
     return SyntheticTable(seed, scene, camera, sensor, Frame(frame.color, frame.depth, frame.K), truth)
+
+
+def _smaller(camera: Camera) -> Camera:
+    """The camera with a quarter of the pixels along each side."""
+    return replace(camera, width=160, height=120, fx=camera.fx / 4, fy=camera.fy / 4, cx=79.5, cy=59.5)
+
+
+def _is_visible(truth: NDArray[np.int32], count: int, pixels: int) -> bool:
+    """Whether every object has enough pixels, and none is at the edge."""
+    edge = np.concatenate([truth[:2].ravel(), truth[-2:].ravel(), truth[:, :2].ravel(), truth[:, -2:].ravel()])
+    return not (edge > 0).any() and min(int((truth == k).sum()) for k in range(1, count + 1)) >= pixels
 
 
 def isolated(name: str, seed: int) -> SyntheticTable:

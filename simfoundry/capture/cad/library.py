@@ -13,7 +13,7 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache, key_of
-from simfoundry.assets.errors import LEAST_VOLUME, MeshError
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, no_volume, not_closed
 from simfoundry.assets.mesh import merged, open_edges, read_mesh, weld
 from simfoundry.assets.mesh_summary import file_digest
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
@@ -34,6 +34,12 @@ PLAIN_STEMS = frozenset({"textured", "model", "mesh", "object", "visual", "nonte
 
 # Words in the names of files that contain convex parts for simulators rather than models.
 PARTS = ("coacd", "vhacd", "collision", "convex", "hull")
+
+# Largest diagonal of a model [m]: nothing on a table that is in view is larger, so that another unit is likely.
+MAX_DIAMETER = 3.0
+
+# Start of a cached entry that states why a model cannot be used, so that it is not read again.
+REASON = b"!"
 
 # Version of the cached files; change it if :class:`MeshTemplate` or how it is made changes.
 CACHED = "cad-template-1"
@@ -69,7 +75,7 @@ class CadLibrary:
     models: tuple[CadModel, ...]
     scale: float = 1.0
     cache: Cache | None = None
-    templates: dict[str, MeshTemplate | None] = field(default_factory=dict, repr=False)
+    templates: dict[str, MeshTemplate | str] = field(default_factory=dict, repr=False)
 
     @cached_property
     def digest(self) -> str:
@@ -85,36 +91,53 @@ class CadLibrary:
         try:
             return asset_mesh(model.path) if model.path.name.endswith(ASSET) else file_mesh(model.path, self.scale)
         except (OSError, MeshError, SpecError) as error:
-            raise SimfoundryError(f"the CAD model {model.path} cannot be read: {error}") from None
+            raise SimfoundryError(f"the CAD model {model.path} cannot be read: {error}") from error
 
     def template(self, model: CadModel) -> MeshTemplate | None:
         """Return a model that is prepared for a registration, or None if its file cannot be used.
 
         Its mesh is the simplified one, so that nothing else needs to be read again.
         """
-        if model.digest not in self.templates:
-            self.templates[model.digest] = self._template(model)
-        return self.templates[model.digest]
+        found = self._prepared(model)
+        return None if isinstance(found, str) else found
 
     def findings(self) -> tuple[CaptureFinding, ...]:
         """Return a finding for each file that cannot be used."""
-        files = [m.path.relative_to(self.folder) for m in self.models if self.template(m) is None]
-        text = "the CAD model {} was not used: it cannot be read, or its surface is not closed"
-        hint = "repair the mesh, or remove it from the library"
-        return tuple(CaptureFinding(NOT_FOLLOWED, text.format(file), hint) for file in files)
+        text, hint = (
+            "the CAD model {} was not used: {}",
+            "repair the mesh, state `scale`, or remove it from the library",
+        )
+        reasons = ((m.path.relative_to(self.folder), self._prepared(m)) for m in self.models)
+        return tuple(
+            CaptureFinding(NOT_FOLLOWED, text.format(file, reason), hint)
+            for file, reason in reasons
+            if isinstance(reason, str)
+        )
 
-    def _template(self, model: CadModel) -> MeshTemplate | None:
-        key = key_of(CACHED, model.digest, f"{self.scale!r}")
-        kept = None if self.cache is None else self.cache.get(key)
-        if kept is not None:
-            return unpacked(kept) if kept else None
+    def _prepared(self, model: CadModel) -> MeshTemplate | str:
+        """Return a model that is prepared, or the reason why it cannot be used."""
+        if model.digest not in self.templates:
+            key = key_of(CACHED, model.digest, f"{self.scale!r}")
+            data = None if self.cache is None else self.cache.get(key)
+            if data is None:
+                data = self._made(model)
+                if self.cache is not None:
+                    self.cache.put(key, data)
+            is_reason = data.startswith(REASON)
+            self.templates[model.digest] = data.removeprefix(REASON).decode() if is_reason else unpacked(data)
+        return self.templates[model.digest]
+
+    def _made(self, model: CadModel) -> bytes:
+        """Return a prepared model, or why it cannot be used, as it is cached."""
         try:
-            data = packed(MeshTemplate.of(_solid(self.mesh(model))))
-        except SimfoundryError:
-            data = b""  # so that it is not read again
-        if self.cache is not None:
-            self.cache.put(key, data)
-        return unpacked(data) if data else None
+            template = MeshTemplate.of(_solid(self.mesh(model), model.path.name))
+        except SimfoundryError as error:
+            return REASON + str(error.__cause__ or error).splitlines()[0].encode()
+        except MeshError as error:
+            return REASON + error.message.encode()
+        if template.diameter > MAX_DIAMETER:
+            return REASON + f"{model.path.name} is {template.diameter:.3g} m across, more than a table".encode()
+        return packed(template)
 
 
 def open_library(folder: Path, scale: float = 1.0, cache: Cache | None = None) -> CadLibrary:
@@ -139,8 +162,16 @@ def open_library(folder: Path, scale: float = 1.0, cache: Cache | None = None) -
     for path in files:
         name = model_name(path, folder)
         names[name] = names.get(name, 0) + 1
-        models.append(CadModel(name if names[name] == 1 else f"{name}_{names[name]}", path, file_digest(path)))
+        models.append(CadModel(name if names[name] == 1 else f"{name}_{names[name]}", path, _content(path)))
     return CadLibrary(folder, tuple(models), scale, cache)
+
+
+def _content(path: Path) -> str:
+    """Return a digest of a model: of its file, and for an asset of all meshes in its folder, which it may use."""
+    if not path.name.endswith(ASSET):
+        return file_digest(path)
+    used = sorted(p for p in path.parent.rglob("*") if p.suffix.lower() in MESHES and p.is_file())
+    return key_of(*(file_digest(p) for p in (path, *used)))
 
 
 def model_name(path: Path, folder: Path) -> str:
@@ -181,15 +212,18 @@ def asset_mesh(path: Path) -> Mesh:
     return Mesh(frozen_array(vertices), faces)
 
 
-def _solid(mesh: Mesh) -> Mesh:
+def _solid(mesh: Mesh, name: str) -> Mesh:
     """Return a mesh if a simulator can use it.
 
     Raises:
-        SimfoundryError: Its surface is not closed, or contains no volume.
+        MeshError: Its surface is not closed, or contains no volume.
     """
     vertices, faces = weld(mesh.vertices, mesh.faces)
-    if open_edges(faces) or mass.mesh(vertices, faces).volume < LEAST_VOLUME:
-        raise SimfoundryError("the mesh is not closed, or has no volume")
+    gaps = open_edges(faces)
+    if gaps:
+        raise not_closed(name, gaps)
+    if mass.mesh(vertices, faces).volume < LEAST_VOLUME:
+        raise no_volume(name)
     return mesh
 
 

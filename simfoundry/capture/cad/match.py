@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,17 +46,18 @@ def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
     for model in library.models:
         template = library.template(model)
         if template is not None and is_plausible(evidence, template):
-            cost = register_mesh(evidence, template, effort=FIRST_LOOK).agreement.cost
+            cost = register_mesh(evidence, template, effort=FIRST_LOOK).cost
             looked.append((cost, model, template))
     looked.sort(key=lambda each: (each[0], each[1].name))
     likely = [each for each in looked[:FINALISTS] if each[0] <= looked[0][0] + STILL_LIKELY]
     found = [(register_mesh(evidence, template), model) for _, model, template in likely]
     if not found:
         return None
-    best, model = min(found, key=lambda each: (each[0].agreement.cost, each[1].name))
+    best, model = min(found, key=lambda each: (each[0].cost, each[1].name))
     mesh = library.mesh(model)
     result = pose_agreement(evidence, (mesh.vertices, mesh.faces), best.X_WO)
-    return FitCandidate("cad", mesh, best.X_WO, result, model=model.name)
+    placed = replace(result, cost=result.cost + best.cost - best.agreement.cost)
+    return FitCandidate("cad", mesh, best.X_WO, placed, model=model.name)
 
 
 def is_plausible(evidence: Evidence, template: MeshTemplate) -> bool:

@@ -35,7 +35,8 @@ STEP_M, STEP_RAD, STEP_SCALE = 0.005, 0.06, 0.04
 # Two poses are one if they are closer than this [m], [rad], so that not all refined starts end in the same pose.
 SAME_M, SAME_RAD = 0.01, 0.2
 
-# Cost of reaching below the surface of the table by the scale of the noise, and the most that it costs.
+# Cost of reaching below the table by the scale of the noise, and the most that it costs. The hidden part of
+# a wrong model may be there.
 SINK_COST, MAX_SINK_COST = 0.1, 0.5
 
 # Cost of floating above what the object stands on by the scale of the noise, and the most that it costs: little,
@@ -91,11 +92,13 @@ class RegisteredMesh:
         X_WO: Pose of the mesh in the world.
         scale: Factor by which the mesh is scaled about its own origin first; 1 if its size is known.
         agreement: Agreement of the mesh with the image.
+        cost: Its cost, and that of a place below the table or in the air.
     """
 
     X_WO: Pose
     scale: float
     agreement: RayAgreement
+    cost: float
 
 
 def pose_agreement(evidence: Evidence, surface: Surface, X_WO: Pose) -> RayAgreement:
@@ -164,14 +167,16 @@ def register_mesh(
     X_WO = Pose.from_matrix(best.R)
     X_WO = Pose.of(best.t, X_WO.q)
     surface = (mesh.vertices * best.scale, mesh.faces)
-    return RegisteredMesh(X_WO, best.scale, pose_agreement(evidence, surface, X_WO))
+    result = pose_agreement(evidence, surface, X_WO)
+    low = float(X_WO.apply(surface[0])[:, 2].min())
+    return RegisteredMesh(X_WO, best.scale, result, result.cost + misplacement(evidence, low))
 
 
 def register_upright(evidence: Evidence, template: MeshTemplate, scale: float | None = 1.0) -> RegisteredMesh:
     """Return the mesh as it stands, with z up, unless it fits clearly better on another side."""
     upright = register_mesh(evidence, template, scale=scale, upright=True)
     anyhow = register_mesh(evidence, template, scale=scale)
-    return anyhow if anyhow.agreement.cost < upright.agreement.cost - UPRIGHT_WORTH else upright
+    return anyhow if anyhow.cost < upright.cost - UPRIGHT_WORTH else upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,9 +361,13 @@ def _cost(evidence: Evidence, template: MeshTemplate, placed: _Placed) -> float:
     """Return the cost of the reconstruction, and that of a place below or above what the object stands on."""
     vertices = placed.scale * template.vertices @ placed.R.T + placed.t
     result = agreement(evidence, cast_mesh(evidence.eye, evidence.rays, vertices, template.faces))
-    low = float(vertices[:, 2].min())
+    return result.cost + misplacement(evidence, float(vertices[:, 2].min()))
+
+
+def misplacement(evidence: Evidence, low: float) -> float:
+    """Return the cost of the lowest point of an object at the height ``low`` [m] below the table, or in the air."""
     sink = min(MAX_SINK_COST, SINK_COST * max(0.0, -low) / evidence.scale)
-    return result.cost + sink + min(MAX_FLOAT_COST, FLOAT_COST * abs(low - evidence.base_z) / evidence.scale)
+    return sink + min(MAX_FLOAT_COST, FLOAT_COST * abs(low - evidence.base_z) / evidence.scale)
 
 
 def _refined(
