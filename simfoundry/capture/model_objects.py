@@ -55,12 +55,9 @@ class ModelObjects:
         return out
 
     def report(self, names: Mapping[int, str]) -> dict[str, dict[str, Any]]:
-        """Return what was compared, by name of the object, as plain data for JSON."""
+        """Return the costs by which shapes were compared, by name of the object, as plain data for JSON."""
         return {
-            names[k]: {
-                "used": "model" if choice.is_better else "fitted",
-                "cost": {"model": round(choice.cost, 4), "fitted": round(choice.fitted_cost, 4)},
-            }
+            names[k]: {"cost": {"model": round(choice.cost, 4), "fitted": round(choice.fitted_cost, 4)}}
             for k, choice in self.choices.items()
         }
 

@@ -69,7 +69,8 @@ class TexturedObjects:
 
 
 def segmented_frame(
-    frame: Frame,
+    measured: Frame,
+    completed: Frame,
     support: StageResult[SupportSurface],
     seen: Mapping[str, str],
     overrides: Overrides,
@@ -77,6 +78,9 @@ def segmented_frame(
     reading: SceneEstimate | None,
 ) -> tuple[StageResult[Segmentation], tuple[ModelUse, ...]]:
     """Segment an image by geometry or by a model, or take the masks of a person or of the capture.
+
+    Geometry looks at the depth that was measured, because filled holes have surfaces that belong to no object. Masks of
+    a model may show objects in the holes, such as glass, whose depth is in ``completed``.
 
     Returns:
         The objects, and the model that found them, if one did.
@@ -86,15 +90,17 @@ def segmented_frame(
         masks = overrides.masks
         inputs = {**seen, "support": support.digest, "override": digest_of(masks)}
         stages.overridden.add(("segment", ""))
-        return stages.run("segment", inputs, lambda: stated_segmentation(frame, support.value, masks), quick=True), ()
-    stated = "" if frame.decomposition is None else frame.decomposition.model_dump_json()
-    inputs = {**seen, "support": support.digest, "masks": digest_of(frame.instances), "decomposition": stated}
-    is_given = frame.instances is not None
-    found = stages.run("segment", inputs, lambda: decompose(frame, support.value), quick=is_given)
-    if is_given or frame.decomposition is not None:
+        return stages.run(
+            "segment", inputs, lambda: stated_segmentation(measured, support.value, masks), quick=True
+        ), ()
+    stated = "" if measured.decomposition is None else measured.decomposition.model_dump_json()
+    inputs = {**seen, "support": support.digest, "masks": digest_of(measured.instances), "decomposition": stated}
+    is_given = measured.instances is not None
+    found = stages.run("segment", inputs, lambda: decompose(measured, support.value), quick=is_given)
+    if is_given or measured.decomposition is not None:
         return found, ()
     phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)
-    masked = model_segmentation(frame, support.value, found.value, phrases, models)
+    masked = model_segmentation(completed, support.value, found.value, phrases, models)
     return (found, ()) if masked is None else (StageResult(masked.value, masked.digest), masked.models)
 
 

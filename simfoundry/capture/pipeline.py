@@ -90,10 +90,10 @@ def reconstruct(
     progress("support", 0.0)
     chosen = "" if frame.support is None else frame.support.model_dump_json()
     support = stages.run("support", seen | {"chosen": chosen}, lambda: find_support(measured))
-    seen |= {} if completed is None else {"completed": completed.digest}
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
-    segmentation, masked = segmented_frame(frame, support, seen, overrides, models, reading)
+    segmentation, masked = segmented_frame(measured, frame, support, seen, overrides, models, reading)
+    seen |= {} if completed is None else {"completed": completed.digest}
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
     shapes, carriers, findings = fitted_shapes(view, progress, known.cad)
     cleared, painters = cleared_images_of(view, shapes, models)

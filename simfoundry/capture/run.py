@@ -243,7 +243,9 @@ def _report(
             "settle": rest,
         }
         if name in built.compared:
-            objects[name]["candidates"] = built.compared[name]
+            origin = built.spec.objects[name].origin
+            is_model = origin is not None and any(use.task == "mesh" for use in origin.models)
+            objects[name]["candidates"] = {"used": "model" if is_model else "fitted", **built.compared[name]}
     return {
         "source": source,
         "passed": all(f.code in accepted for f in findings),

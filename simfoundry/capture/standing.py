@@ -66,7 +66,7 @@ def settle_objects(
         toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives and name not in lost)
         if not lost and not toppled:
             break
-        for name in (*lost, *toppled):
+        for name in _suspects(built, (*lost, *toppled)):
             built = _supported(built, name, frame)
         for folder in ("meshes", ARTICULATED):
             shutil.rmtree(scene_file.parent / folder, ignore_errors=True)
@@ -74,6 +74,29 @@ def settle_objects(
     spec = with_supports(spec, supports)
     write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
+
+
+def _suspects(built: Reconstruction, fallen: tuple[str, ...]) -> tuple[str, ...]:
+    """Return which solids are to be replaced: meshes of models that fell or are beneath what fell, else what fell.
+
+    A model does not know that an object stands, so its mesh may be bent, and what stands on it is not to blame.
+    """
+    calls = [parse_call(text) for text in built.spec.relations]
+    carriers = {call.args[0]: call.args[1] for call in calls}
+    meshes = []
+    for fallen_one in fallen:
+        stack = [fallen_one]
+        while carriers.get(stack[-1]) in built.shapes and carriers[stack[-1]] not in stack:
+            stack.append(carriers[stack[-1]])
+        meshes += [name for name in stack if _is_model_mesh(built, name)][:1]
+    return tuple(dict.fromkeys(meshes)) or fallen
+
+
+def _is_model_mesh(built: Reconstruction, name: str) -> bool:
+    """Return True if an object has the mesh of a model, and a fitted solid in its stead."""
+    origin = built.spec.objects[name].origin
+    is_made = origin is not None and any(use.task == "mesh" for use in origin.models)
+    return is_made and bool(built.shapes[name].alternatives)
 
 
 def _toppled(settled: SettleResult) -> tuple[str, ...]:
