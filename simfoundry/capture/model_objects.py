@@ -25,7 +25,7 @@ from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models.origin import ModelUse
 from simfoundry.spec.models.scene import ObjectSpec
 
-# Folder of the output with the shapes that were not used, which a person may state in `overrides/objects.yaml`.
+# Folder of the output with the shapes that were compared, which a person may state in `overrides/objects.yaml`.
 CANDIDATES = "candidates"
 
 
@@ -46,12 +46,12 @@ class ModelObjects:
     fitted: Mapping[int, FittedShape] = field(default_factory=dict)
 
     def files(self, names: Mapping[int, str]) -> dict[str, bytes]:
-        """Return the shapes that were not used, by path relative to the scene."""
+        """Return both shapes of each object for which a model made one, by path relative to the scene."""
         out: dict[str, bytes] = {}
         for k, choice in self.choices.items():
-            unused, source = (self.fitted[k], "fitted") if choice.is_better else (choice.shape, "model")
-            for path, data in mesh_files(f"{names[k]}_{source}", tessellate(unused.geometry)).items():
-                out[path.replace("meshes/", f"{CANDIDATES}/", 1)] = data
+            for source, shape in (("model", choice.shape), ("fitted", self.fitted[k])):
+                for path, data in mesh_files(f"{names[k]}_{source}", tessellate(shape.geometry)).items():
+                    out[path.replace("meshes/", f"{CANDIDATES}/", 1)] = data
         return out
 
     def report(self, names: Mapping[int, str]) -> dict[str, dict[str, Any]]:

@@ -35,7 +35,7 @@ class Reconstruction:
         shapes: The solids of the objects, by name.
         findings: What is doubtful, such as segments that did not become objects.
         removal: Names of the objects in the order in which they can be removed, those of a layer together.
-        candidates: Files of shapes that were not used, by relative path.
+        candidates: Files of shapes of models and of those that they were compared with, by relative path.
         compared: The costs by which the shapes of models were judged, by name of the object.
     """
 
