@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
@@ -16,6 +18,7 @@ from simfoundry.capture.overlay import object_surface
 from simfoundry.capture.synthesize import simulate_frame, synthesize, write_capture
 from simfoundry.geometry.frames import look_at
 from simfoundry.models.setup import ModelSetup
+from simfoundry.models.tasks.masks import bounding_boxes
 from simfoundry.models.tasks.poses import Z_UP
 from simfoundry.render.raycast import raycast
 from simfoundry.scene.lower import lower, lower_file
@@ -28,7 +31,7 @@ from simfoundry.spec.models.scene import ObjectSpec
 from simfoundry.spec.yaml.write import to_yaml
 from tests.capture.conftest import SCENE as BOXES
 from tests.capture.runs import again, output, ran
-from tests.models.stand_ins import SOLVED, StandIns, configured
+from tests.models.stand_ins import SOLVED, Result, StandIns, configured
 
 SCENE = """\
 simfoundry: scene/1
@@ -204,3 +207,33 @@ def test_a_background_is_made_of_all_posed_frames_without_objects(made: tuple[Pa
             was, now = (picture[..., channel] - picture[..., other] > 60 - 40 * channel for picture in (before, after))
             assert was.sum() > 150 and now.sum() < 0.1 * was.sum(), (k, channel)
     assert run.reconstruction.spec.background is not None and (tmp_path / "out" / "background.ply").is_file()
+
+
+@pytest.mark.slow  # 3 s
+@pytest.mark.parametrize("tasks", [("segment",), ("segment", "read_scene")])
+def test_masks_that_show_no_object_change_nothing(
+    folder: Path, made: tuple[Path, StandIns], tasks: Sequence[str]
+) -> None:
+    file = folder / "capture" / "capture.yaml"
+    data = yaml.safe_load(file.read_text())
+    del data["frames"]["view"]["masks"]
+    file.write_text(yaml.safe_dump(data))
+    shape = (180, 240)
+    column = np.arange(shape[1])[None].repeat(shape[0], axis=0)
+    odd = {
+        "none": np.zeros((0, *shape), bool),
+        "all": np.ones((1, *shape), bool),
+        "few": np.eye(*shape, dtype=bool)[None],
+        "stripes": np.stack([column % 8 < 4, column % 8 >= 4]),
+    }
+    for masks in odd.values():
+
+        def spoil(result: Result, masks: NDArray[np.bool_] = masks) -> None:
+            scores, prompts = np.full(len(masks), 0.9, np.float32), np.zeros(len(masks), np.int32)
+            boxes = bounding_boxes(masks)
+            result.members.update({"masks": masks, "boxes": boxes, "scores": scores, "prompts": prompts})
+
+        with configured(replace(made[1], spoil={"segment": spoil}), folder, *tasks) as setup:
+            run = again(folder, setup=setup)
+        assert set(run.reconstruction.names) == {"green_box", "red_box"}
+        assert not [finding for finding in run.findings if finding.code == "SF640"]

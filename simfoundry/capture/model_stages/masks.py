@@ -29,8 +29,12 @@ OF_SEGMENT = 0.3
 # Least share of a geometric segment that masks must cover for it not to be an object of its own.
 COVERED = 0.5
 
-# Least median height above the support [m] of an object, which is above the noise of the support's plane.
+# Least median height above the support [m] of an object, which is above the noise of the support's plane. What is
+# beside the support, such as a wall, has none.
 FLATTEST = 0.003
+
+# Distance [m] from the visible part of the support within which something may stand on it: an object hides the edge.
+AROUND = 0.1
 
 MIN_PIXELS = 50  # fewer pixels are not an object that can be fitted, see `FEW_POINTS`
 
@@ -63,8 +67,7 @@ def model_segmentation(
 
     def segment(setup: ModelSetup) -> tuple[Segmentation, Makers]:
         found = open_model(setup, "segment").segment(frame.color, prompt)
-        heights = support.X_WC.apply(frame.points)[..., 2]
-        masks = _by_phrase(found, heights) if words else _by_box(found, labels)
+        masks = _by_phrase(found, _heights(frame, support)) if words else _by_box(found, labels)
         merged = _merged(masks, labels)
         return stated_segmentation(frame, support, merged), {"segment": found.made_by}
 
@@ -73,6 +76,17 @@ def model_segmentation(
 
 def _plain(boxes: np.ndarray) -> tuple[tuple[float, float, float, float], ...]:
     return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in boxes)
+
+
+def _heights(frame: Frame, support: SupportSurface) -> np.ndarray:
+    """Return the height [m] above the support at each pixel, shape (h, w), 0 beside it and NaN without depth."""
+    import shapely
+
+    points = support.X_WC.apply(frame.points)
+    with np.errstate(invalid="ignore"):
+        around = shapely.Polygon(support.outline).convex_hull.buffer(AROUND)
+        above = shapely.contains_xy(around, points[..., 0], points[..., 1])
+    return np.where(np.isfinite(frame.depth), np.where(above, points[..., 2], 0.0), np.nan)
 
 
 def _by_phrase(found: MaskEstimate, heights: np.ndarray) -> list[Mask]:
