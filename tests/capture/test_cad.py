@@ -54,6 +54,7 @@ def fitted(evidence: Evidence, library: CadLibrary | None) -> FittedShape:
     return fit_shape(evidence.frame, evidence.support, mask, 0.0, suggest=suggest)
 
 
+@pytest.mark.slow
 def test_an_object_becomes_the_model_that_it_is(folder: Path) -> None:
     truth = lying(90, 0, 130)
     evidence = evidence_of(bracket(), truth)

@@ -10,7 +10,7 @@ import trimesh
 
 from simfoundry.assets import mass
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.shapes.complete import hull_margin, loft_mesh
+from simfoundry.capture.shapes.complete import complete, hull_margin, loft_mesh
 from simfoundry.capture.shapes.evidence import (
     PRIOR,
     FitCandidate,
@@ -20,6 +20,7 @@ from simfoundry.capture.shapes.evidence import (
     cast_lathe,
     cast_mesh,
     cast_sphere,
+    gather,
 )
 from simfoundry.capture.shapes.fit import FittedShape, choose, fit_shape, size_of
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
@@ -163,8 +164,11 @@ def test_completion_of_an_oval_bottle(completed: FittedShape) -> None:
 def test_completion_stays_out_of_seen_free_space() -> None:
     leaning = Pose.of((0.02, 0.01, 0.078), quat_from_rpy(math.radians(28), math.radians(6), math.radians(-20)))
     frame, support, labels = see([(Box(np.array([0.12, 0.03, 0.15])), leaning)])
-    shape = fit_shape(frame, support, labels == 1, 0.0, labels=labels)
-    assert isinstance(shape.geometry, Mesh)
+    best = fit_shape(frame, support, labels == 1, 0.0, labels=labels)
+    assert isinstance(best.geometry, Box) and best.X_WO.p == pytest.approx(leaning.p, abs=0.004)
+    assert np.sort(best.geometry.size) == pytest.approx([0.03, 0.12, 0.15], abs=0.003)
+    completed = complete(gather(frame, support, labels == 1, 0.0, labels))
+    shape = FittedShape(completed.geometry, completed.X_WO, 0.0, 1.0, False)
     assert_stands(shape, 0.0)
     rows, cols = np.nonzero((labels == 0) & np.isfinite(frame.depth))
     rays = np.column_stack([(cols - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1]])

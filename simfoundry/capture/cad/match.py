@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,8 +56,7 @@ def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
     best, model = min(found, key=lambda each: (each[0].cost, each[1].name))
     mesh = library.mesh(model)
     result = pose_agreement(evidence, (mesh.vertices, mesh.faces), best.X_WO)
-    placed = replace(result, cost=result.cost + best.cost - best.agreement.cost)
-    return FitCandidate("cad", mesh, best.X_WO, placed, model=model.name)
+    return FitCandidate("cad", mesh, best.X_WO, result, model=model.name, penalty=best.cost - best.agreement.cost)
 
 
 def is_plausible(evidence: Evidence, template: MeshTemplate) -> bool:

@@ -39,6 +39,7 @@ PRIOR = {
     "hollow": 0.02,
     "lathe": 0.06,
     "completed": 0.14,
+    "leaning": 0.06,
     "relief": 0.1,
     "mirrored": 0.1,
     "cad": -0.02,
@@ -437,6 +438,7 @@ class FitCandidate:
     The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
     mesh. For a body of revolution, ``profile`` contains pairs (radius, height) [m], as an array of shape (k, 2).
     ``guessed`` is True if a prior supplied an extent that was not visible. ``model`` is the name of a CAD model.
+    ``penalty`` is added to the cost for what rays do not show, such as a part below the table.
     """
 
     family: str
@@ -446,8 +448,9 @@ class FitCandidate:
     guessed: bool = False
     profile: Array | None = None
     model: str = ""
+    penalty: float = 0.0
 
     @property
     def cost(self) -> float:
         """The cost by which candidates are compared."""
-        return self.agreement.cost + PRIOR[self.family]
+        return self.agreement.cost + PRIOR[self.family] + self.penalty

@@ -13,6 +13,7 @@ from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.complete import complete
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, gather
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
+from simfoundry.capture.shapes.fit_leaning import fit_leaning_box
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.capture.shapes.fit_relief import fit_mirrored_relief, fit_relief
 from simfoundry.geometry.frames import Array, Pose
@@ -138,7 +139,16 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
     found = [fit_box(evidence), fit_cylinder(evidence)]
     if len(evidence.points) < FEW_POINTS:
         return found
-    families = (fit_lying_cylinder, fit_sphere, fit_lathe, fit_hollow, complete, fit_relief, fit_mirrored_relief)
+    families = (
+        fit_lying_cylinder,
+        fit_sphere,
+        fit_lathe,
+        fit_hollow,
+        complete,
+        fit_leaning_box,
+        fit_relief,
+        fit_mirrored_relief,
+    )
     return [*found, *filter(None, (fit(evidence) for fit in families))]
 
 

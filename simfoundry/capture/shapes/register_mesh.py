@@ -150,7 +150,7 @@ def register_mesh(
         effort: Settings that decide how thorough the search is.
     """
     sides = template.sides[:1] if upright else template.sides
-    cloud = _Cloud.of(evidence, effort.points)
+    cloud = VisibleCloud.of(evidence, effort.points)
     state = _matched(cloud, template, _starts(cloud, template, sides, scale, effort.yaws), scale is None, effort.rounds)
     few = _fewer_rays(evidence, effort.rays)
     placed = [_Placed(R, t, s) for R, t, s in zip(*state, strict=True)]
@@ -193,7 +193,7 @@ _States = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class _Cloud:
+class VisibleCloud:
     """Observed points [m], shape (n, 3), with normals toward the camera, shape (n, 3), and the ray to their middle."""
 
     points: Array
@@ -201,7 +201,7 @@ class _Cloud:
     ray: Array
 
     @classmethod
-    def of(cls, evidence: Evidence, count: int) -> _Cloud:
+    def of(cls, evidence: Evidence, count: int) -> VisibleCloud:
         """Choose points that are spread evenly over the visible surface, and estimate their normals."""
         from scipy.spatial import cKDTree
 
@@ -219,7 +219,7 @@ class _Cloud:
         return cls(chosen, normals, ray / np.linalg.norm(ray))
 
 
-def _starts(cloud: _Cloud, template: MeshTemplate, sides: Array, scale: float | None, yaws: int) -> _States:
+def _starts(cloud: VisibleCloud, template: MeshTemplate, sides: Array, scale: float | None, yaws: int) -> _States:
     """Return each side of the mesh, turned all around, where its visible part has the middle of the observed points.
 
     If the scale is unknown, the visible part also gets the size of the observed one, as seen across the view.
@@ -246,7 +246,9 @@ def _spread_across(offsets: Array, weight: Array, ray: Array) -> float:
     return float(np.sqrt(max((weight * squares).sum() / max(weight.sum(), 1e-12), 0.0)))
 
 
-def _nearest(cloud: _Cloud, template: MeshTemplate, state: _States, tree: object) -> tuple[Array, NDArray[np.intp]]:
+def _nearest(
+    cloud: VisibleCloud, template: MeshTemplate, state: _States, tree: object
+) -> tuple[Array, NDArray[np.intp]]:
     """Return the observed points in the frame of the mesh, (n, p, 3), and the indices of matched points, (n, p)."""
     turns, shifts, scale = state
     local = np.einsum("nji,npj->npi", turns, cloud.points[None] - shifts[:, None]) / scale[:, None, None]
@@ -261,7 +263,7 @@ def _tree(template: MeshTemplate) -> object:
     return cKDTree(np.hstack([template.points, template.normals * (NORMAL_WEIGHT * template.diameter)]))
 
 
-def _matched(cloud: _Cloud, template: MeshTemplate, state: _States, free_scale: bool, rounds: int) -> _States:
+def _matched(cloud: VisibleCloud, template: MeshTemplate, state: _States, free_scale: bool, rounds: int) -> _States:
     """Move all starts onto the observed points.
 
     Each round solves for the small motion of each start that brings the observed points onto the planes of their
@@ -296,7 +298,7 @@ def _moved(state: _States, center: Array, x: Array, limits: tuple[Array, Array])
     """Apply small motions of the observed points in the frame of the mesh about its center, shape (n, 6 or 7)."""
     turns, shifts, scale = state
     # The points move by the motion, so that the mesh moves by its inverse.
-    turn = _rotations(x[:, :3])
+    turn = rotations_about(x[:, :3])
     turns_new = np.einsum("nij,nkj->nik", turns, turn)
     factor = np.exp(-x[:, 6]) if x.shape[1] == 7 else np.ones(len(x))
     scale_new = np.clip(scale * factor, *limits)
@@ -306,7 +308,7 @@ def _moved(state: _States, center: Array, x: Array, limits: tuple[Array, Array])
     return turns_new, target - scale_new[:, None] * moved_center, scale_new
 
 
-def _rotations(vectors: Array) -> Array:
+def rotations_about(vectors: Array) -> Array:
     """Return the rotations about vectors by their lengths [rad], shape (n, 3, 3)."""
     angle = np.linalg.norm(vectors, axis=1)
     limited = np.minimum(angle, 0.5)  # a linear step is not valid beyond
@@ -318,7 +320,7 @@ def _rotations(vectors: Array) -> Array:
     return np.asarray(np.eye(3) + sine * K + (1 - cosine) * (K @ K))
 
 
-def _residuals(cloud: _Cloud, template: MeshTemplate, state: _States) -> Array:
+def _residuals(cloud: VisibleCloud, template: MeshTemplate, state: _States) -> Array:
     """Return the trimmed mean distance of observed points from the matched points in meters, shape (n,)."""
     local, index = _nearest(cloud, template, state, _tree(template))
     distance = np.sort(np.linalg.norm(local - template.points[index], axis=2) * state[2][:, None], axis=1)
@@ -377,7 +379,7 @@ def _refined(
     pivot = evidence.points.mean(axis=0)
 
     def moved(x: Array) -> _Placed:
-        turn = _rotations(x[None, 3:6])[0]
+        turn = rotations_about(x[None, 3:6])[0]
         factor = math.exp(float(np.clip(x[6], -1, 1))) if free_scale else 1.0
         shift = pivot + x[:3] + turn @ (factor * (start.t - pivot))
         return _Placed(turn @ start.R, shift, factor * start.scale)
