@@ -62,9 +62,7 @@ def main() -> int:
         print(f"{seed:>6}{row.true:>6}{row.found[0]:>12}{row.found[1]:>6}{one:>14.2f}{eight:>11.2f}", flush=True)
     one, eight = (1000 * statistics.mean(row.chamfer[k] for row in rows) for k in (0, 1))
     better = sum(row.chamfer[1] < row.chamfer[0] for row in rows)
-    print(
-        f"mean Chamfer distance {one:.2f} mm from one frame, {eight:.2f} mm from eight; better on {better} of {len(rows)}"
-    )
+    print(f"mean Chamfer distance: one {one:.2f} mm, eight {eight:.2f} mm; better on {better} of {len(rows)}")
     return 0 if eight < one else 1
 
 
