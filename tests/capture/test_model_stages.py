@@ -14,9 +14,17 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.model_stages.ask import StageModels
+from simfoundry.capture.model_stages.meshes import ObjectView, model_pose
 from simfoundry.capture.overlay import object_surface
+from simfoundry.capture.reconstruct import nearby_labels
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.stages.runner import StageRunner
 from simfoundry.capture.synthesize import simulate_frame, synthesize, write_capture
-from simfoundry.geometry.frames import look_at
+from simfoundry.geometry.frames import Pose, look_at
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.setup import ModelSetup
 from simfoundry.models.tasks.masks import bounding_boxes
 from simfoundry.models.tasks.poses import Z_UP
@@ -237,3 +245,29 @@ def test_masks_that_show_no_object_change_nothing(
             run = again(folder, setup=setup)
         assert set(run.reconstruction.names) == {"green_box", "red_box"}
         assert not [finding for finding in run.findings if finding.code == "SF640"]
+
+
+@pytest.mark.slow  # 2 s
+def test_the_pose_of_a_model_is_used_if_it_is_better(made: tuple[Path, StandIns]) -> None:
+    folder, stand_ins = made
+    frame = load_frame(open_capture(folder / "capture"))
+    support = find_support(frame)
+    (k,) = stand_ins.moving
+    mesh = chest_mesh(lower_file(folder / "two_things.scene.yaml"))
+    points = support.X_WC.apply(frame.points)[(stand_ins.labels == k) & np.isfinite(frame.depth)]
+    wrong = Pose.of([*points.mean(axis=0)[:2] + 0.05, 0.0])
+    shape = FittedShape(mesh, wrong, 0.01, 0.5, False)
+    view = ObjectView(frame, support, stand_ins.labels, k, nearby_labels(stand_ins.labels, k), shape)
+    with configured(stand_ins, folder, "pose") as setup:
+        found = model_pose(view, StageModels(setup, StageRunner()))
+    assert found is not None and found.value.is_better and found.value.cost < 0.6 * found.value.fitted_cost
+    assert [use.task for use in found.models] == ["pose"]
+    gaps = np.abs(found.value.shape.X_WO.apply(mesh.vertices)[:, 2].min())
+    assert gaps < 0.01, "it stands on the support"
+
+
+def chest_mesh(scene: Scene) -> Mesh:
+    """The chest of the scene, with its origin below it."""
+    (item,) = (each for each in scene.objects if each.name == "chest")
+    vertices, faces = object_surface(item)
+    return Mesh(vertices, faces)
