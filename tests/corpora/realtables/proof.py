@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.findings import LEFT_OUT
 from simfoundry.cli.output import DONE, FINDINGS
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
@@ -112,8 +113,9 @@ def _captured(proof: Proof) -> bool:
 def _objects(proof: Proof) -> Cell:
     """How many became objects, and how well the segments cover what people marked; the bars are in the totals."""
     report = _report(proof)
-    found, left_out = len(report["objects"]), len(report["skipped"])
-    figure, why = f"{found} + {left_out} left out" if left_out else str(found), "; ".join(report["skipped"])
+    missing = [finding["message"] for finding in report["findings"] if finding["code"] == LEFT_OUT]
+    found, left_out = len(report["objects"]), len(missing)
+    figure, why = f"{found} + {left_out} left out" if left_out else str(found), "; ".join(missing)
     labels_true = truth.true_labels(proof.capture)
     if labels_true is None:
         proof.measures = replace(proof.measures, objects_found=found)
