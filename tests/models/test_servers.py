@@ -20,7 +20,7 @@ from simfoundry.models.tasks.masks import BundleMasks, SegmentationPrompt
 from simfoundry.models.tasks.meshes import BundleMeshes
 from simfoundry.models.tasks.poses import Z_UP, BundlePoses
 from simfoundry.models.transports.process import ProcessTransport
-from tests.models import SERVERS, stub_packages, stub_particulate, truth
+from tests.models import SERVERS, stub_mesh_packages, stub_packages, stub_particulate, truth
 from tests.models.test_tasks import CALLS, FACES, FRAMES, QUAD, Direct
 from tests.models.truth import MASK, K
 
@@ -82,7 +82,7 @@ for name in ("scene-fg=-1.mp4", "scene-fg=-1_tuple.mp4"):
 @pytest.fixture
 def packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Put the packages where servers look for them, and return the working folder."""
-    groups = (stub_packages.torch, stub_packages.transformers, stub_packages.depths, stub_packages.meshes)
+    groups = (stub_packages.torch, stub_packages.transformers, stub_packages.depths, stub_mesh_packages.meshes)
     for group in groups:
         for name, module in group():
             monkeypatch.setitem(sys.modules, name, module)
@@ -103,7 +103,7 @@ def server(name: str, monkeypatch: pytest.MonkeyPatch, which: str = "") -> Model
 
 
 def _more(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, module in stub_packages.others():
+    for name, module in stub_mesh_packages.others():
         monkeypatch.setitem(sys.modules, name, module)
 
 
