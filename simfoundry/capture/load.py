@@ -11,9 +11,9 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.exr import read_exr
 from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
+from simfoundry.capture.image_files import read_image
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.contract import ModelError
@@ -25,9 +25,6 @@ from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_capture
 from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Pixel, Shot
 from simfoundry.spec.yaml.write import to_yaml
-
-# Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
-NUMBERS_MAX = 178_956_970
 
 FEWEST = 100  # Minimum number of pixels with usable depth
 
@@ -302,7 +299,7 @@ class _Reader:
         """Return the pixel values in an image file. They are converted to ``mode`` if it is specified."""
         file = self.loaded.file(image)
         try:
-            picture = _stored(file, mode)
+            picture = read_image(file, mode)
         except (OSError, ValueError, SyntaxError, EOFError, OverflowError, AttributeError) as error:
             reason = " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
             self.refuse("SF501", path, f"{image} could not be read as an image: {reason}", "export it again")
@@ -377,34 +374,6 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
             )
             np.minimum.at(out, row[inside] * width + column[inside], z[inside])
     return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
-
-
-def _stored(file: Path, mode: str) -> NDArray[Any]:
-    suffix = file.suffix.lower()
-    if suffix == ".exr":
-        return read_exr(file, NUMBERS_MAX)
-    return _numpy(file) if suffix == ".npy" else _decoded(file, mode)
-
-
-def _numpy(file: Path) -> NDArray[Any]:
-    stored = np.load(file, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than declared
-    if stored.size > NUMBERS_MAX:
-        raise ValueError(f"it contains {stored.size:.2g} numbers; the maximum is {NUMBERS_MAX:.2g}")
-    return np.array(stored)
-
-
-def _decoded(file: Path, mode: str) -> NDArray[Any]:
-    """Decode an image as stored, so that a palette image is decoded to its indices.
-
-    An error is raised if the image is truncated or damaged.
-    """
-    from PIL import Image
-
-    try:
-        with Image.open(file) as image:
-            return np.array(image.convert(mode) if mode and image.mode != mode else image)
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from None
 
 
 def _size(picture: NDArray[np.generic] | Array) -> str:

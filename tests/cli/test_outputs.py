@@ -197,14 +197,14 @@ def test_a_full_disk_names_the_file(desk: Path) -> None:
 
 
 def test_arrays_of_captures_are_still_read(tmp_path: Path) -> None:
-    from simfoundry.capture.load import _numpy
+    from simfoundry.capture.image_files import read_image
 
     stored = np.arange(12, dtype=np.float32).reshape(3, 4)
     np.save(tmp_path / "a.npy", stored)
-    read = _numpy(tmp_path / "a.npy")
+    read = read_image(tmp_path / "a.npy")
     assert read.tobytes() == stored.tobytes() and type(read) is np.ndarray
     buffer = io.BytesIO()
     np.savez(buffer, stored)
     (tmp_path / "b.npy").write_bytes(buffer.getvalue())
     with pytest.raises(Exception, match="'NpzFile'"):
-        _numpy(tmp_path / "b.npy")
+        read_image(tmp_path / "b.npy")
