@@ -50,7 +50,8 @@ def test_bundles_make_a_variant_and_its_origin() -> None:
     made = source(item("cup"), ObjectVariants(sources=("model",)), 0, 0)
     assert isinstance(made, Draft)
     stated = [(use.task, use.name, use.version, use.licence, use.commercial) for use in made.models]
-    assert stated == [(task, "truth", "1.0", "Apache-2.0", "allowed") for task in ("edit", "mesh")]
+    proposed = ("propose", "told", "as served", "terms of the provider", "unknown")
+    assert stated == [proposed, *((task, "truth", "1.0", "Apache-2.0", "allowed") for task in ("edit", "mesh"))]
     broken = truth.broken("mesh", lambda result: result.members.pop("mesh"))
     failing = Generation(Told(), BundleImages(client), BundleMeshes(ModelClient(Direct(broken))), small(), small())  # type: ignore[arg-type]
     reason = failing(item("cup"), ObjectVariants(sources=("model",)), 0, 0)

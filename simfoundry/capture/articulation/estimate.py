@@ -65,8 +65,9 @@ OUTLINE, PROUD = 0.004, 0.1
 BORDER, LEAST_CUT = 3, 10
 
 # Largest angle between an axis and one of the object's box for which they are taken as the same [rad]: noise turns axes
-# by about as much. Up to the second angle they are the same if the box's axis scores lower by at most SNAP_COST.
-SNAP, FAR_SNAP, SNAP_COST = math.radians(8.0), math.radians(20.0), 0.06
+# by about as much, which costs little of the evidence. Up to the second angle, it must cost hardly any.
+SNAP, FAR_SNAP = math.radians(8.0), math.radians(20.0)
+NEAR_COST, SNAP_COST = 0.3, 0.06
 
 # Share of new surface that a door explains if it is seen as a whole. The tray of a drawer looks like a flap that
 # explains less, if the front of the drawer is out of sight.
@@ -276,8 +277,8 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     along = replace(motion, axis=near * math.copysign(1.0, cosine))
     tried = [_refined(replace(along, back=back), evidence, SNAPPED) for back in sorted(sides)]
     snapped = max(tried, key=evidence.score)
-    is_near = abs(cosine) > math.cos(SNAP)
-    return snapped if is_near or evidence.score(snapped) > evidence.score(motion) - SNAP_COST else None
+    cost = NEAR_COST if abs(cosine) > math.cos(SNAP) else SNAP_COST
+    return snapped if evidence.score(snapped) > evidence.score(motion) - cost else None
 
 
 def _slide_out_of_sight(evidence: MotionEvidence, fronts: Sequence[Patch]) -> Motion | None:

@@ -32,7 +32,7 @@ from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.generators import HttpImages, HttpMeshes, images_from_environment, meshes_from_environment
 from simfoundry.models.open import open_model, open_vlm
-from simfoundry.models.provenance import ModelIdentity, model_use, require_commercial
+from simfoundry.models.provenance import ModelIdentity, model_use, provider_identity, require_commercial
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.models.tasks.images import ImageEditingModel, decoded_image, encoded_image, with_alpha
 from simfoundry.models.tasks.meshes import MeshEstimate, MeshModel
@@ -126,7 +126,8 @@ class Generation:
             return picture
         pixels, painter = picture
         mesh = self.meshes.make_mesh(with_alpha(pixels), self.texture, seed=seed + k)
-        return built(item, mesh, proposals[place], (model_use("edit", painter), model_use("mesh", mesh.made_by)))
+        makers = (("propose", provider_identity(self.vlm.name)), ("edit", painter), ("mesh", mesh.made_by))
+        return built(item, mesh, proposals[place], tuple(model_use(task, made_by) for task, made_by in makers))
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
         """Run prompts A, B and C, and yield the proposals, cycling through the components."""

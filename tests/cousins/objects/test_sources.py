@@ -139,6 +139,8 @@ def small() -> bytes:
 class Told:
     """A VLM that answers from :data:`SAID`, and finds every second picture unreasonable."""
 
+    name = "told"
+
     def __init__(self) -> None:
         self.asked: list[str] = []
 
@@ -205,7 +207,11 @@ def test_models_propose_edit_build_and_judge_as_the_paper_has_it() -> None:
     assert first.spec.materials["stuff"].density == 950
     assert first.spec.origin is not None
     stated = [(use.task, use.name, use.version, use.commercial) for use in first.spec.origin.models]
-    assert stated == [("edit", "qwen-image-edit", "1", "allowed"), ("mesh", "trellis.2-4b", "2", "conditional")]
+    assert stated == [
+        ("propose", "told", "as served", "unknown"),
+        ("edit", "qwen-image-edit", "1", "allowed"),
+        ("mesh", "trellis.2-4b", "2", "conditional"),
+    ]
 
 
 def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
