@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -58,6 +59,10 @@ SQUARE = 0.9
 # counts as opened first [m]: fronts and handles stand out by half as much.
 UPRIGHT, FARTHER = 0.3, 0.04
 
+# Distance from a front within which points of its plane may belong to it [m]: normals are unknown within 6 pixels of
+# 640, which are 3 cm of a lid that is seen from 20 degrees above at 1 m.
+GROWTH = 0.03
+
 # Margin of a part's outline, and how far handles stand off it [m].
 OUTLINE, PROUD = 0.004, 0.1
 
@@ -78,9 +83,8 @@ WHOLE = 0.7
 ALONG, ACROSS, TRAY_SHARE = 0.3, 0.95, 0.85
 
 # Largest shares of surface that speak against a slide whose front is mostly out of sight, and the smallest share that
-# must speak for it. Amounts to try are close enough that the front comes within reach of where it is [m].
+# must speak for it.
 AGAINST, IN_FAVOR = 0.03, 0.05
-AMOUNTS = tuple(k / 100 for k in range(1, 51))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +149,8 @@ def estimate_joint(
     coarse = evidence.coarse()
     if stated.hinge is not None and fronts:
         return _estimate(_about(stated.hinge, evidence), False, evidence, fronts, [], first, second)
-    best_of_axes = [max(group, key=coarse.score) for group in candidate_motions(fronts, axes)]
+    whole = [_grown(front, first, second) for front in fronts]
+    best_of_axes = [max(group, key=coarse.score) for group in candidate_motions(whole, axes)]
     if not best_of_axes:
         raise SimfoundryError(
             "the part that moved has no flat surface, so that its motion cannot be found; capture it from where its "
@@ -154,7 +159,7 @@ def estimate_joint(
     found = sorted(best_of_axes, key=coarse.score, reverse=True)[:FINALISTS]
     refined = [_refined(motion, evidence) for motion in found]
     refined = [_refined(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]]
-    best = max(refined, key=evidence.score)
+    best = max(refined, key=partial(_rank, evidence=evidence))
     is_flap = best.kind is JointType.REVOLUTE and evidence.judge(best).explained < WHOLE
     if is_flap and _is_cut(first, second) and (slide := _slide_out_of_sight(evidence, fronts)) is not None:
         return _estimate(slide, True, evidence, fronts, refined, first, second)
@@ -239,16 +244,19 @@ def _refined(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EV
         q = max(LEAST, float(motion.q + x[0]))
         return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=q, back=back)
 
-    edge = motion.pivot if motion.edge is None else motion.edge
-
     def cost(x: Array) -> float:
-        there = at(x)
-        drift = float(np.linalg.norm(cross(there.pivot - edge, there.axis))) if may_shift else 0.0
-        return DRIFT * drift - evidence.score(there)
+        return -_rank(at(x), evidence)
 
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
     options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
     return at(minimize(cost, np.zeros(len(steps)), method="Nelder-Mead", options=options).x)
+
+
+def _rank(motion: Motion, evidence: MotionEvidence) -> float:
+    """Return the score of a motion, less the cost of a hinge that is away from the edge of its part."""
+    if motion.edge is None:
+        return evidence.score(motion)
+    return evidence.score(motion) - DRIFT * float(np.linalg.norm(cross(motion.pivot - motion.edge, motion.axis)))
 
 
 def _differs(motion: Motion, other: Motion) -> bool:
@@ -272,11 +280,13 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     cosine = float(near @ motion.axis)
     if abs(cosine) < math.cos(FAR_SNAP):
         return None
-    # A tilt can make up for the wrong side of a panel, so that both sides are tried without one.
-    sides = {0.0, TYPICAL_BACK, motion.back} if motion.kind is JointType.REVOLUTE else {motion.back}
+    # A tilt, or a hinge away from the edge, can make up for the wrong side of a panel, so that both are tried without.
+    sides = (0.0, TYPICAL_BACK) if motion.kind is JointType.REVOLUTE else ()
     along = replace(motion, axis=near * math.copysign(1.0, cosine))
-    tried = [_refined(replace(along, back=back), evidence, SNAPPED) for back in sorted(sides)]
-    snapped = max(tried, key=evidence.score)
+    pivot = motion.pivot if motion.edge is None else motion.edge
+    starts = [along, *(replace(along, back=back, pivot=pivot) for back in sides)]
+    tried = [_refined(start, evidence, SNAPPED) for start in starts]
+    snapped = max(tried, key=partial(_rank, evidence=evidence))
     cost = NEAR_COST if abs(cosine) > math.cos(SNAP) else SNAP_COST
     return snapped if evidence.score(snapped) > evidence.score(motion) - cost else None
 
@@ -287,7 +297,7 @@ def _slide_out_of_sight(evidence: MotionEvidence, fronts: Sequence[Patch]) -> Mo
     for front in fronts:
         cosines = np.abs(evidence.new.normals @ front.normal)
         if ((cosines < ALONG) | (cosines > ACROSS)).mean() > TRAY_SHARE:
-            slides = [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in AMOUNTS]
+            slides = [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in SLIDES]
             found.append(_refined(max(slides, key=evidence.score), evidence, frozenset("q")))
     if not found:
         return None
@@ -304,6 +314,20 @@ def _is_cut(first: PosedView, second: PosedView) -> bool:
     h, w = second.depth.shape
     at_border = (rows < BORDER) | (columns < BORDER) | (rows >= h - BORDER) | (columns >= w - BORDER)
     return int(at_border.sum()) > LEAST_CUT
+
+
+def _grown(front: Patch, first: PosedView, second: PosedView) -> Patch:
+    """Return a front with its points near edges, where normals are unknown, so that its outline reaches its edges.
+
+    Near a hinge, points hardly move. On a lid these belong to it too, because it has no neighbors in its plane.
+    """
+    low, high = front.points.min(axis=0) - GROWTH, front.points.max(axis=0) + GROWTH
+    points = first.points[first.mask & np.isfinite(first.depth)]
+    points = points[((points > low) & (points < high)).all(axis=1)]
+    points = points[np.abs((points - front.center) @ front.normal) < THICKNESS]
+    if abs(front.normal[2]) < SQUARE:
+        points = points[second.sight(points) != Sight.SEEN]
+    return replace(front, points=points) if len(points) > len(front.points) else front
 
 
 def _is_reversed(evidence: MotionEvidence, fronts: Sequence[Patch]) -> bool:

@@ -15,9 +15,9 @@ import numpy as np
 from simfoundry.geometry.frames import Array, cross
 from simfoundry.scene.model import JointType
 
-# Amounts of motion to try: refinement finds the rest. Slides to half a meter [m], turns to 150 degrees [rad]. Half a
-# step of a turn moves the far edge of a door of 0.6 m by less than the reach of the evidence for candidates.
-SLIDES = (0.015, 0.025, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.36, 0.42, 0.5)
+# Amounts of motion to try: refinement finds the rest. Slides to half a meter [m], in steps in which a front comes near
+# enough to where it is, and turns to 150 degrees [rad], in steps in which the far edge of a door of 0.6 m does.
+SLIDES = tuple(k / 100 for k in range(1, 51))
 TURNS = tuple(math.radians(angle) for angle in range(10, 151, 5))
 
 # Initial value of the thickness of doors and lids [m].
