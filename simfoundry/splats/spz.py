@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import from_xyzw, to_xyzw
+from simfoundry.runtime.extras import install_line
 from simfoundry.splats.gaussians import EXPORT, MAX_DEGREE, GaussianSplat, check_count, gaussian_splat
 from simfoundry.splats.y_up import turned_y_up, turned_z_up
 
@@ -129,7 +130,7 @@ def _unzipped(name: str, data: bytes, size: int) -> Bytes:
     try:
         import zstandard
     except ImportError:
-        reason = "version 4 of the format needs the package zstandard; install it with `pip install zstandard`"
+        reason = f"version 4 of the format needs zstandard; install it with `{install_line('studio')}`"
         raise _unreadable(name, reason) from None
     if size == 0:
         return np.zeros(0, np.uint8)
