@@ -38,7 +38,7 @@ FIRST_SEED = 1000
 PURE = 0.8
 """The share of a region's pixels that must belong to one object, for its pair to be an example."""
 
-HIDDEN, NETWORKS, EPOCHS, BATCH = (24, 12), 5, 60, 256
+HIDDEN, NETWORKS, EPOCHS, BATCH = (24, 12), 5, 200, 256
 LEARNING_RATE, DECAY, DROPOUT = 3e-3, 1e-3, 0.1
 HEAVIEST = 4.0
 """The largest weight of an example of two objects: of the pairs most are one, and a missed object is worse."""
