@@ -76,7 +76,7 @@ LEFT_OUT_HINT = "move the camera closer, state the division under `decomposition
 # Maximum depth [m] of an object's visible points below the top of its support; fitted tops are off by 1 to 2 cm.
 SUNK = 0.03
 
-DOUBTFUL = 0.05  # Minimum confidence of a fit; below this, the solid explains almost none of the visible points
+DOUBTFUL = 0.5  # Minimum confidence of a fit: with a lower F1 score, most of the surface is elsewhere
 
 CARRIED = 0.25  # Minimum fraction of an object's visible points that must be above its support
 

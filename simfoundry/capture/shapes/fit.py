@@ -152,10 +152,20 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
     return [*found, *filter(None, (fit(evidence) for fit in families))]
 
 
-def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
-    """Return the confidence in a fit, in [0, 1].
+# Scores of agreement, and the F1 scores at 1 cm of solids with these scores, on 114 objects of 18 synthetic tables
+# (`python -m tests.corpora.confidence --fit`): the two below 0.5 were wrong, and of 110 above 0.65 one was.
+CALIBRATION = ((0.0, 0.3, 0.55, 0.65, 0.8, 1.0), (0.0, 0.23, 0.66, 0.93, 0.95, 1.0))
 
-    The confidence is the product of five factors:
+
+def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
+    """Return the confidence in a fit, in [0, 1]: the F1 score at 1 cm of solids with the same score of agreement."""
+    return float(np.interp(agreement_score(candidate, evidence), *CALIBRATION))
+
+
+def agreement_score(candidate: FitCandidate, evidence: Evidence) -> float:
+    """Return how well a fit agrees with what was seen, in [0, 1].
+
+    The score is the product of five factors:
 
     - the fraction of measured pixels explained within the noise scale
     - the fraction of rays without intrusion into free space
