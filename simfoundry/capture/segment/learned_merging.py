@@ -14,13 +14,16 @@ import numpy as np
 
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.segment.merge_regions import compact
-from simfoundry.capture.segment.pair_features import lab_image, pair_features
+from simfoundry.capture.segment.pair_features import MEETS, lab_image, pair_features
 from simfoundry.capture.segment.regions import Crop, adjacent_pairs
 from simfoundry.capture.segment.split_candidates import split_candidates
 from simfoundry.geometry.frames import Array
 
 DIVIDE = 0.35  # maximum probability of one object at which a region is divided; chosen on the tuning half
 JOIN = 0.95  # minimum probability of one object at which two regions are joined; chosen on the tuning half
+# Minimum share of a border along which two regions must meet to be joined. Below it, one merely hides the other, and
+# equal colors are no evidence: the network joined two white boxes 10 cm apart.
+MEETING = 0.1
 DEEPEST = 3  # maximum number of divisions of one region, each into two
 FEWEST = 40  # [px] minimum size of a half; smaller ones have too few points for a shape
 LARGEST = 40  # maximum number of regions that are judged; more are texture or noise, and would take minutes
@@ -114,13 +117,18 @@ def _joined(labels: Labels, crop: Crop, lab: Array, network: MergeNetwork) -> La
     while True:
         for pair in adjacent_pairs(labels) - known.keys():
             masks = [labels == k for k in pair]
-            enough = min(int(m.sum()) for m in masks) >= FEWEST // 2
-            known[pair] = (
-                float(network.probability(pair_features(masks[0], masks[1], crop, lab)[None])[0]) if enough else 0.0
-            )
+            known[pair] = _sameness(masks[0], masks[1], crop, lab, network)
         best = max(known, key=lambda pair: (known[pair], pair), default=None)
         if best is None or known[best] < JOIN:
             return compact(labels)
         keep, gone = best
         labels = np.where(labels == gone, keep, labels).astype(np.int32)
         known = {pair: same for pair, same in known.items() if keep not in pair and gone not in pair}
+
+
+def _sameness(one: Mask, other: Mask, crop: Crop, lab: Array, network: MergeNetwork) -> float:
+    """Return the probability that two regions are one object: 0 if they are tiny, or only overlap in the image."""
+    if min(int(one.sum()), int(other.sum())) < FEWEST // 2:
+        return 0.0
+    features = pair_features(one, other, crop, lab)
+    return 0.0 if features[MEETS] < MEETING else float(network.probability(features[None])[0])

@@ -15,6 +15,7 @@ from simfoundry.geometry.frames import Array
 NEAR_BORDER = 0.015  # [m] distance from the border within which widths are compared: 5 to 10 pixels at 1 m
 PAD = 4  # [px] margin of a window around two regions, so that their borders are complete
 COUNT = 29  # number of features of a pair
+MEETS = 4  # index of the share of the border along which the regions meet
 
 
 def lab_image(color: NDArray[np.uint8]) -> Array:
