@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.masks import Labels
-from simfoundry.capture.shapes.evidence import Evidence, cast_mesh, gather, surface_distances
+from simfoundry.capture.shapes.evidence import Evidence, gather, surface_distances
 from simfoundry.capture.shapes.fit import MIN_POINTS
 from simfoundry.capture.shapes.register_mesh import Surface
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import tessellate

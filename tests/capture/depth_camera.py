@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.shapes.evidence import cast_mesh, first_faces
+from simfoundry.capture.shapes.solid_casts import cast_mesh, first_faces
 from simfoundry.capture.shapes.texture import face_normals
 from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at
 from simfoundry.geometry.shapes import Geometry, tessellate

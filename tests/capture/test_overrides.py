@@ -140,6 +140,7 @@ def test_names_are_kept_by_overlap() -> None:
 # -- statements about objects -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 1 s
 def test_names_poses_and_meshes_are_taken_as_stated(folder: Path) -> None:
     overrides = folder / "capture" / "overrides"
     overrides.mkdir()
@@ -180,6 +181,7 @@ def edited(folder: Path, old: str, new: str) -> CaptureRun:
     return again(folder)
 
 
+@pytest.mark.slow  # 1 s
 def test_an_edited_scene_is_merged(folder: Path) -> None:
     scene = folder / "out" / "capture.scene.yaml"
     scene.write_text(re.sub(r"(?<!meshes/)red_box", "jam", scene.read_text()))

@@ -94,6 +94,7 @@ def test_a_model_names_objects_in_the_scene(folder: Path, tmp_path: Path, monkey
     assert "stale" not in run("capture", "status", out).out
 
 
+@pytest.mark.slow  # 2 s
 def test_without_an_answer_the_rest_goes_on(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SIMFOUNDRY_MODEL_READ_SCENE", answering(tmp_path, []))
     failed = run("capture", folder / "capture", "-o", tmp_path / "out", "--json")

@@ -11,18 +11,9 @@ import trimesh
 from simfoundry.assets import mass
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.shapes.complete import complete, hull_margin, loft_mesh
-from simfoundry.capture.shapes.evidence import (
-    PRIOR,
-    FitCandidate,
-    RayAgreement,
-    agreement,
-    cast_box,
-    cast_lathe,
-    cast_mesh,
-    cast_sphere,
-    gather,
-)
+from simfoundry.capture.shapes.evidence import PRIOR, FitCandidate, RayAgreement, agreement, gather
 from simfoundry.capture.shapes.fit import FittedShape, choose, fit_shape, size_of
+from simfoundry.capture.shapes.solid_casts import cast_box, cast_lathe, cast_mesh, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, revolved, tessellate
 from tests.capture.depth_camera import EYE, NOISE, Solid, blinded, see, yaw_pose

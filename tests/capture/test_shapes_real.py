@@ -16,8 +16,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, tessellate

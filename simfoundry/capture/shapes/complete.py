@@ -17,8 +17,9 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, cast_mesh, is_seen_free, smooth_gaps
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, is_seen_free, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
 

@@ -10,8 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned, cast_lathe, smooth_gaps
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
+from simfoundry.capture.shapes.solid_casts import cast_lathe
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import revolved
 

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, cast_box
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR, SMALLEST, search
 from simfoundry.capture.shapes.register_mesh import VisibleCloud, misplacement, rotations_about
+from simfoundry.capture.shapes.solid_casts import cast_box
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box
 

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, cast_box, cast_lathe, cast_sphere
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement
+from simfoundry.capture.shapes.solid_casts import cast_box, cast_lathe, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 

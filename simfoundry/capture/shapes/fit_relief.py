@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, cast_mesh, is_seen_free
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, is_seen_free
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
 

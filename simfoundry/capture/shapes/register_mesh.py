@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement
 from simfoundry.capture.shapes.fit_primitives import search
 from simfoundry.capture.shapes.mesh_template import MeshTemplate
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array, Pose
 
 # Vertices [m], shape (n, 3), and faces, shape (k, 3).
