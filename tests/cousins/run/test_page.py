@@ -85,7 +85,8 @@ def test_from_models(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pydantic_ai", reason="the extra `vlm` is not installed")
     needs = re.search(r"^impossible: `cup` has the source `model`.*$", PAGE, re.MULTILINE)
     assert needs is not None
-    assert made(project, AXES["models"], 1).err == f"{needs[0]}\n"
+    missing = made(project, AXES["models"], 1).err
+    assert missing.startswith(f"{needs[0]}; `openai-chat:my-vlm` cannot be used: Set the `OPENAI_API_KEY`"), missing
     with served() as (url, models):
         for name, value in {
             "OPENAI_BASE_URL": f"{url}/v1",
