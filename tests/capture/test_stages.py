@@ -163,3 +163,11 @@ def test_what_is_far_from_an_object_does_not_matter_to_it() -> None:
     assert set(np.unique(near)) == {0, 1, 2} and (near == 1).sum() == 400 and not near[:, 250:].any()
     assert np.array_equal(near == 2, labels == 7)
     assert not nearby_labels(labels, 1).any()
+
+
+def test_a_stage_depends_on_what_its_code_imports() -> None:
+    names = {stage.name: {file.name for file in stage.files} for stage in STAGES}
+    assert {"load.py", "image_files.py", "sensors.py", "fusion.py"} <= names["frames"]
+    assert {"stated.py", "register_mesh.py", "solid_casts.py"} <= names["pose"]
+    assert {"decompose.py", "merge_weights.npz"} <= names["segment"] and "fit.py" not in names["segment"]
+    assert "decompose.py" not in names["texture"]

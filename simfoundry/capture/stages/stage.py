@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,6 +19,9 @@ _CAPTURE = Path(__file__).parents[1]
 # Suffixes of the files that decide what a stage does: modules, and the weights of small networks beside them.
 CODE = (".py", ".npz", ".onnx")
 
+# An import of modules of this package: the module, and the imported names.
+_IMPORT = re.compile(r"^[ \t]*from simfoundry\.capture(?:\.([\w.]+))? import (\([^)]*\)|[^\n]+)", re.MULTILINE)
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -25,7 +30,8 @@ class Stage:
     Attributes:
         name: Name of the stage, by which commands refer to it.
         task: The task of the stage, as it is shown to people.
-        modules: Files and folders below ``simfoundry/capture`` that the stage consists of.
+        modules: Files and folders below ``simfoundry/capture`` that the stage consists of. The modules of this folder
+            that they import belong to it, too.
         per_object: True if the stage runs once for each object, so that one object can be redone alone.
         is_optional: True if some runs do without the stage, such as one that asks a model.
     """
@@ -37,9 +43,17 @@ class Stage:
     is_optional: bool = False
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """All files with the code of the stage, sorted."""
+        return _with_imports(tuple(_CAPTURE / module for module in self.modules))
+
+    @property
     def version(self) -> str:
         """The version of the stage, as 12 hex digits: results of another version of its code are stale."""
-        return _code_digest(self.modules)
+        h = hashlib.sha256(simfoundry.__version__.encode())
+        for file in self.files:
+            h.update(file.relative_to(_CAPTURE.parent).as_posix().encode() + b"\0" + _file_digest(file))
+        return h.hexdigest()[:12]
 
 
 # Each stage may use the results of those above it. The order is that in which they run and are listed.
@@ -47,7 +61,7 @@ STAGES = (
     Stage(
         "frames",
         "reads, checks and undistorts the images, and registers, computes or fuses their depth",
-        ("load.py", "frame.py", "sensors.py", "fusion.py"),
+        ("load.py", "fusion.py"),
     ),
     Stage(
         "depth",
@@ -66,19 +80,19 @@ STAGES = (
     Stage(
         "masks",
         "takes the pixels of each object from a model that is configured for `segment`",
-        ("model_stages/masks.py", "stated.py", "segment/support_graph.py"),
+        ("model_stages/masks.py",),
         is_optional=True,
     ),
     Stage(
         "shape",
         "fits a solid to each object: its geometry and its pose",
-        ("shapes", "reconstruct.py", "segment/constraints.py", "cad"),
+        ("reconstruct.py", "cad"),
         per_object=True,
     ),
     Stage(
         "remove",
         "removes the objects from the image, those in front first, and fills in what they hid",
-        ("removal.py", "support_object.py", "shapes/evidence.py"),
+        ("removal.py",),
     ),
     Stage(
         "inpaint",
@@ -89,14 +103,14 @@ STAGES = (
     Stage(
         "mesh",
         "asks a model that is configured for `mesh` for each object, and keeps the shape that fits the image best",
-        ("model_stages/meshes.py", "shapes/evidence.py", "shapes/register_mesh.py", "shapes/mesh_template.py"),
+        ("model_stages/meshes.py",),
         per_object=True,
         is_optional=True,
     ),
     Stage(
         "refine",
         "refines the pose of each mesh by a model that is configured for `pose`",
-        ("model_stages/meshes.py", "shapes/evidence.py"),
+        ("model_stages/meshes.py",),
         per_object=True,
         is_optional=True,
     ),
@@ -108,7 +122,7 @@ STAGES = (
     Stage(
         "pose",
         "places the meshes, and takes the poses, that a person states",
-        ("stated.py", "overlay.py", "shapes/evidence.py"),
+        ("stated.py",),
         per_object=True,
     ),
     Stage(
@@ -120,7 +134,7 @@ STAGES = (
     Stage(
         "parts",
         "finds the parts that move and their joints by models that are configured for `parts` and `articulate`",
-        ("model_stages/joints.py", "articulation"),
+        ("model_stages/joints.py",),
         per_object=True,
         is_optional=True,
     ),
@@ -151,11 +165,33 @@ def stage_index(name: str) -> int:
 
 
 @cache
-def _code_digest(modules: tuple[str, ...]) -> str:
-    h = hashlib.sha256(simfoundry.__version__.encode())
-    for module in modules:
-        path = _CAPTURE / module
-        files = (file for file in path.rglob("*") if file.suffix in CODE) if path.is_dir() else [path]
-        for file in sorted(files):
-            h.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
-    return h.hexdigest()[:12]
+def _with_imports(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return the files and the code in the folders at ``paths``, with what they import from this package, sorted."""
+    found, todo = set[Path](), [path.resolve() for path in paths]
+    while todo:
+        path = todo.pop()
+        if path.is_dir():
+            todo += (file for file in path.rglob("*") if file.suffix in CODE)
+        elif path not in found:
+            found.add(path)
+            todo += _imported(path)
+    return tuple(sorted(found))
+
+
+@cache
+def _imported(file: Path) -> tuple[Path, ...]:
+    """Return the modules of this package that a module imports, also within functions."""
+    text = file.read_text(encoding="utf-8") if file.suffix == ".py" else ""
+    return tuple(found for match in _IMPORT.finditer(text) for found in _modules(match[1] or "", match[2]))
+
+
+def _modules(package: str, names: str) -> Iterator[Path]:
+    """Yield the files of a module, or those of the modules ``names`` in a package."""
+    path = _CAPTURE.joinpath(*package.split("."))
+    for each in (path, *(path / name for name in re.findall(r"\w+", names))):
+        yield from (file for file in (each.with_suffix(".py"), each / "__init__.py") if file.is_file())
+
+
+@cache
+def _file_digest(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).digest()
