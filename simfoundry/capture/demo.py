@@ -10,7 +10,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import SceneAccuracy
 from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.reconstruct import Progress
-from simfoundry.capture.run import CaptureRun, ReportPage, run_capture
+from simfoundry.capture.run import CaptureOptions, CaptureRun, ReportPage, run_capture
 from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.lower import lower_file
@@ -69,7 +69,7 @@ def run_demo(
     def watch(stage: str, share: float) -> None:
         progress(stage, 0.7 * share)
 
-    run = run_capture(capture, out / "scene", frame, watch, cache, force, truth=truth, page=page)
+    run = run_capture(capture, out / "scene", watch, cache, CaptureOptions(frame, force, truth=truth, page=page))
     scene = lower_file(run.scene_file, cache)
     progress("compile", 0.75)
     artifacts = build(scene, TARGETS, out / "worlds", force)

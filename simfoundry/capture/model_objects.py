@@ -31,7 +31,7 @@ CANDIDATES = "candidates"
 
 @dataclass(frozen=True, eq=False)
 class ModelObjects:
-    """What models contributed to the objects of an image, by their numbers.
+    """The contributions of models to the objects of an image, by the numbers of the objects.
 
     Attributes:
         shapes: The shapes that are used.

@@ -112,14 +112,20 @@ def reconstruct(
     uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
     spec = scene_spec(name, frame, support.value, objects, names, read, uses)
     spec = _with_joints(spec, jointed, objects, names)
-    files = mesh_files(SUPPORT_NAME, objects.top)
-    for k, mesh in objects.meshes.items():
-        files |= jointed.objects[k].files if k in jointed.objects else mesh_files(names[k], mesh)
-    if splat is not None:
-        files[BACKGROUND] = splat.value
+    files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
     spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)
-    doubts = image_doubts(measured, support.value, segmentation.value)
-    unmet = (CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in segmentation.value.unmet)
+    findings = (
+        *frame.findings,
+        *_other_names(names, found, overrides),
+        *(CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in segmentation.value.unmet),
+        *unmatched_findings(read),
+        *models.findings({str(k): name for k, name in names.items()}),
+        *jointed.findings,
+        *findings,
+        *(() if known.cad is None else known.cad.findings()),
+        *overrides.unused({*found.values(), *names.values()}),
+        *image_doubts(measured, support.value, segmentation.value),
+    )
     return Reconstruction(
         spec,
         files,
@@ -127,18 +133,7 @@ def reconstruct(
         segmentation.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
-        (
-            *frame.findings,
-            *_other_names(names, found, overrides),
-            *unmet,
-            *unmatched_findings(read),
-            *models.findings({str(k): name for k, name in names.items()}),
-            *jointed.findings,
-            *findings,
-            *(() if known.cad is None else known.cad.findings()),
-            *overrides.unused({*found.values(), *names.values()}),
-            *doubts,
-        ),
+        findings,
         removal_layers(cleared, names),
         modelled.files(names),
         modelled.report(names),
@@ -189,6 +184,14 @@ def _names(found: Mapping[int, str], segmentation: Segmentation, known: Statemen
     by_capture = {*known.given, *segmentation.pieces}
     kept = {k: name for k, name in kept.items() if found[k] not in by_capture}
     return final_names(found, stated, kept, overrides)
+
+
+def _object_files(objects: TexturedObjects, jointed: JointedObjects, names: Mapping[int, str]) -> dict[str, bytes]:
+    """Return the files with the meshes of the support and of all objects, by path."""
+    files = mesh_files(SUPPORT_NAME, objects.top)
+    for k, mesh in objects.meshes.items():
+        files |= jointed.objects[k].files if k in jointed.objects else mesh_files(names[k], mesh)
+    return files
 
 
 def _other_names(

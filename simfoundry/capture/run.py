@@ -68,37 +68,49 @@ class CaptureRun:
     accuracy: SceneAccuracy | None = None
 
 
+@dataclass(frozen=True)
+class CaptureOptions:
+    """Options of a capture.
+
+    Attributes:
+        frame: Name of the frame to reconstruct, or None for the first.
+        force: Whether to replace an output folder that contains other files or a person's edits.
+        accepted: Codes of findings that do not keep the scene from passing.
+        redo_from: The first stage that runs even if its inputs have not changed, or None.
+        only: Names of the objects, in the last run, to which ``redo_from`` is restricted.
+        truth: A scene with the ground truth, with which the result is compared.
+        page: Makes an HTML page of the report and its pictures, by file name.
+        setup: The models to ask; by default, those that are configured for the capture.
+        tasks: A request for tasks in the scene.
+        cad: A folder of CAD models, instead of the one that the capture states.
+    """
+
+    frame: str | None = None
+    force: bool = False
+    accepted: Collection[str] = ()
+    redo_from: str | None = None
+    only: Collection[str] = ()
+    truth: Path | None = None
+    page: ReportPage | None = None
+    setup: ModelSetup | None = None
+    tasks: TaskRequest | None = None
+    cad: Path | None = None
+
+
 def run_capture(
     path: Path,
     out: Path,
-    frame_name: str | None = None,
     progress: Progress = lambda stage, share: None,
     cache: Cache | None = None,
-    force: bool = False,
-    accepted: Collection[str] = (),
-    redo_from: str | None = None,
-    only: Collection[str] = (),
-    truth: Path | None = None,
-    page: ReportPage | None = None,
-    setup: ModelSetup | None = None,
-    tasks: TaskRequest | None = None,
-    cad: Path | None = None,
+    options: CaptureOptions = CaptureOptions(),
 ) -> CaptureRun:
     """Reconstruct one frame of a capture, and write the result to the folder ``out``.
 
     ``path`` is the capture document, a folder that contains ``capture.yaml``, or a recording, which is unpacked into
     the folder ``OUT_capture`` beside ``out``, where it may then be edited. ``out`` is replaced atomically at the end,
-    so a failed run leaves it unchanged. Identical inputs produce identical bytes. ``accepted`` contains the codes of
-    findings that do not keep the scene from passing.
-
-    Stages whose inputs have not changed since the last run to ``out`` are not run again. ``redo_from`` names the first
-    stage that runs all the same, and ``only`` restricts this to the objects with these names in the last run.
-
-    ``truth`` is a scene with the ground truth, with which the result is compared. ``page`` makes an HTML page of the
-    report and its pictures, by file name. ``setup`` names the models to ask, by default those that are configured for
-    the capture. Where one fails, there is a finding, and the method without a model is used. ``tasks`` requests tasks
-    in the scene; if there are fewer, there is a finding. ``cad`` is a folder of CAD models, instead of the one that the
-    capture states.
+    so a failed run leaves it unchanged. Identical inputs produce identical bytes. Stages whose inputs have not changed
+    since the last run to ``out`` are not run again. Where a model fails, there is a finding, and the method without a
+    model is used.
 
     Raises:
         SpecError: The capture or the ground truth is unusable. The error contains all findings.
@@ -106,23 +118,20 @@ def run_capture(
         OutputError: ``out`` contains files that were not written by a capture or were edited afterward, and ``force``
             is not set.
     """
-    if is_recording(path):
-        path = unpack_recording(path, out.with_name(f"{out.name}_capture"), force, progress)
-    loaded = open_capture(path)
-    folder = out.resolve()
+    loaded = _opened(path, out, options.force, progress)
     assert isinstance(loaded.spec, CaptureSpec)
-    frame_name = checked_frame_name(loaded, frame_name)
+    frame_name = checked_frame_name(loaded, options.frame)
     name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
     scene_name = f"{name}.scene.yaml"
-    previous = previous_output(folder, loaded.path, scene_name, force)
-    labels = labels_of(previous, only)
-    models = setup or load_setup(loaded.path)
-    library = stated_library(loaded, cad, cache)
-    real = None if truth is None else _GroundTruth.load(truth, frame_name, cache)
+    previous = previous_output(out.resolve(), loaded.path, scene_name, options.force)
+    labels = labels_of(previous, options.only)
+    models = options.setup or load_setup(loaded.path)
+    library = stated_library(loaded, options.cad, cache)
+    real = None if options.truth is None else _GroundTruth.load(options.truth, frame_name, cache)
     try:
-        with stage_store(folder) as store:
-            write_source(store.folder, loaded.path, frame_name, cad)
-            stages = StageRunner(store, redo_from or ("shape" if only else None), labels)
+        with stage_store(previous.folder) as store:
+            write_source(store.folder, loaded.path, frame_name, options.cad)
+            stages = StageRunner(store, options.redo_from or ("shape" if options.only else None), labels)
             source = load_stage(loaded, frame_name, stages, models)
             views = partial(posed_views, loaded, frame_name, models)
             stated = statements(loaded, frame_name, previous, source.value)
@@ -130,28 +139,42 @@ def run_capture(
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
                 standing = standing_scene(built, source.value, staging / scene_name, cache, progress, stages)
-                built, scene, settled = standing.reconstruction, standing.scene, standing.settled
-                merged = write_merged(previous, staging / scene_name)
+                built, merged = standing.reconstruction, write_merged(previous, staging / scene_name)
+                scene, settled = standing.scene, standing.settled
                 if merged.is_edited and not merged.is_broken:
-                    scene = lower(load_scene(staging / scene_name), cache)
-                    settled = _rest(scene, progress)
+                    scene, settled = _edited_rest(staging / scene_name, cache, progress)
                 progress("pictures", 0.95)
                 ray = _pictures(built, source.value, scene, settled, staging)
                 accuracy = None if real is None else real.judge(scene, ray, source.value.color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
                 edited += (scene_name,) * merged.is_edited
-                written = write_tasks(tasks, staging / scene_name, source.value.color, previous, progress)
+                written = write_tasks(options.tasks, staging / scene_name, source.value.color, previous, progress)
                 doubts = (*built.findings, *_restless(settled), *merged.findings, *written.findings)
                 findings = ordered_findings(doubts)
-                report = _report(built, settled, f"{loaded.spec.name}/{frame_name}", findings, accepted)
-                report |= {"edited": [*edited, *written.edited]}
-                report |= ({} if accuracy is None else {"accuracy": accuracy.to_json()}) | written.to_json()
+                report = _report(built, settled, findings, options.accepted)
+                report |= {
+                    "source": f"{loaded.spec.name}/{frame_name}",
+                    "edited": [*edited, *written.edited],
+                    **written.to_json(),
+                    **_accuracy_json(accuracy),
+                }
                 write_files(staging, built.candidates)
-                report = _write_report(report, page, staging)
+                report = _write_report(report, options.page, staging)
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
     return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states, accuracy)
+
+
+def _opened(path: Path, out: Path, force: bool, progress: Progress) -> Loaded:
+    """Return the capture document at ``path``. A recording is unpacked beside ``out`` first."""
+    if is_recording(path):
+        path = unpack_recording(path, out.with_name(f"{out.name}_capture"), force, progress)
+    return open_capture(path)
+
+
+def _accuracy_json(accuracy: SceneAccuracy | None) -> dict[str, Any]:
+    return {} if accuracy is None else {"accuracy": accuracy.to_json()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +210,13 @@ def _write_report(report: dict[str, Any], page: ReportPage | None, folder: Path)
     return report
 
 
-def _rest(scene: Scene, progress: Progress) -> SettleResult:
+def _edited_rest(document: Path, cache: Cache | None, progress: Progress) -> tuple[Scene, SettleResult]:
     """Settle a scene that a person edited, to find out what does not rest where it is."""
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
+    scene = lower(load_scene(document), cache)
     with MujocoWorld(scene) as world:
-        return settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
+        return scene, settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
 
 
 def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> Raycast:
@@ -222,7 +246,6 @@ def _digests(folder: Path) -> dict[str, str]:
 def _report(
     built: Reconstruction,
     settled: SettleResult,
-    source: str,
     findings: tuple[CaptureFinding, ...],
     accepted: Collection[str],
 ) -> dict[str, Any]:
@@ -247,7 +270,6 @@ def _report(
             is_model = origin is not None and any(use.task == "mesh" for use in origin.models)
             objects[name]["candidates"] = {"used": "model" if is_model else "fitted", **built.compared[name]}
     return {
-        "source": source,
         "passed": all(f.code in accepted for f in findings),
         "support": {"residual": round(built.support.residual, 6), "corners": len(built.support.outline)},
         "objects": objects,

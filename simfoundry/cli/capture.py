@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from simfoundry.cli.options import ANY, FILE, FOLDER, NEW_FOLDER, commercial_onl
 from simfoundry.cli.scenes import settle_table
 
 if TYPE_CHECKING:
+    from simfoundry.capture.run import CaptureRun
     from simfoundry.capture.tasks import TaskRequest
     from simfoundry.models.setup import ModelSetup
 
@@ -91,38 +93,35 @@ def capture_command(
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes
-    from simfoundry.capture.run import run_capture
+    from simfoundry.capture.run import CaptureOptions, run_capture
     from simfoundry.models.setup import load_setup
-    from simfoundry.reports.capture import accuracy_text, capture_page
+    from simfoundry.reports.capture import capture_page
 
-    accepted = accepted_codes(codes)
-    # A capture is named after its folder, or NAME if its file is called NAME.capture.yaml.
-    folder = capture if capture.is_dir() else capture.parent
-    is_named = capture.is_file() and capture.name != "capture.yaml"
-    models = load_setup(capture, commercial_only=commercial_only)
-    target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
+    accepted, models = accepted_codes(codes), load_setup(capture, commercial_only=commercial_only)
+    request = None if tasks is None else _task_request(tasks, models)
+    options = CaptureOptions(frame, force, accepted, redo_from, only, against, capture_page, models, request, cad)
     with output.progress_bar(as_json) as progress:
-        run = run_capture(
-            capture,
-            target,
-            frame,
-            progress,
-            Cache.default(),
-            force,
-            accepted,
-            redo_from,
-            only,
-            truth=against,
-            page=capture_page,
-            cad=cad,
-            setup=models,
-            tasks=None if tasks is None else _task_request(tasks, models),
-        )
+        run = run_capture(capture, out or _default_out(capture), progress, Cache.default(), options)
     verdict = output.DONE if run.report["passed"] else output.FINDINGS
     if as_json:
         stages = [{"stage": name, "object": label, "state": state} for (name, label), state in run.states.items()]
         output.print_json({"scene": str(run.scene_file), **run.report, "stages": stages})
         return verdict
+    _print_run(run, accepted)
+    return verdict
+
+
+def _default_out(capture: Path) -> Path:
+    """Return the output folder of a capture: called as its folder, or NAME if its file is called NAME.capture.yaml."""
+    folder = capture if capture.is_dir() else capture.parent
+    is_named = capture.is_file() and capture.name != "capture.yaml"
+    return Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
+
+
+def _print_run(run: CaptureRun, accepted: Collection[str]) -> None:
+    """Print how the objects settled, the findings, the accuracy and the tasks if there are any, and the files."""
+    from simfoundry.reports.capture import accuracy_text
+
     click.echo(settle_table(run.settled.objects))
     for finding in run.findings:
         click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))
@@ -130,8 +129,8 @@ def capture_command(
         click.echo(f"\n{accuracy_text(run.accuracy.to_json())}\n")
     for task, instruction in run.report.get("tasks", {}).items():
         click.echo(f"task {task}: {instruction}")
-    click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'report.html'}")
-    return verdict
+    page = run.scene_file.with_name("report.html")
+    click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {page}")
 
 
 def _task_request(count: int, models: ModelSetup) -> TaskRequest:

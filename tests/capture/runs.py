@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.run import CaptureRun, run_capture
+from simfoundry.capture.run import CaptureOptions, CaptureRun, run_capture
 
 
 def again(folder: Path, **options: Any) -> CaptureRun:
-    return run_capture(folder / "capture", folder / "out", cache=Cache(folder / "cache"), **options)
+    return run_capture(
+        folder / "capture", folder / "out", cache=Cache(folder / "cache"), options=CaptureOptions(**options)
+    )
 
 
 def ran(run: CaptureRun) -> set[tuple[str, str]]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import scene_accuracy
-from simfoundry.capture.run import run_capture
+from simfoundry.capture.run import CaptureOptions, run_capture
 from simfoundry.capture.synthesize import SENSORS, simulate_frame, write_capture
 from simfoundry.errors import PicklableError
 from simfoundry.geometry.frames import Array, look_at
@@ -107,7 +107,7 @@ def written(table: SyntheticTable, folder: Path) -> dict[str, Shot]:
 
 def distances(table: SyntheticTable, capture: Path, out: Path) -> dict[str, float]:
     """The Chamfer distance [m] of each true object that was found."""
-    run = run_capture(capture, out, "f0", cache=Cache(out.parent / "cache"))
+    run = run_capture(capture, out, cache=Cache(out.parent / "cache"), options=CaptureOptions("f0"))
     scene = lower(load_scene(run.scene_file))
     rendered = raycast(scene, scene.cameras[0])
     accuracy = scene_accuracy(table.scene, table.camera, scene, rendered, table.frame.color)

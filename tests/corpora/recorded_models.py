@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.run import CaptureRun, run_capture
+from simfoundry.capture.run import CaptureOptions, CaptureRun, run_capture
 from simfoundry.capture.synthesize import write_capture
 from simfoundry.models.setup import ModelSetup
 from simfoundry.runtime.files import file_digests
@@ -72,12 +72,15 @@ def prove(picture: str, folder: Path) -> bool:
     stand_ins = write_picture(folder / "capture", picture)
     start = time.process_time()
     with configured(stand_ins, folder, record="answers") as setup:
-        first = run_capture(folder / "capture", folder / "out", cache=Cache(folder / "cache"), setup=setup)
+        first = run_capture(
+            folder / "capture", folder / "out", cache=Cache(folder / "cache"), options=CaptureOptions(setup=setup)
+        )
     print(f"{picture}: {time.process_time() - start:.0f} s of CPU with the stand-ins")
     for stage, text in rows(first, folder / "out").items():
         print(f"  {stage:20} {text}")
     bundles = list((folder / "answers").glob("*.zip"))
-    second = run_capture(folder / "capture", folder / "again", cache=Cache(folder / "cache"), setup=replayed(folder))
+    options = CaptureOptions(setup=replayed(folder))
+    second = run_capture(folder / "capture", folder / "again", cache=Cache(folder / "cache"), options=options)
     asked = {task: stand_ins.asked.count(task) for task in dict.fromkeys(stand_ins.asked)}
     print(f"  {len(bundles)} recorded answers of {len(stand_ins.asked)} questions: {asked}")
     one, other = (

@@ -61,7 +61,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class MotionJudgement:
-    """What two views say about a motion.
+    """The agreement of a motion with two views.
 
     Attributes:
         explained: The share of new points that the motion brings there from surface that is not there any more. If

@@ -55,7 +55,7 @@ MODEL_STAGES: Mapping[str, ModelStage] = {
 
 @dataclass(frozen=True, eq=False)
 class ModelResult(Generic[T]):
-    """What a stage made of the answers of models, the digest of its content, and the models, for `origin`."""
+    """The result of a stage that asks models, the digest of its content, and the models, which `origin` states."""
 
     value: T
     digest: str
