@@ -140,7 +140,7 @@ def object_spec(
 
 
 def hull_volume(surface: Mesh) -> float:
-    """Return the volume of the convex hull of a mesh [m^3], for one that is not closed."""
+    """Return the volume of the convex hull [m^3] of a mesh that is not closed."""
     from scipy.spatial import ConvexHull
 
     return float(ConvexHull(surface.vertices).volume)

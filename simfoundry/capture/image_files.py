@@ -76,7 +76,7 @@ def _openexr(file: Path) -> NDArray[Any]:
 
 
 def _depth_channel(names: tuple[str, ...]) -> str | None:
-    """Return the channel with depth: the only one, or one with a known name, perhaps after that of a layer."""
+    """Return the channel with depth: the only channel, or one with a known name, which may follow a layer's name."""
     if len(names) == 1:
         return names[0]
     for wanted in DEPTH_CHANNELS:

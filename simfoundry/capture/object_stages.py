@@ -36,7 +36,7 @@ from simfoundry.spec.models.origin import ModelUse
 
 @dataclass(frozen=True, eq=False)
 class SegmentedView:
-    """An image with its support and its segmentation, of which each object is reconstructed.
+    """An image with its support and its segmentation, from which each object is reconstructed.
 
     ``seen`` contains the digests of the image and of the support.
     """

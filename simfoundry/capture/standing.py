@@ -93,7 +93,7 @@ def _suspects(built: Reconstruction, fallen: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _is_model_mesh(built: Reconstruction, name: str) -> bool:
-    """Return True if an object has the mesh of a model, and a fitted solid in its stead."""
+    """Return True if an object uses the mesh of a model and has a fitted solid to fall back on."""
     origin = built.spec.objects[name].origin
     is_made = origin is not None and any(use.task == "mesh" for use in origin.models)
     return is_made and bool(built.shapes[name].alternatives)

@@ -331,7 +331,7 @@ def _grown(front: Patch, first: PosedView, second: PosedView) -> Patch:
 
 
 def _is_reversed(evidence: MotionEvidence, fronts: Sequence[Patch]) -> bool:
-    """Return True if what moved was farther out of the box around the rest of the object than it is now."""
+    """Return True if the moved part stood out farther from the rest of the object than it does now."""
     facing = [front.normal for front in fronts if abs(front.normal[2]) < UPRIGHT]
     if not facing or len(evidence.still.points) < FEWEST:
         return False

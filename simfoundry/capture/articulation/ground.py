@@ -1,4 +1,4 @@
-"""The ground under furniture that fills a view, whose own faces look like tables."""
+"""Find the ground below furniture that fills the view and whose faces look like tables."""
 
 from __future__ import annotations
 

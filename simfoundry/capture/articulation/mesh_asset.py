@@ -159,7 +159,7 @@ def _link(
 
 
 def _panel_mass(pieces: Sequence[MeshPart]) -> dict[str, Any]:
-    """Return an assumed mass: that of wood panels with the surface of the part, of which both sides may be modeled."""
+    """Return an assumed mass: that of wood panels with the area of the part, whose two sides may both be modeled."""
     area = float(face_areas(*merged(pieces)).sum())
     most = area * WALL * WOOD["density"]
     value, low, high = (max(LIGHTEST, round(share * most, 4)) for share in (0.5, 0.25, 1.0))

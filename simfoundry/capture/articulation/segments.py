@@ -1,4 +1,4 @@
-"""Segments of a mesh, as a segmentation model finds them, or as they are not connected to each other."""
+"""Segments of a mesh: those of a segmentation model, or its pieces that are not connected."""
 
 from __future__ import annotations
 

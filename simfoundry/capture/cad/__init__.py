@@ -1,1 +1,1 @@
-"""CAD libraries: folders of meshes that objects in a capture may be."""
+"""CAD libraries: folders of meshes with which objects in a capture are compared."""

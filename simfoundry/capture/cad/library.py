@@ -1,4 +1,4 @@
-"""The meshes in a folder, prepared for being found in images, and cached by their content."""
+"""The meshes in a folder, prepared for registration and cached by their content."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class CadModel:
 
 @dataclass(frozen=True, eq=False)
 class CadLibrary:
-    """A folder of models, each of which an object may be.
+    """A folder of models with which objects are compared.
 
     Attributes:
         folder: The folder.
@@ -79,7 +79,7 @@ class CadLibrary:
 
     @cached_property
     def digest(self) -> str:
-        """A digest of all models, of which the results of a capture depend."""
+        """A digest of all models, on which the results of a capture depend."""
         return key_of(f"{self.scale!r}", *(f"{m.name}={m.digest}" for m in self.models))
 
     def mesh(self, model: CadModel) -> Mesh:

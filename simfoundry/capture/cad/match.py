@@ -30,7 +30,7 @@ WHOLE_SHARE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class CadLookup:
-    """Candidates from a library, for the fit of an object."""
+    """Candidates for the fit of an object, from a CAD library."""
 
     library: CadLibrary
 
@@ -41,7 +41,7 @@ class CadLookup:
 
 
 def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
-    """Return the model of a library that explains the evidence best, or None if the size of none is plausible."""
+    """Return the library model that explains the evidence best, or None if no model has a plausible size."""
     looked: list[tuple[float, CadModel, MeshTemplate]] = []
     for model in library.models:
         template = library.template(model)
@@ -60,7 +60,7 @@ def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
 
 
 def is_plausible(evidence: Evidence, template: MeshTemplate) -> bool:
-    """Return whether the visible part of an object is neither too large nor too small for a model."""
+    """Return True if the visible part of an object is neither too large nor too small for a model."""
     points = evidence.points
     spread = float(np.linalg.norm(points - np.median(points, axis=0), axis=1).max())
     if spread > DIAMETER_SLACK * template.diameter + 2 * evidence.scale:

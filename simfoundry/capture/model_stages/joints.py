@@ -116,7 +116,7 @@ def subdivided(mesh: Mesh) -> Mesh:
 
 
 def require_lowered(scene: SceneSpec, folder: Path) -> None:
-    """Ensure that a scene with files in ``folder`` can be lowered, so that the scene of the capture can.
+    """Check that an asset with files in ``folder`` can be lowered, before the scene of the capture uses it.
 
     Raises:
         SpecError: It cannot.

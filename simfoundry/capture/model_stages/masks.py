@@ -112,7 +112,7 @@ def _by_box(found: MaskEstimate, labels: Labels) -> list[Mask]:
 
 
 def _merged(masks: Sequence[Mask], labels: Labels) -> Labels:
-    """Return the numbers of objects, shape (h, w): small masks lie on large ones, beside segments without a mask."""
+    """Return object numbers, shape (h, w). Small masks lie on top of large ones; segments without a mask are kept."""
     out = np.zeros(labels.shape, np.int32)
     for number, mask in enumerate(masks, 1):
         out[mask] = number

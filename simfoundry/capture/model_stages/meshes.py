@@ -1,4 +1,4 @@
-"""Meshes and poses of objects from models, judged by the measure by which fitted solids are judged."""
+"""Meshes and poses from models, judged by the same measure as fitted solids."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class ObjectView:
         return np.asarray(self.labels == self.number)
 
     def evidence(self) -> Evidence:
-        """Return what the image shows of the object."""
+        """Return the evidence for the object in the image."""
         low = float(self.shape.X_WO.apply(tessellate(self.shape.geometry).vertices)[:, 2].min())
         return gather(self.frame, self.support, self.nearby == 1, low, self.nearby)
 
@@ -180,7 +180,7 @@ def _centered(parts: Sequence[MeshPart]) -> Mesh:
 
 
 def _shaped(before: FittedShape, mesh: Mesh, X_WO: Pose, result: RayAgreement, evidence: Evidence) -> FittedShape:
-    """Return an object with a mesh in place of its solid, which settling goes back to if the mesh does not rest."""
+    """Replace the solid of an object by a mesh. Settling falls back on the solid if the mesh does not come to rest."""
     fit = result.fit if np.isfinite(result.fit) else evidence.scale
     sure = GUESSED * result.explained * (1.0 - min(result.intrusion, 1.0))
     others = (replace(before, alternatives=()), *before.alternatives)[:MAX_ALTERNATIVES]

@@ -368,7 +368,7 @@ def _cost(evidence: Evidence, template: MeshTemplate, placed: _Placed) -> float:
 
 
 def misplacement(evidence: Evidence, low: float) -> float:
-    """Return the cost of the lowest point of an object at the height ``low`` [m] below the table, or in the air."""
+    """Return the cost of an object whose lowest point, at height ``low`` [m], is below the table or in the air."""
     sink = min(MAX_SINK_COST, SINK_COST * max(0.0, -low) / evidence.scale)
     return sink + min(MAX_FLOAT_COST, FLOAT_COST * abs(low - evidence.base_z) / evidence.scale)
 
