@@ -28,6 +28,11 @@ UNITS = {
 }
 
 
+def in_range(depth: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Return a mask of the depths [m] within the measuring range of tabletop sensors; NaN is outside."""
+    return np.asarray((depth >= NEAREST) & (depth <= FARTHEST))
+
+
 class CaptureError(PicklableError):
     """An error raised for a capture that cannot be reconstructed.
 
@@ -88,7 +93,7 @@ class Frame:
         if not finite.any():
             hint = "check that the depth file belongs to the color image, and check which values are declared invalid"
             raise CaptureError("SF502", "the depth image has no valid pixels", hint)
-        valid = finite & (self.depth >= NEAREST) & (self.depth <= FARTHEST)
+        valid = finite & in_range(self.depth)
         if not valid.any():
             median = float(np.median(self.depth[finite]))
             scale = next((s for s in UNITS if NEAREST <= median * s <= FARTHEST), None)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
-from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
+from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame, in_range
 from simfoundry.capture.image_files import read_image
 from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array, Pose
@@ -245,7 +245,7 @@ class _Reader:
             message = f"{measured.image} contains no measurements: all values are invalid"
             self.refuse("SF502", ("depth", "image"), message, CHECK_INVALID)
         meters = np.where(valid, values * measured.scale, np.nan)
-        usable = (meters >= NEAREST) & (meters <= FARTHEST)
+        usable = in_range(meters)
         median = float(np.median(values[valid]))
         fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != measured.scale]
         too_close = bool(fitting) and median * measured.scale < CLOSEST_MEDIAN

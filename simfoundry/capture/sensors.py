@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import FARTHEST, NEAREST
+from simfoundry.capture.frame import FARTHEST, NEAREST, in_range
 from simfoundry.geometry.frames import Array
 from simfoundry.models.contract import ModelError
 from simfoundry.models.open import open_model
@@ -75,7 +75,7 @@ def estimated_depth(color: NDArray[np.uint8], K: Array, setup: ModelSetup) -> tu
 def _in_range(depth: NDArray[np.floating], who: str) -> Array:
     values: Array = np.asarray(depth, dtype=np.float64)
     with np.errstate(invalid="ignore"):
-        values = np.where((values >= NEAREST) & (values <= FARTHEST), values, np.nan)
+        values = np.where(in_range(values), values, np.nan)
     if not np.isfinite(values).any():
         raise ModelError(f"{who} found no depth between {NEAREST:g} and {FARTHEST:g} m")
     return values

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from simfoundry.capture.frame import FARTHEST, NEAREST, Frame
+from simfoundry.capture.frame import Frame
 from simfoundry.capture.model_stages.ask import Makers, ModelResult, StageModels
+from simfoundry.capture.model_stages.depth import filled_depth
 from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.models.open import open_model
@@ -36,11 +35,9 @@ def inpainted_images(
             makers["inpaint"] = painted.made_by
             image = replace(image, color=painted.image)
             if source is not None and not source.offline:
-                known = np.nan_to_num(np.where(image.hole, 0, frame.depth)).astype(np.float32)
-                found = open_model(setup, "complete_depth").complete_depth(image.color, known, image.hole)
-                makers["complete_depth"] = found.made_by
-                usable = image.hole & (found.depth >= NEAREST) & (found.depth <= FARTHEST)
-                image = replace(image, depth=np.where(usable, found.depth, image.depth).astype(np.float64))
+                depth, made_by = filled_depth(setup, frame, image.color, image.hole, image.depth)
+                makers |= made_by
+                image = replace(image, depth=depth)
             images.append(image)
         return tuple(images), makers
 

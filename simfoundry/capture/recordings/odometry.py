@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.frame import FARTHEST, NEAREST, depth_sigma
+from simfoundry.capture.frame import NEAREST, depth_sigma, in_range
 from simfoundry.capture.recordings.recording import scaled_intrinsics
 from simfoundry.geometry.frames import Array, Pose
 
@@ -138,7 +138,7 @@ def _surface(depth: Array, K: Array) -> _Surface:
 
     step = max(1, round(depth.shape[1] / WIDTH))
     small = depth[::step, ::step]
-    small = np.where((small >= NEAREST) & (small <= FARTHEST), small, 0.0).astype(np.float32)
+    small = np.where(in_range(small), small, 0.0).astype(np.float32)
     K = scaled_intrinsics(K, (1 / step, 1 / step))
     smooth = cv2.bilateralFilter(small, 5, 0.03, 2.0)
     h, w = small.shape

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.foreign import RECORDINGS
-from simfoundry.capture.frame import FARTHEST, NEAREST
+from simfoundry.capture.frame import in_range
 from simfoundry.capture.recordings.odometry import DepthOdometry
 from simfoundry.capture.recordings.record3d import Record3DRecording
 from simfoundry.capture.recordings.recording import DepthRecording, RecordedFrame, RecordingError
@@ -139,7 +139,7 @@ def _size(path: Path) -> int:
 
 def _write_frame(frame: RecordedFrame, folder: Path, name: str) -> Shot:
     """Write the images of a frame, and return its entry in the capture."""
-    counts = np.where((frame.depth >= NEAREST) & (frame.depth <= FARTHEST), frame.depth, 0.0) / DEPTH_SCALE
+    counts = np.where(in_range(frame.depth), frame.depth, 0.0) / DEPTH_SCALE
     write_file(folder / f"{name}_color.png", _png(frame.color))
     write_file(folder / f"{name}_depth.png", _png(np.rint(counts).astype(np.uint16)))
     registered = frame.depth.shape == frame.color.shape[:2] and np.allclose(frame.K, frame.K_depth)
