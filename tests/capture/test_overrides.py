@@ -45,6 +45,7 @@ def state(folder: Path, stage: str, name: str = "") -> str:
 # -- masks and names ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 2 s
 def test_edited_masks_and_names_are_kept_and_touch_only_their_object(folder: Path) -> None:
     red, masks = number(folder, "red_box"), masks_of(folder)
     rows, _ = np.nonzero(masks == red)

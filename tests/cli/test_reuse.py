@@ -101,6 +101,7 @@ def test_recipes_set_parameters_and_address_copies(tmp_path: Path) -> None:
     assert cousin.objects["cup_2_1"].place.xy == (0.2, 0.1)
 
 
+@pytest.mark.slow  # 2 s
 def test_a_pose_of_a_cousin_leaves_the_frame_of_its_twin(scene: Path, tmp_path: Path) -> None:
     framed = "frames: {mid: {xyz: [0.1, 0.1, 0], yaw_deg: 45}}\nobjects:\n"
     body = SCENE.replace("place: {on: desk, xy: [-0.3, 0]}", "pose: {frame: mid, xyz: [0, 0, 0.02]}")

@@ -187,6 +187,7 @@ def test_variants_are_made_anew_where_the_library_has_changed(tmp_path: Path) ->
     assert (tmp_path / "rules" / "cup.variants.json").read_bytes() == record
 
 
+@pytest.mark.slow  # 2 s
 def test_a_variant_is_a_twin_itself_and_keeps_its_picture(tmp_path: Path) -> None:
     """What is seen of it is a textured mesh, and shapes collide: they change together, and the texture comes along."""
     spec = item_of_asset(load(REPOSITORY / "specs" / "assets" / "mug.asset.yaml"))

@@ -229,6 +229,7 @@ def test_the_axes_of_a_cousin(room: Path, sampler: Sampler) -> None:
         assert cousin is not None and cousin["axes"] == axes, (vary, more)
 
 
+@pytest.mark.slow  # 2 s
 def test_a_preview_sheet(room: Path) -> None:
     recipe = room / "lit.cousins.yaml"
     recipe.write_text(
@@ -247,6 +248,7 @@ def test_a_preview_sheet(room: Path) -> None:
     )
 
 
+@pytest.mark.slow  # 2 s
 def test_a_stage_contains_the_poses_but_not_the_other_values(room: Path) -> None:
     from pxr import Usd
 

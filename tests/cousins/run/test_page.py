@@ -54,6 +54,7 @@ def assets(project: Path, name: str) -> set[str]:
     return found
 
 
+@pytest.mark.slow  # 2 s
 def test_fewer_variants_than_asked_for_are_said_and_end_with_1(project: Path) -> None:
     """All cousins are made, of fewer cups than the recipe asks for: a cup of one material in one color is one cup."""
     axis = "object:\n  objects: {cup: {sources: [library], count: 3}}\n  library: ../assets\n"
@@ -68,6 +69,7 @@ def test_fewer_variants_than_asked_for_are_said_and_end_with_1(project: Path) ->
     assert sum(manifest["variants"]["cup"]["reasons"].values()) == manifest["variants"]["cup"]["candidates"] - 2
 
 
+@pytest.mark.slow  # 2 s
 def test_by_rules(project: Path) -> None:
     done = made(project, AXES["rules"], 2)
     assert done.code == 0, done.err
