@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.capture.findings import UNUSED_FRAME, CaptureFinding
+from simfoundry.capture.findings import MODEL_FAILED, UNUSED_FRAME, CaptureFinding
 from simfoundry.capture.frame import Frame, depth_sigma
 from simfoundry.capture.load import load_frame, register
 from simfoundry.geometry.frames import Array, Pose
@@ -61,12 +61,17 @@ def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None)
     others = fused_frames(loaded.spec, name)
     if own is None or not others:
         return frame
+    setup = _answering(setup, frame)
     X_VW = pose(own).inverse()
-    views, findings = [], []
+    views: list[Array] = []
+    findings: list[CaptureFinding] = []
     for other in others:
         stated = shots[other].pose
         assert stated is not None
-        seen = seen_from(load_frame(loaded, other, setup), X_VW @ pose(stated), frame)
+        another = load_frame(loaded, other, setup)
+        setup = _answering(setup, another)
+        findings += another.findings
+        seen = seen_from(another, X_VW @ pose(stated), frame)
         share = agreement_of(frame.depth, seen)
         if share is None:  # it shows something else
             continue
@@ -95,6 +100,7 @@ def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> t
     if own is None or not others:
         return ()
     view = load_frame(loaded, name, setup)
+    setup = _answering(setup, view)
     for other in others:
         stated = shots[other].pose
         assert stated is not None
@@ -103,6 +109,12 @@ def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> t
         if frame.color.shape == view.color.shape and share is not None and share >= AGREEING:
             found.append((frame, X_VF))
     return tuple(found)
+
+
+def _answering(setup: ModelSetup | None, frame: Frame) -> ModelSetup | None:
+    """Return the models to ask for the next frame, without the one that failed for ``frame``: it may take minutes."""
+    has_failed = any(finding.code == MODEL_FAILED for finding in frame.findings)
+    return setup.without("stereo") if setup is not None and has_failed else setup
 
 
 def seen_from(frame: Frame, X_view_camera: Pose, view: Frame) -> Array:

@@ -11,6 +11,7 @@ from pathlib import Path
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.cad.library import CadLibrary, open_library
 from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.findings import MODEL_FAILED
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.fusion import fused_frames, load_fused_frame, posed_views
 from simfoundry.capture.load import checked_frame_name, open_capture
@@ -55,7 +56,13 @@ def load_stage(loaded: Loaded, frame_name: str, stages: StageRunner, setup: Mode
     if shot.depth is None:
         inputs["model"] = str(setup.source("depth" if shot.stereo is None else "stereo"))
     read = partial(load_fused_frame, loaded, frame_name, setup)
-    result = stages.run("frames", inputs, lambda: replace(read(), decomposition=None, support=None), quick=True)
+    result = stages.run(
+        "frames",
+        inputs,
+        lambda: replace(read(), decomposition=None, support=None),
+        quick=True,
+        provisional=lambda frame: any(finding.code == MODEL_FAILED for finding in frame.findings),
+    )
     return replace(result, value=replace(result.value, decomposition=shot.decomposition, support=shot.support))
 
 

@@ -11,6 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.findings import MODEL_FAILED, CaptureFinding
 from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame, in_range
 from simfoundry.capture.image_files import read_image
@@ -35,6 +36,8 @@ CLOSEST_MEDIAN = 0.15  # Minimum median depth of a table [m]; below this, the un
 DEPTH_HINT = (
     "add a measured `depth` image or the `stereo` pair, or configure a model of the task `depth` (docs/models.md)"
 )
+
+MATCHED_HINT = "the depth was computed by semi-global matching; run again when the model answers"
 
 CHECK_INVALID = "check `invalid`, and make sure that the sensor returned depth"
 
@@ -113,6 +116,7 @@ class _Reader:
     setup: ModelSetup | None = None
     findings: list[Diagnostic] = field(default_factory=list)
     models: tuple[dict[str, Any], ...] = ()
+    doubts: tuple[CaptureFinding, ...] = ()
 
     def fail(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> None:
         """Add a finding."""
@@ -170,7 +174,7 @@ class _Reader:
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
-        return Frame(color, depth, K, masks, shot.decomposition, shot.support, models=self.models)
+        return Frame(color, depth, K, masks, shot.decomposition, shot.support, self.doubts, self.models)
 
     def pixels(self, width: int, height: int) -> None:
         """Add a finding for each stated pixel that is not in the image."""
@@ -216,11 +220,28 @@ class _Reader:
             if lens:
                 hint = "rectify the pair, and state the intrinsics of the rectified images without `distortion`"
                 self.refuse("SF501", ("camera", "distortion"), "a stereo pair must be rectified", hint)
-            return self.stated(setup, "stereo", *stereo_depth(color, right, K, stereo.baseline, setup))
+            return self.matched(partial(stereo_depth, color, right, K, stereo.baseline), setup)
         except ModelError as error:
             place = ("depth",) if stereo is None else ("stereo",)
             missing = "the frame has neither `depth` nor `stereo`: " if stereo is None else ""
             self.refuse("SF502", () if stereo is None else place, f"{missing}{error}", DEPTH_HINT)
+
+    def matched(self, match: Callable[[ModelSetup], tuple[Array, ModelIdentity]], setup: ModelSetup) -> Array:
+        """Return the depth [m] that ``match`` finds for a stereo pair with the configured model.
+
+        If that fails, the offline method is used, which is a finding.
+
+        Raises:
+            ModelError: No depth was found.
+        """
+        source = setup.source("stereo")
+        if source is None or source.offline:
+            return match(setup)[0]
+        try:
+            return self.stated(setup, "stereo", *match(setup))
+        except ModelError as error:
+            self.doubts += (CaptureFinding(MODEL_FAILED, str(error), MATCHED_HINT),)
+            return match(setup.without("stereo"))[0]
 
     def stated(self, setup: ModelSetup, task: str, depth: Array, made_by: ModelIdentity) -> Array:
         """Return the depth that was found for a task, and note the model, if it is not the offline method."""

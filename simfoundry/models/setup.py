@@ -60,6 +60,10 @@ class ModelSetup:
         """Return the source for a task, or None if none is configured."""
         return self.sources[task][0] if task in self.sources else None
 
+    def without(self, task: str) -> ModelSetup:
+        """Return the setup without the model for a task, so that its offline method is used."""
+        return replace(self, sources={each: source for each, source in self.sources.items() if each != task})
+
     def client(self, task: str) -> ModelClient:
         """Return the client of the server, command or recording behind a task.
 

@@ -12,20 +12,28 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from simfoundry.capture.frame import Frame
 from simfoundry.capture.fusion import fused_depth, fused_frames, load_fused_frame
+from simfoundry.capture.inputs import load_stage
 from simfoundry.capture.load import load_frame, open_capture
 from simfoundry.capture.sensors import undistorted
+from simfoundry.capture.stages.runner import StageRunner
+from simfoundry.capture.stages.store import StageStore
 from simfoundry.capture.synthesize import simulate_frame, write_capture
 from simfoundry.geometry.frames import Pose, look_at
+from simfoundry.models.setup import ModelSetup
+from simfoundry.models.wire import Bundle
 from simfoundry.render.raycast import raycast
 from simfoundry.scene.lower import lower_file, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.models.model_sources import ModelSource
 from simfoundry.spec.yaml.write import to_yaml
 from tests.capture import captures
 from tests.capture.conftest import SCENE
+from tests.models.stand_ins import Model, Result, serving
 
 CAMERA = "camera: {fx: 150, fy: 150, cx: 79.5, cy: 59.5}"
 K = np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]])
@@ -132,6 +140,37 @@ def test_a_stereo_pair_gives_depth(tmp_path: Path) -> None:
     frame = load_frame(open_capture(stereo_pair(tmp_path / "a")))
     measured = frame.depth[np.isfinite(frame.depth)]
     assert len(measured) > 0.6 * frame.depth.size and np.abs(measured - 0.6).max() < 0.02
+
+
+def test_a_stereo_model_that_fails_is_replaced_by_matching_and_asked_again(tmp_path: Path) -> None:
+    loaded = open_capture(stereo_pair(tmp_path / "a"))
+    assert isinstance(loaded.spec, CaptureSpec)
+    frames, matched = loaded.spec.frames, load_frame(loaded).depth
+    valid = np.ones(matched.shape, bool)
+
+    def answer(request: Bundle) -> Result:
+        assert not is_broken, f"out of memory for {request.head['task']}"
+        depth = np.full(matched.shape, 0.6, np.float32)
+        return Result({"disparity": (150 * 0.06 / depth).astype(np.float32), "depth": depth, "valid": valid})
+
+    identity = {"name": "a wall", "version": "1", "licence": "MIT", "commercial": True}
+    with serving(Model(identity, {"stereo": answer})) as url:
+        setup = ModelSetup(tmp_path, {"stereo": (ModelSource(url=url), "a test")})
+
+        def read() -> tuple[Frame, str]:
+            runner = StageRunner(StageStore(tmp_path / "stages"))
+            return load_stage(loaded, next(iter(frames)), runner, setup).value, runner.states["frames", ""]
+
+        is_broken = True
+        for _ in range(2):
+            frame, state = read()
+            assert [finding.code for finding in frame.findings] == ["SF640"] and state == "ran"
+            assert np.array_equal(frame.depth, matched, equal_nan=True) and not frame.models
+        is_broken = False
+        for expected in ("ran", "cached"):
+            frame, state = read()
+            assert frame.findings == () and state == expected
+            assert np.abs(frame.depth - 0.6).max() < 1e-6 and frame.models[0]["name"] == "a wall"
 
 
 def test_what_is_wrong_with_a_stereo_pair(tmp_path: Path) -> None:

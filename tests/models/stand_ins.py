@@ -26,7 +26,7 @@ from simfoundry.spec.models.model_sources import ModelSource
 from tests.models.test_tasks import serving
 from tests.models.truth import splat_ply
 
-__all__ = ["SOLVED", "Result", "StandIns", "configured"]
+__all__ = ["SOLVED", "Model", "Result", "StandIns", "configured", "serving"]
 
 IDENTITY = {"name": "stand-in", "version": "1", "licence": "Apache-2.0 (no foundation model)", "commercial": True}
 

@@ -178,7 +178,9 @@ def articulate(
     text = to_yaml(AssetSpec.model_validate(parts.data), comment=MARK)
     write_atomically(out, text.encode())
     write_atomically(picture_of(out), _picture([frames[0], best_frame], estimate, (first, second)))
-    return Articulated(out, estimate, parts, X_WC, _doubt(estimate, hinge is not None))
+    about_depth = [finding.message for each in frames for finding in each.findings]
+    doubt = _doubt(estimate, hinge is not None) or next(iter(about_depth), "")
+    return Articulated(out, estimate, parts, X_WC, doubt)
 
 
 def _stated(

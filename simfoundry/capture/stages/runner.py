@@ -53,7 +53,13 @@ class StageRunner:
     overridden: set[tuple[str, str]] = field(default_factory=set)
 
     def run(
-        self, name: str, inputs: Mapping[str, str], compute: Callable[[], T], label: str = "", quick: bool = False
+        self,
+        name: str,
+        inputs: Mapping[str, str],
+        compute: Callable[[], T],
+        label: str = "",
+        quick: bool = False,
+        provisional: Callable[[T], bool] | None = None,
     ) -> StageResult[T]:
         """Return the result of the stage ``name``, reusing an earlier one with equal inputs.
 
@@ -63,6 +69,7 @@ class StageRunner:
             compute: Computes the result.
             label: The object, for a stage that runs once for each object.
             quick: True if the result takes so little time that a runner that only examines computes it too.
+            provisional: Tells whether a result is to be computed again by the next run. The default keeps all results.
 
         Raises:
             StaleStageError: The runner only examines, and there is no earlier result with equal inputs.
@@ -81,6 +88,8 @@ class StageRunner:
             return StageResult(value, encoded(value)[2])
         value = compute()
         self.states[name, label] = "ran"
+        if provisional is not None and provisional(value):
+            return StageResult(value, encoded(value)[2])
         digest = key if self.store is None else self.store.write(stage, label, key, inputs, value)
         return StageResult(value, digest)
 
