@@ -9,7 +9,8 @@ import numpy as np
 
 from simfoundry.capture.findings import MODEL_FAILED, UNUSED_FRAME, CaptureFinding
 from simfoundry.capture.frame import Frame, depth_sigma
-from simfoundry.capture.load import load_frame, register
+from simfoundry.capture.load import load_frame
+from simfoundry.capture.sensors import register
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.setup import ModelSetup
 from simfoundry.scene.lower import pose

@@ -15,8 +15,8 @@ from simfoundry.capture.findings import MODEL_FAILED, CaptureFinding
 from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame, in_range
 from simfoundry.capture.image_files import read_image
-from simfoundry.capture.sensors import estimated_depth, stereo_depth, undistorted
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.capture.sensors import estimated_depth, register, stereo_depth, undistorted
+from simfoundry.geometry.frames import Array
 from simfoundry.models.contract import ModelError
 from simfoundry.models.provenance import ModelIdentity, model_use
 from simfoundry.models.setup import ModelSetup, load_setup
@@ -366,35 +366,6 @@ class _Reader:
 def matrix(camera: Intrinsics) -> Array:
     """Return the intrinsic matrix K [px], as an array of shape (3, 3)."""
     return np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-
-
-def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
-    """Reproject depth [m] into the color camera.
-
-    Each measurement covers the area of its pixel, projected into the color image. If several measurements cover the
-    same pixel, the nearest one is used.
-
-    Returns:
-        Depth [m] of shape ``size`` (height, width). Pixels that no measurement covers are NaN.
-    """
-    height, width = size
-    points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
-    x, y, z = X_color_depth.apply(points).T
-    ahead = z > NEAREST
-    x, y, z = x[ahead], y[ahead], z[ahead]
-    u, v = x / z * K_color[0, 0] + K_color[0, 2], y / z * K_color[1, 1] + K_color[1, 2]
-    half = 0.5 * max(K_color[0, 0] / K_depth[0, 0], K_color[1, 1] / K_depth[1, 1])
-    out = np.full(height * width, np.inf)
-    reach = int(np.ceil(2 * half))
-    left, top = np.ceil(u - half).astype(int), np.ceil(v - half).astype(int)
-    for dv in range(reach):
-        for du in range(reach):
-            column, row = left + du, top + dv
-            inside = (
-                (column < u + half) & (row < v + half) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            )
-            np.minimum.at(out, row[inside] * width + column[inside], z[inside])
-    return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
 
 
 def _size(picture: NDArray[np.generic] | Array) -> str:

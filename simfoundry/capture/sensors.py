@@ -1,4 +1,4 @@
-"""Depth from what sensors provide: distorted images, stereo pairs, and color alone with a model."""
+"""Depth from what sensors provide: distorted and unregistered images, stereo pairs, and color alone with a model."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import FARTHEST, NEAREST, in_range
-from simfoundry.geometry.frames import Array
+from simfoundry.capture.frame import FARTHEST, NEAREST, Frame, in_range
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.contract import ModelError
 from simfoundry.models.open import open_model
 from simfoundry.models.provenance import ModelIdentity
@@ -42,6 +42,35 @@ def undistorted(image: NDArray[T], K: Array, distortion: Sequence[float], smooth
     source = image if image.dtype == np.uint8 else image.astype(np.float32)
     out = cv2.remap(source, u, v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
     return np.asarray(out, dtype=image.dtype)
+
+
+def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
+    """Reproject depth [m] into the color camera.
+
+    Each measurement covers the area of its pixel, projected into the color image. If several measurements cover the
+    same pixel, the nearest one is used.
+
+    Returns:
+        Depth [m] of shape ``size`` (height, width). Pixels that no measurement covers are NaN.
+    """
+    height, width = size
+    points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
+    x, y, z = X_color_depth.apply(points).T
+    ahead = z > NEAREST
+    x, y, z = x[ahead], y[ahead], z[ahead]
+    u, v = x / z * K_color[0, 0] + K_color[0, 2], y / z * K_color[1, 1] + K_color[1, 2]
+    half = 0.5 * max(K_color[0, 0] / K_depth[0, 0], K_color[1, 1] / K_depth[1, 1])
+    out = np.full(height * width, np.inf)
+    reach = int(np.ceil(2 * half))
+    left, top = np.ceil(u - half).astype(int), np.ceil(v - half).astype(int)
+    for dv in range(reach):
+        for du in range(reach):
+            column, row = left + du, top + dv
+            inside = (
+                (column < u + half) & (row < v + half) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            )
+            np.minimum.at(out, row[inside] * width + column[inside], z[inside])
+    return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
 
 
 def stereo_depth(
