@@ -17,7 +17,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned, is_seen_free, smooth_gaps
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, binned_percentiles, is_seen_free, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array, Pose
@@ -148,7 +148,7 @@ def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
     """
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
-    out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))
+    out = binned_percentiles(index, s, COLUMNS, 2, percentile)
     if not np.isfinite(out).any():
         return np.full(COLUMNS, float(np.percentile(s, percentile)))
     return smooth_gaps(columns, out)

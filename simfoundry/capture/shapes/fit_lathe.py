@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned, smooth_gaps
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned_medians, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.capture.shapes.solid_casts import cast_lathe
 from simfoundry.geometry.frames import Array, Pose
@@ -51,7 +51,7 @@ def _fit(
     """Search for the best axis near ``axis`` [m], and return it along with the profile about it."""
 
     def cost(x: Array) -> float:
-        return _agreement(evidence, x, profile_of(evidence, x)).cost
+        return evidence.cost(cast_lathe, profile_of(evidence, x), _pose(evidence, x))
 
     start = min((axis + shift * radius * evidence.view for shift in (-0.3, 0.0, 0.3)), key=cost)
     _, best = search(cost, start, np.array([0.15 * radius, 0.15 * radius]), 60)
@@ -91,7 +91,7 @@ def _level_radii(r: Array, z: Array, edges: Array) -> Array:
     The result is NaN for levels with too few points.
     """
     level = np.clip(np.searchsorted(edges, z) - 1, 0, LEVELS - 1)
-    return binned(level, r, LEVELS, _MIN_IN_LEVEL, np.median)
+    return binned_medians(level, r, LEVELS, _MIN_IN_LEVEL)
 
 
 def _fill(z: Array, radii: Array, fallback: float) -> Array:

@@ -50,7 +50,7 @@ def fit_leaning_box(evidence: Evidence) -> FitCandidate | None:
     def cost(x: Array) -> float:
         size, X_WO = box(x)
         low_z = float(X_WO.p[2] - np.abs(X_WO.rotation[2]) @ size / 2)
-        return evidence.judge(cast_box, size, X_WO).cost + misplacement(evidence, low_z)
+        return evidence.cost(cast_box, size, X_WO) + misplacement(evidence, low_z)
 
     x = np.zeros(len(STEPS))
     for scale in (1.0, 0.4):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement
-from simfoundry.capture.shapes.solid_casts import cast_box, cast_lathe, cast_sphere
+from simfoundry.capture.shapes.solid_casts import SolidHits, cast_box, cast_lathe, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
@@ -121,17 +121,17 @@ def _fit_round(
 ) -> FitCandidate:
     """Optimize the parameters of ``solid``, starting from the best of ``starts``."""
 
-    def judge(shape: Cylinder | Sphere, X_WO: Pose) -> RayAgreement:
+    def cast(eye: Array, rays: Array, shape: Cylinder | Sphere, X_WO: Pose) -> SolidHits:
         if isinstance(shape, Sphere):
-            return evidence.judge(cast_sphere, shape.radius, X_WO.p)
+            return cast_sphere(eye, rays, shape.radius, X_WO.p)
         r, z = shape.radius, shape.height / 2
-        return evidence.judge(cast_lathe, np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]]), X_WO)
+        return cast_lathe(eye, rays, np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]]), X_WO)
 
     def cost(x: Array) -> float:
-        return judge(*solid(x)).cost
+        return evidence.cost(cast, *solid(x))
 
     _, best = search(cost, min(starts, key=cost), steps, evaluations)
-    return FitCandidate(family, *solid(best), judge(*solid(best)))
+    return FitCandidate(family, *solid(best), evidence.judge(cast, *solid(best)))
 
 
 def fit_box(evidence: Evidence) -> FitCandidate:
@@ -139,7 +139,7 @@ def fit_box(evidence: Evidence) -> FitCandidate:
 
     def cost(x: Array) -> float:
         small = float(np.maximum(SMALLEST - x[3:6], 0).sum()) / evidence.scale
-        return _box_agreement(evidence, x).cost + small
+        return evidence.cost(cast_box, *_unpack(x, evidence.base_z)) + small
 
     yaws = (_box_around(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0)))
     starts = sorted(((cost(x), x) for x in yaws), key=lambda start: start[0])

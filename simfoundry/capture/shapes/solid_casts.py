@@ -17,6 +17,8 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.ray_casts import area_normals, first_hits, scattered_rays, turned, unit
 
 IN_FRONT = 0.2  # minimum cosine between a ray and the view axis for rays that share a view frame
+PARALLEL = 1e-12  # smallest divisor: in place of it, rays that are parallel to a face or an axis have none
+REACH_M = 1e-6  # [m] margin around a solid within which rays are cast at it: more than the rounding of their distances
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +36,17 @@ class SolidHits:
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     """Cast rays against a box that has the full extents ``size`` [m] and is centered at ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
-    safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
-    low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
-    entry, leave = np.minimum(low, high), np.maximum(low, high)
-    axis = np.argmax(entry, axis=1)
-    enter = np.take_along_axis(entry, axis[:, None], 1)[:, 0]
-    hit = (enter <= leave.min(axis=1)) & (enter > 0)
-    slant = np.abs(np.take_along_axis(directions, axis[:, None], 1)[:, 0])
+    half = size / 2
+    enter, leave, slant = np.full(len(rays), -np.inf), np.full(len(rays), np.inf), np.zeros(len(rays))
+    for axis, direction in enumerate(directions.T.copy()):  # axis by axis: NumPy is slow along axes of length 3
+        steep = np.abs(direction)
+        safe = np.where(steep < PARALLEL, PARALLEL, direction)
+        low, high = (-half[axis] - origin[axis]) / safe, (half[axis] - origin[axis]) / safe
+        entry = np.minimum(low, high)
+        slant = np.where(entry > enter, steep, slant)
+        np.maximum(enter, entry, out=enter)
+        np.minimum(leave, np.maximum(low, high), out=leave)
+    hit = (enter <= leave) & (enter > 0)
     return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
@@ -63,20 +69,38 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
     ``profile`` is a polyline of (radius, height) [m], given as an array of shape (k, 2). Each of its edges sweeps out a
     cone, a cylinder or a ring.
     """
-    o, d = _to_local(eye, rays, X_WO)
+    o, local = _to_local(eye, rays, X_WO)
+    d = local.T.copy()
+    near = np.flatnonzero(_may_hit(o, d, profile))
+    d = d[:, near]
     is_ring = np.abs(np.diff(profile[:, 1])) < 1e-9
-    best, slant = np.full(len(d), np.inf), np.zeros(len(d))
+    best, slant = np.full(len(near), np.inf), np.zeros(len(near))
     start, end = profile[:-1], profile[1:]
     if not is_ring.all():
         best, slant = _cone_hits(o, d, start[~is_ring], end[~is_ring], best, slant)
     if is_ring.any():
         r0, r1, z0 = start[is_ring, 0][:, None], end[is_ring, 0][:, None], start[is_ring, 1][:, None]
-        safe_dz = np.where(np.abs(d[:, 2]) < 1e-12, 1e-12, d[:, 2])
+        safe_dz = np.where(np.abs(d[2]) < PARALLEL, PARALLEL, d[2])
         t = (z0 - o[2]) / safe_dz
-        radius = np.hypot(o[0] + t * d[:, 0], o[1] + t * d[:, 1])
+        radius = np.hypot(o[0] + t * d[0], o[1] + t * d[1])
         hit = (t > 1e-6) & (radius >= np.minimum(r0, r1)) & (radius <= np.maximum(r0, r1))
-        best, slant = _nearer(best, slant, np.where(hit, t, np.inf), np.broadcast_to(np.abs(d[:, 2]), t.shape))
-    return SolidHits(best, slant)
+        _, nearest = _nearest(np.where(hit, t, np.inf))
+        closer = nearest < best
+        best, slant = np.where(closer, nearest, best), np.where(closer, np.abs(d[2]), slant)
+    out = SolidHits(np.full(len(rays), np.inf), np.zeros(len(rays)))
+    out.depth[near], out.slant[near] = best, slant
+    return out
+
+
+def _may_hit(o: Array, d: Array, profile: Array) -> NDArray[np.bool_]:
+    """Return a mask of the local rays that pass through the cylinder around a profile, shape (m,)."""
+    radius, low, high = profile[:, 0].max() + REACH_M, profile[:, 1].min() - REACH_M, profile[:, 1].max() + REACH_M
+    a, b = d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1]
+    a = np.maximum(a, PARALLEL)
+    square = b * b - a * (o[0] ** 2 + o[1] ** 2 - radius**2)
+    root = np.sqrt(np.maximum(square, 0.0))
+    entry, leave = o[2] + d[2] * ((-b - root) / a), o[2] + d[2] * ((-b + root) / a)
+    return np.asarray((square >= 0) & (np.minimum(entry, leave) <= high) & (np.maximum(entry, leave) >= low))
 
 
 def _cone_hits(o: Array, d: Array, start: Array, end: Array, best: Array, slant: Array) -> tuple[Array, Array]:
@@ -85,22 +109,25 @@ def _cone_hits(o: Array, d: Array, start: Array, end: Array, best: Array, slant:
     slope = (end[:, 0][:, None] - r0) / (z1 - z0)
     # On the cone through an edge, |xy| = g + slope * z.
     g = r0 - slope * z0
-    rho, w = g + slope * o[2], slope * d[:, 2]
-    a = d[:, 0] ** 2 + d[:, 1] ** 2 - w**2
-    b = o[0] * d[:, 0] + o[1] * d[:, 1] - rho * w
+    rho, w = g + slope * o[2], slope * d[2]
+    a = d[0] ** 2 + d[1] ** 2 - w**2
+    b = o[0] * d[0] + o[1] * d[1] - rho * w
     c = o[0] ** 2 + o[1] ** 2 - rho**2
     square = b * b - a * c
     exists, root = square > 0, np.sqrt(np.maximum(square, 0.0))
-    safe_a = np.where(np.abs(a) < 1e-12, 1e-12, a)
+    safe_a = np.where(np.abs(a) < PARALLEL, PARALLEL, a)
     low, high = np.minimum(z0, z1), np.maximum(z0, z1)
-    tilt = 1.0 / np.sqrt(1.0 + slope**2)
-    for sign in (-1.0, 1.0):
-        t = (-b + sign * root) / safe_a
-        z, radius = o[2] + t * d[:, 2], rho + t * w
-        on_edge = exists & (t > 1e-6) & (z >= low) & (z <= high) & (radius >= 0)
-        x, y = o[0] + t * d[:, 0], o[1] + t * d[:, 1]
-        cosine = tilt * ((x * d[:, 0] + y * d[:, 1]) / np.maximum(radius, 1e-9) - slope * d[:, 2])
-        best, slant = _nearer(best, slant, np.where(on_edge, t, np.inf), np.abs(cosine))
+    tilt = 1.0 / np.sqrt(1.0 + slope**2)[:, 0]
+    for signed in (-root, root):
+        t = (-b + signed) / safe_a
+        z = o[2] + t * d[2]
+        on_edge = exists & (t > 1e-6) & (z >= low) & (z <= high) & (rho + t * w >= 0)
+        pick, nearest = _nearest(np.where(on_edge, t, np.inf))
+        ray = np.flatnonzero(nearest < best)
+        edge, t_ray, dx, dy, dz = pick[ray], nearest[ray], d[0, ray], d[1, ray], d[2, ray]
+        x, y, radius = o[0] + t_ray * dx, o[1] + t_ray * dy, rho[edge, 0] + t_ray * w[edge, ray]
+        cosine = tilt[edge] * ((x * dx + y * dy) / np.maximum(radius, 1e-9) - slope[edge, 0] * dz)
+        best[ray], slant[ray] = t_ray, np.abs(cosine)
     return best, slant
 
 
@@ -150,13 +177,9 @@ def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
     return (eye - X_WO.p) @ rotation, rays @ rotation
 
 
-def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Array, Array]:
-    """Return the nearest hit on each ray.
-
-    The hits to compare are the previous hits, which have shape (m,), and the candidates on each edge, which have shape
-    (k, m).
-    """
-    pick, column = np.argmin(depth, axis=0), np.arange(depth.shape[1])
-    nearest = depth[pick, column]
-    closer = nearest < best
-    return np.where(closer, nearest, best), np.where(closer, cosine[pick, column], slant)
+def _nearest(depth: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the edge that each ray hits first, and the depth of the hit, given depths of shape (k, m)."""
+    if len(depth) == 1:
+        return np.zeros(depth.shape[1], dtype=np.intp), depth[0]
+    pick = np.argmin(depth, axis=0)
+    return pick, depth[pick, np.arange(depth.shape[1])]
