@@ -19,7 +19,7 @@ from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, re
 from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
 from simfoundry.capture.overrides import load_overrides
 from simfoundry.capture.pipeline import Statements, reconstruct
-from simfoundry.capture.settle_stage import settle_inputs
+from simfoundry.capture.settle_stage import picture_inputs, settle_inputs
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
 from simfoundry.capture.stages.store import StageStore
@@ -147,7 +147,11 @@ def examine(out: Path) -> list[StageStatus]:
         built = reconstruct(name, source, known, lambda stage, share: None, stages)
         complete = True
         if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing
-            stages.run("settle", settle_inputs(built), never)
+            inputs = settle_inputs(built)
+            settled = stages.run("settle", inputs, never)
+            if f"{name}.scene.yaml" not in (*previous.edited, *previous.kept):  # that is drawn in each run
+                shown = {"image": source.digest, **picture_inputs(built, inputs, settled.digest)}
+                stages.run("pictures", shown, never)
     except CaptureError:
         complete = ("name", "") in stages.states  # only the support's texture was stale
     return listed_states(stages, {str(k): name for name, k in previous.numbers.items()}, complete)

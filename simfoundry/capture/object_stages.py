@@ -185,8 +185,11 @@ def textured_objects(
             meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(view.support, outline=beneath(view.support.outline, grounded))
-    thickness = measured_thickness(frame, support)
-    inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels), "thickness": repr(thickness)}
-    slab = partial(support_mesh, frame, support, labels, thickness or DEFAULT_THICKNESS)
-    top = view.stages.run("texture", inputs, slab, SUPPORT_NAME).value
+
+    def slab() -> tuple[float | None, Mesh]:
+        thickness = measured_thickness(frame, support)
+        return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
+
+    inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels)}
+    thickness, top = view.stages.run("texture", inputs, slab, SUPPORT_NAME).value
     return TexturedObjects(shapes, carriers, meshes, support, thickness, top)

@@ -114,6 +114,9 @@ def reconstruct(
     spec = _with_joints(spec, jointed, objects, names)
     files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
     spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)
+    inputs = {**view.seen, "segments": segmentation.digest}
+    doubt = partial(image_doubts, measured, support.value, segmentation.value)
+    doubts = stages.run("doubts", inputs, doubt, quick=True)
     findings = (
         *frame.findings,
         *_other_names(names, found, overrides),
@@ -124,7 +127,7 @@ def reconstruct(
         *findings,
         *(() if known.cad is None else known.cad.findings()),
         *overrides.unused({*found.values(), *names.values()}),
-        *image_doubts(measured, support.value, segmentation.value),
+        *doubts.value,
     )
     return Reconstruction(
         spec,

@@ -15,21 +15,22 @@ from numpy.typing import NDArray
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
-from simfoundry.capture.frame import CaptureError, Frame
+from simfoundry.capture.frame import CaptureError
 from simfoundry.capture.fusion import posed_views
 from simfoundry.capture.inputs import labels_of, load_stage, stated_library, statements
 from simfoundry.capture.load import checked_frame_name, open_capture
 from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
 from simfoundry.capture.outputs import write_masks, write_merged
+from simfoundry.capture.pictures import FAST, RenderedScene, comparison_picture
 from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.recordings.unpack import is_recording, unpack_recording
-from simfoundry.capture.settle_stage import standing_scene
+from simfoundry.capture.settle_stage import resting_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
 from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
-from simfoundry.render.raycast import Raycast, raycast
+from simfoundry.render.raycast import raycast
 from simfoundry.runtime.files import file_digests, write_file, write_files
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Camera, Scene
@@ -41,9 +42,6 @@ from simfoundry.worlds.settle import SettleResult, settle
 
 # Makes an HTML page of a report and its pictures, by file name.
 ReportPage = Callable[[Mapping[str, Any], Mapping[str, bytes]], str]
-
-# Compression of pictures: a quarter of the time that the best one takes, for files that are a fifth larger.
-FAST = 3
 
 # The page that people look at, with what `report.json` contains.
 PAGE = "report.html"
@@ -138,17 +136,20 @@ def run_capture(
             known = replace(stated, setup=models, cad=library, views=views)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
-                standing = standing_scene(built, source.value, staging / scene_name, cache, progress, stages)
-                built, merged = standing.reconstruction, write_merged(previous, staging / scene_name)
-                scene, settled = standing.scene, standing.settled
+                resting = resting_scene(built, source.value, staging / scene_name, cache, progress, stages)
+                built, merged = resting.reconstruction, write_merged(previous, staging / scene_name)
+                rendered, settled = resting.rendered, resting.settled
                 if merged.is_edited and not merged.is_broken:
-                    scene, settled = _edited_rest(staging / scene_name, cache, progress)
+                    rendered, settled = _edited_rest(staging / scene_name, cache, progress)
                 progress("pictures", 0.95)
-                ray = _pictures(built, source.value, scene, settled, staging)
-                accuracy = None if real is None else real.judge(scene, ray, source.value.color, staging)
+                color, shown = source.value.color, {"image": source.digest, **resting.shown}
+                draw = partial(comparison_picture, color, built.segmentation.labels, rendered)
+                picture = draw() if merged.is_edited else stages.run("pictures", shown, draw).value
+                write_file(staging / "compare.png", picture)
+                accuracy = None if real is None else real.judge(rendered, color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
                 edited += (scene_name,) * merged.is_edited
-                written = write_tasks(options.tasks, staging / scene_name, source.value.color, previous, progress)
+                written = write_tasks(options.tasks, staging / scene_name, color, previous, progress)
                 doubts = (*built.findings, *_restless(settled), *merged.findings, *written.findings)
                 findings = ordered_findings(doubts)
                 report = _report(built, settled, findings, options.accepted)
@@ -189,15 +190,15 @@ class _GroundTruth:
         scene = lower_file(path, cache)
         return cls(scene, truth_camera(scene, frame_name))
 
-    def judge(self, scene: Scene, rendered: Raycast, color: NDArray[np.uint8], folder: Path) -> SceneAccuracy:
+    def judge(self, rendered: RenderedScene, color: NDArray[np.uint8], folder: Path) -> SceneAccuracy:
         """Compare a reconstruction with the truth, and write a picture of both with the image and their difference."""
         from simfoundry.render.montage import save_png, side_by_side
 
-        difference = difference_image(rendered.color, color)
-        panels = [("capture", color), ("reconstruction", rendered.color), ("difference", difference)]
+        difference = difference_image(rendered.ray.color, color)
+        panels = [("capture", color), ("reconstruction", rendered.ray.color), ("difference", difference)]
         panels.append(("ground truth", raycast(self.scene, self.camera).color))
         save_png(folder / "accuracy.png", side_by_side(panels, columns=2), FAST)
-        return scene_accuracy(self.scene, self.camera, scene, rendered, color)
+        return scene_accuracy(self.scene, self.camera, rendered.scene, rendered.ray, color)
 
 
 def _write_report(report: dict[str, Any], page: ReportPage | None, folder: Path) -> dict[str, Any]:
@@ -210,23 +211,14 @@ def _write_report(report: dict[str, Any], page: ReportPage | None, folder: Path)
     return report
 
 
-def _edited_rest(document: Path, cache: Cache | None, progress: Progress) -> tuple[Scene, SettleResult]:
+def _edited_rest(document: Path, cache: Cache | None, progress: Progress) -> tuple[RenderedScene, SettleResult]:
     """Settle a scene that a person edited, to find out what does not rest where it is."""
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
     scene = lower(load_scene(document), cache)
     with MujocoWorld(scene) as world:
-        return scene, settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
-
-
-def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> Raycast:
-    from simfoundry.render.montage import overlay, save_png, side_by_side
-
-    seen = raycast(scene, scene.cameras[0], settled.state)
-    tinted = overlay(frame.color, built.segmentation.labels, 0.45)
-    panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
-    save_png(folder / "compare.png", side_by_side(panels), FAST)
-    return seen
+        settled = settle(world, progress=lambda stage, share: progress(stage, 0.9 + 0.05 * share))
+    return RenderedScene(lambda: scene, settled.state), settled
 
 
 def _restless(settled: SettleResult) -> list[CaptureFinding]:

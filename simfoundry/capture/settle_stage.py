@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.model_stages.joints import ARTICULATED
+from simfoundry.capture.pictures import RenderedScene
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
@@ -29,14 +30,24 @@ from simfoundry.worlds.settle import SettleResult
 _Kept = tuple[bytes, Mapping[str, bytes], Mapping[str, FittedShape], tuple[CaptureFinding, ...], SettleResult]
 
 
-def standing_scene(
+@dataclass(frozen=True, eq=False)
+class RestingScene:
+    """A reconstruction at rest, with its scene, the result of settling it, and the digests that its picture needs."""
+
+    reconstruction: Reconstruction
+    rendered: RenderedScene
+    settled: SettleResult
+    shown: Mapping[str, str]
+
+
+def resting_scene(
     built: Reconstruction,
     frame: Frame,
     scene_file: Path,
     cache: Cache | None,
     progress: Progress,
     stages: StageRunner,
-) -> StandingScene:
+) -> RestingScene:
     """Return a reconstruction at rest, and write it with its meshes to ``scene_file``.
 
     Raises:
@@ -49,13 +60,14 @@ def standing_scene(
         scenes.append(standing.scene)
         return _kept(built, standing, scene_file)
 
-    text, files, shapes, findings, settled = stages.run("settle", settle_inputs(built), compute).value
+    inputs = settle_inputs(built)
+    result = stages.run("settle", inputs, compute)
+    text, files, shapes, findings, settled = result.value
     if not scenes:
         write_files(scene_file.parent, {**_used(built.files, text), **files})
         write_file(scene_file, text)
     loaded = load_scene(scene_file)
     assert isinstance(loaded.spec, SceneSpec)
-    scene = scenes[0] if scenes else lower(loaded, cache)
     rested = replace(
         built,
         spec=loaded.spec,
@@ -63,7 +75,8 @@ def standing_scene(
         shapes={**built.shapes, **shapes},
         findings=(*built.findings, *findings),
     )
-    return StandingScene(rested, scene, settled)
+    rendered = RenderedScene(lambda: scenes[0] if scenes else lower(loaded, cache), settled.state)
+    return RestingScene(rested, rendered, settled, picture_inputs(built, inputs, result.digest))
 
 
 def settle_inputs(built: Reconstruction) -> dict[str, str]:
@@ -74,6 +87,14 @@ def settle_inputs(built: Reconstruction) -> dict[str, str]:
         "shapes": digest_of(dict(sorted(built.shapes.items()))),
         "engine": version("mujoco"),
     }
+
+
+def picture_inputs(built: Reconstruction, inputs: Mapping[str, str], settled: str) -> dict[str, str]:
+    """Return the digests of everything that a picture of a scene at rest shows, besides the image.
+
+    ``inputs`` are those of the stage that brought the scene to rest, and ``settled`` is the digest of its result.
+    """
+    return {"files": inputs["files"], "labels": digest_of(built.segmentation.labels), "settled": settled}
 
 
 def _kept(built: Reconstruction, standing: StandingScene, scene_file: Path) -> _Kept:

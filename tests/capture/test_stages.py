@@ -63,7 +63,9 @@ def test_a_changed_mask_touches_only_its_object(folder: Path) -> None:
         ("texture", str(red)),
         ("texture", "table"),
         ("name", ""),
+        ("doubts", ""),
         ("settle", ""),
+        ("pictures", ""),
     }
     assert ran(run) == {("frames", ""), ("segment", ""), *changed}
     assert len(columns) and len(run.reconstruction.shapes) == 2
@@ -86,7 +88,8 @@ def test_stages_are_run_again_on_request(folder: Path) -> None:
     before = output(folder)
     red = number("red", folder)
     assert ran(again(folder, redo_from="texture", only=("red_box",))) == {("texture", red)}
-    assert {stage for stage, _ in ran(again(folder, redo_from="name"))} == {"name", "texture", "settle"}
+    later = {"name", "texture", "doubts", "settle", "pictures"}
+    assert {stage for stage, _ in ran(again(folder, redo_from="name"))} == later
     assert ran(again(folder, only=("red_box",))) == {("shape", red), ("texture", red)}
     assert output(folder) == before
     with pytest.raises(SimfoundryError, match="no object `red_bax`; did you mean `red_box`"):
@@ -140,8 +143,13 @@ def test_results_are_read_as_they_were_written() -> None:
 
 
 def test_digests_tell_arrays_apart() -> None:
-    values = [np.zeros((2, 3)), np.zeros((3, 2)), np.zeros((2, 3), np.float32), np.ones((2, 3)), b"", None, (), ""]
+    arrays = [np.zeros((2, 3)), np.zeros((3, 2)), np.zeros((2, 3), np.float32), np.ones((2, 3)), np.ones((3, 2)).T[:1]]
+    values = [*arrays, b"", None, (), "", 1, 1.0, True, "1", ((1,), 1), (1, (1,)), {1: 1}, Box(np.ones(3)), (b"", b"")]
     assert len({digest_of(value) for value in values}) == len(values)
+    assert digest_of([np.float64(0.1), np.bool_(True), {"a": [2]}]) == digest_of((0.1, True, {"a": (2,)}))
+    assert digest_of(np.arange(6.0).reshape(2, 3).T) == digest_of(np.array([[0.0, 3.0], [1.0, 4.0], [2.0, 5.0]]))
+    with pytest.raises(TypeError, match="Path is not a result of a stage"):
+        digest_of([Path()])
 
 
 def test_a_runner_that_examines_computes_nothing(tmp_path: Path) -> None:

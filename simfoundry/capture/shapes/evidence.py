@@ -116,20 +116,20 @@ class Evidence:
             blind=np.flatnonzero(self.inside & ~measured),
             open=np.flatnonzero(beside & measured),
             unlit=np.flatnonzero(beside & ~measured & ~self.hidden),
-            count=max(1, int(self.inside.sum())),
+            inside=max(1, int(self.inside.sum())),
         )
 
 
 class _RayGroups(NamedTuple):
     """Indices of rays: through pixels of the object with and without depth, beside it with depth, and beside it without
-    depth where no other object is. ``count`` is the number of rays through the object, at least 1.
+    depth where no other object is. ``inside`` is the number of rays through the object, at least 1.
     """
 
     own: NDArray[np.intp]
     blind: NDArray[np.intp]
     open: NDArray[np.intp]
     unlit: NDArray[np.intp]
-    count: int
+    inside: int
 
 
 def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, labels: Labels | None = None) -> Evidence:
@@ -236,9 +236,7 @@ def binned_percentiles(bins: NDArray[np.intp], values: Array, count: int, fewest
     return np.where(number >= fewest, between, np.nan)
 
 
-def _sorted_bins(
-    bins: NDArray[np.intp], values: Array, count: int
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+def _sorted_bins(bins: NDArray[np.intp], values: Array, count: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
     """Return the values sorted by bin and size, and the first index and the number of values of each bin."""
     number = np.bincount(bins, minlength=count)
     ordered = values[np.lexsort((values, bins))] if len(values) else np.full(1, np.nan)
@@ -300,7 +298,7 @@ def surface_distances(depth: Array, hits: SolidHits) -> Array:
 
 
 class _Comparison(NamedTuple):
-    """Distances [m] of the object's measured rays from a solid, the number of free rays that it blocks, and its cost."""
+    """Distances [m] of an object's measured rays from a solid, the number of free rays that it blocks, and its cost."""
 
     distance: Array
     blocked: int
@@ -310,11 +308,11 @@ class _Comparison(NamedTuple):
 def _compared(evidence: Evidence, hits: SolidHits) -> _Comparison:
     groups, scale = evidence.groups, evidence.scale
     distance = surface_distances(evidence.depth[groups.own], SolidHits(hits.depth[groups.own], hits.slant[groups.own]))
-    blocked = np.count_nonzero(evidence.depth[groups.open] - hits.depth[groups.open] > 2.0 * scale)
+    blocked = int(np.count_nonzero(evidence.depth[groups.open] - hits.depth[groups.open] > 2.0 * scale))
     missed = len(groups.blind) - np.count_nonzero(np.isfinite(hits.depth[groups.blind]))
     covered = np.count_nonzero(np.isfinite(hits.depth[groups.unlit]))
     cost = np.minimum(distance / scale, 1.0).sum() + _BLIND_MISS * missed + _BLIND_HIT * covered
-    return _Comparison(distance, blocked, float((cost + FREE_WEIGHT * blocked) / groups.count))
+    return _Comparison(distance, blocked, float((cost + FREE_WEIGHT * blocked) / groups.inside))
 
 
 def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
@@ -323,7 +321,7 @@ def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     fitted = distance[np.isfinite(distance)]
     return RayAgreement(
         explained=float(np.count_nonzero(distance < evidence.scale) / max(1, len(distance))),
-        intrusion=float(blocked / evidence.groups.count),
+        intrusion=float(blocked / evidence.groups.inside),
         fit=_median(fitted) if fitted.size else float("inf"),
         cost=cost,
     )

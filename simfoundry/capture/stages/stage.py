@@ -144,10 +144,16 @@ STAGES = (
         ("model_stages/background.py",),
         is_optional=True,
     ),
+    Stage("doubts", "looks for signs in the image that the scene will be wrong", ("doubts.py",)),
     Stage(
         "settle",
         "brings all objects to rest in a simulation, and states their masses and materials",
         ("standing.py", "kinds.py", "../worlds/settle.py", "../worlds/rest.py"),
+    ),
+    Stage(
+        "pictures",
+        "draws the scene at rest beside the image",
+        ("pictures.py", "../render"),
     ),
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
