@@ -61,6 +61,9 @@ NOT_FOUND = "SF641"
 # Fewer tasks than requested.
 FEW_TASKS = "SF642"
 
+# A depth image in which edges are smeared or appear twice.
+REPEATED = "SF629"
+
 # Sizes and distances that no tabletop has.
 IMPLAUSIBLE = "SF628"
 

@@ -1,13 +1,15 @@
-"""Judge the intrinsics of a camera: by those of depth cameras, and by the angle between objects and their support.
+"""Judge the intrinsics of a camera: by those of depth cameras, and by what objects look like with another focal length.
 
-With a wrong focal length, planes that are perpendicular seem tilted against each other. A factor of 1.4 tilts the sides
-of boxes and cans on a table, seen at 45 degrees, by 15 degrees.
+A wrong focal length stretches the scene across the viewing direction. The sides of boxes and cans then lean, each by an
+angle that depends on where it faces, and round objects become oval. A single factor of the focal length makes all of
+them upright and round again, so the factor can be measured.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,23 +19,37 @@ from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.geometry.frames import Array
 
-NARROWEST, WIDEST = (
-    30.0,
-    100.0,
-)  # [deg] horizontal fields of view: a crop of YCB-Video has 33, a D455 90
+NARROWEST, WIDEST = 30.0, 100.0  # [deg] horizontal fields of view: a crop of YCB-Video has 33, a D455 90
 OFF_CENTER = 0.12  # maximum distance of the principal point from the center, as a fraction of the image's width
 WIDTH = 320  # [px] width of the image in which normals are estimated, over a radius of RADIUS pixels
 RADIUS = 4
-BIN = 2.0  # [deg] width of a bin of the histogram of tilts, which is smoothed over three bins
-TILTED = 8.0  # [deg] minimum tilt that is reported; with right intrinsics, the sides of objects are within 1 degree
-STEEPEST = 26.0  # [deg] maximum tilt that is searched; walls of bowls are flatter than that
-FEWEST = 600  # minimum number of pixels on upright sides
-CLEAR = 2.0  # minimum ratio between the numbers of pixels at this tilt and of upright pixels
+STEP = 0.09  # step of the natural logarithm of the focal length in the search; on real tables, the best one is 0 or 1
+FACTORS = np.exp(np.arange(-8, 9) * STEP)  # factors of the focal length that are tried, from 0.49 to 2.05
+UPRIGHT = 2.5  # [deg] standard deviation of the tilt of upright sides, as normals are measured
+ROUND = 0.004  # [m] standard deviation of the distance between a normal and the axis of a round object
+TYPICAL = 0.5  # expected fraction of the pixels that are on upright sides, or on round objects
+FARTHEST = 0.1  # [m] range of the distances between normals and an axis on objects that are not round
+SLOPING = 0.25  # minimum horizontal part of a unit normal that points to an axis; flatter surfaces point anywhere
+FEWEST = 60  # minimum number of such pixels of an object
+RELATED = 30  # number of pixels that are as good as one independent measurement
+WRONG = 0.17  # minimum absolute logarithm of the factor that is reported: two steps
+CERTAIN = 6.0  # minimum gain of such a factor that is reported; on tables with right intrinsics it stays below 4
 HINT = "check `camera` in the capture"
 
 
+@dataclass(frozen=True)
+class FocalFit:
+    """The factor of the stated focal length with which objects are most upright and round.
+
+    ``gain`` is the logarithm of the likelihood ratio between this factor and 1.
+    """
+
+    factor: float
+    gain: float
+
+
 def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> Iterator[CaptureFinding]:
-    """Yield a finding if no depth camera has the intrinsics of a frame, or if the sides of all objects are tilted."""
+    """Yield a finding if no depth camera has the intrinsics, or if another focal length suits the objects."""
     h, w = frame.depth.shape
     fx, fy, cx, cy = (float(frame.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     field = math.degrees(2 * math.atan(w / 2 / fx))
@@ -47,35 +63,82 @@ def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> I
     if faults:
         message = f"the camera has {' and '.join(faults)}, as after cropping or scaling the image"
         yield CaptureFinding(IMPLAUSIBLE, message, HINT)
-    tilt = common_tilt(frame, support, labels)
-    if tilt:
-        message = f"the sides of most objects are tilted by {tilt:+.0f} deg, as with wrong intrinsics"
+    fit = focal_fit(frame, support, labels)
+    if abs(math.log(fit.factor)) > WRONG and fit.gain > CERTAIN:
+        message = (
+            f"the sides of objects lean and round objects are oval, as if the focal length were {fit.factor:.2f} times "
+            "the stated one"
+        )
         yield CaptureFinding(IMPLAUSIBLE, message, HINT)
 
 
-def common_tilt(frame: Frame, support: SupportSurface, labels: Labels) -> float:
-    """Return the tilt [deg] that the sides of most objects share, positive if they face up, or 0 for upright ones."""
-    tilts = side_tilts(frame, support, labels)
-    if len(tilts) < FEWEST:
-        return 0.0
-    edge = STEEPEST + BIN
-    counts, edges = np.histogram(tilts, bins=np.arange(-edge - BIN / 2, edge + BIN, BIN))
-    counts = np.convolve(counts, np.ones(3), "same")
-    middles = (edges[:-1] + edges[1:]) / 2
-    inner = np.abs(middles) <= STEEPEST
-    best = int(np.argmax(np.where(inner, counts, 0)))
-    upright = float(counts[np.abs(middles) < 2 * BIN].max())
-    tilt = float(middles[best])
-    return tilt if abs(tilt) >= TILTED and counts[best] > CLEAR * upright else 0.0
-
-
-def side_tilts(frame: Frame, support: SupportSurface, labels: Labels) -> Array:
-    """Return the angle [deg] between the surface and the support's normal, minus 90, at a sample of object pixels."""
+def focal_fit(frame: Frame, support: SupportSurface, labels: Labels) -> FocalFit:
+    """Return the factor of the focal length with which objects are most upright and round."""
     step = max(1, round(frame.depth.shape[1] / WIDTH))
+    small = labels[::step, ::step]
     K = np.array(frame.K, dtype=np.float64)
     K[:2] /= step
-    small = labels[::step, ::step]
     depth = np.where(small > 0, frame.depth[::step, ::step], np.nan)
     normals = normals_of(tangents(depth, RADIUS, 1, small), K)
-    sine = normals @ support.X_WC.rotation[2]
-    return np.asarray(np.degrees(np.arcsin(np.clip(sine[np.isfinite(sine)], -1, 1))))
+    known = np.isfinite(normals[..., 2])
+    points = Frame(frame.color[::step, ::step], depth, K).points[known]
+    likelihood = [
+        _log_likelihood(points, normals[known], small[known], support.X_WC.rotation[2], factor) for factor in FACTORS
+    ]
+    best = int(np.argmax(likelihood))
+    return FocalFit(float(FACTORS[best]), float(likelihood[best] - likelihood[len(FACTORS) // 2]))
+
+
+def _log_likelihood(points: Array, normals: Array, labels: Labels, up: Array, factor: float) -> float:
+    """Return the log-likelihood of a focal length, up to a constant.
+
+    Args:
+        points: Points of objects as measured with the stated focal length, in the camera frame [m], shape (n, 3).
+        normals: Unit normals there, shape (n, 3).
+        labels: Number of the object at each point, shape (n,).
+        up: Normal of the support in the camera frame, shape (3,).
+        factor: Factor of the focal length.
+    """
+    stretch = np.array([factor, factor, 1.0])  # of normals; points are stretched by its inverse
+    up, normals = _unit(up * stretch), _unit(normals * stretch)
+    tilt = np.degrees(np.arcsin(np.clip(normals @ up, -1, 1)))
+    total = _log_mixture(tilt, UPRIGHT, 180.0).sum()
+    right = _unit(np.cross(up, [0.0, 0.0, 1.0]))
+    plan = np.stack([right, np.cross(up, right)], axis=1)
+    # Distances in a plan that is stretched are compared in units of the plan of the stated focal length.
+    scale = math.sqrt(float(np.prod(np.linalg.norm(plan / stretch[:, None], axis=0))))
+    xy, toward = (points / stretch) @ plan / scale, normals @ plan
+    length = np.linalg.norm(toward, axis=1)
+    for k in np.unique(labels):
+        own = (labels == k) & (length > SLOPING)
+        if own.sum() >= FEWEST:
+            total += _log_mixture(_off_axis(xy[own], toward[own] / length[own, None]), ROUND, FARTHEST).sum()
+    return float(total) / RELATED
+
+
+def _off_axis(xy: Array, toward: Array) -> Array:
+    """Return the distance [m] between the axis of an object and the line along each normal in plan, shape (n,).
+
+    The axis is the point that most lines approach. All lines of a surface of revolution meet in its axis.
+    """
+    across = np.stack([toward[:, 1], -toward[:, 0]], axis=1)
+    offset = np.einsum("nk,nk->n", across, xy)
+    weight, off = np.ones(len(xy)), offset
+    center = xy.mean(axis=0)
+    prior = 1e-4 * len(xy) * np.eye(2)  # where all lines are parallel, the axis is beside the middle of the points
+    for _ in range(6):
+        weighted = across * weight[:, None]
+        center = center + np.linalg.solve(across.T @ weighted + prior, weighted.T @ (offset - across @ center))
+        off = offset - across @ center
+        weight = 1 / (1 + (off / (1.5 * ROUND)) ** 2)
+    return np.asarray(off)
+
+
+def _log_mixture(error: Array, spread: float, span: float) -> Array:
+    """Return the log-density of errors that are normal with a standard deviation, or else uniform over a span."""
+    normal = np.exp(-0.5 * (error / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
+    return np.asarray(np.log(TYPICAL * normal + (1 - TYPICAL) / span))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -16,6 +16,7 @@ from simfoundry.capture.foreign import foreign_capture, media_error, scene_folde
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame, in_range
 from simfoundry.capture.image_files import read_image
 from simfoundry.capture.sensors import estimated_depth, register, stereo_depth, undistorted
+from simfoundry.capture.size_priors import unit_doubt
 from simfoundry.geometry.frames import Array
 from simfoundry.models.contract import ModelError
 from simfoundry.models.provenance import ModelIdentity, model_use
@@ -174,6 +175,8 @@ class _Reader:
                 hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
+        if measured is not None:
+            self.doubts = (*self.doubts, *unit_doubt(measured.scale))
         return Frame(color, depth, K, masks, shot.decomposition, shot.support, self.doubts, self.models)
 
     def pixels(self, width: int, height: int) -> None:

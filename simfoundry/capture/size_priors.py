@@ -20,6 +20,21 @@ DOUBT = (
     1.75  # standard deviations from the expected scale that are reported; none of 70 real, 2 of 170 synthetic tables
 )
 
+CAMERA_UNITS = (
+    *(1.0, 0.01, 1e-3, 1e-4, 1e-6),  # round units; a Kinect and most RealSense have 1 mm, a D405 and YCB-Video 0.1 mm
+    *(5e-4, 2.5e-4, 2e-4, 1.25e-4),  # half a millimeter, RealSense L515, TUM RGB-D, and RealSense SR300
+    *(1 / 256, 10 / 65535),  # KITTI, and simulators that spread 10 m over 16 bits
+)
+CALIBRATED = 0.01  # maximum relative difference from such a unit, which a calibration may have changed
+
+
+def unit_doubt(scale: float) -> Iterator[CaptureFinding]:
+    """Yield a finding if no camera is known to store depth in units of ``scale`` [m]."""
+    if any(abs(scale / unit - 1) <= CALIBRATED for unit in CAMERA_UNITS):
+        return
+    message = f"no common depth camera stores depth in units of {scale * 1000:.4g} mm"
+    yield CaptureFinding(IMPLAUSIBLE, message, "check `scale` under `depth` in the capture")
+
 
 def scale_doubt(frame: Frame, support: SupportSurface, labels: Labels, points_W: Array) -> Iterator[CaptureFinding]:
     """Yield a finding if the camera is too near or far and the objects are too small or large for a tabletop."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simfoundry.capture.depth_faults import depth_noise, repeated_edges
 from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import (
     BORDER,
@@ -14,12 +15,13 @@ from simfoundry.capture.findings import (
     IMPLAUSIBLE,
     NOISY,
     OFFSET,
+    REPEATED,
     SUPPORT_DOUBT,
     UNEXPLAINED,
     CaptureFinding,
 )
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
-from simfoundry.capture.intrinsics import common_tilt
+from simfoundry.capture.intrinsics import focal_fit
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
 
@@ -81,6 +83,14 @@ def test_color_beside_depth(seen: tuple[Frame, SupportSurface, Segmentation]) ->
     assert image_doubts(replace(frame, color=np.full_like(frame.color, 90)), support, segmentation) == ()
 
 
+def test_color_of_something_else(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    patches = np.random.default_rng(2).integers(0, 255, (30, 40, 3), np.uint8)
+    other = replace(frame, color=np.kron(patches, np.ones((8, 8, 1), np.uint8)))
+    (mismatch,) = image_doubts(other, support, segmentation)
+    assert mismatch.code == OFFSET and "not in the color image" in mismatch.message
+
+
 @pytest.mark.parametrize("factor", [0.2, 4.0])
 def test_a_wrong_unit(seen: tuple[Frame, SupportSurface, Segmentation], factor: float) -> None:
     frame, _, segmentation = seen
@@ -96,20 +106,50 @@ def test_intrinsics_of_no_camera(seen: tuple[Frame, SupportSurface, Segmentation
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.4])
-def test_a_wrong_focal_length_tilts_what_is_upright(
+def test_the_factor_of_a_wrong_focal_length_is_found(
     seen: tuple[Frame, SupportSurface, Segmentation], factor: float
 ) -> None:
     frame, support, segmentation = seen
-    assert common_tilt(frame, support, segmentation.labels) == 0
+    assert focal_fit(frame, support, segmentation.labels).factor == 1
     wrong = replace(frame, K=np.diag([factor, factor, 1.0]) @ (frame.K - [[0, 0, 158], [0, 0, 121], [0, 0, 0]])
                     + [[0, 0, 158], [0, 0, 121], [0, 0, 0]])  # fmt: skip
-    tilt = common_tilt(wrong, find_support(wrong), segmentation.labels)
-    assert 8 < abs(tilt) < 26 and (tilt > 0) == (factor < 1)
+    support = find_support(wrong)
+    assert abs(focal_fit(wrong, support, segmentation.labels).factor * factor - 1) < 0.1
+    assert "focal length" in image_doubts(wrong, support, segmentation)[-1].message
 
 
-def test_noise(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+def test_round_objects_alone_tell_the_focal_length() -> None:
+    frame, labels = photograph(
+        Setup((Cylinder((0.05, 0.1, 0.015), 0.07, 0.03), Cylinder((0.0, -0.12, 0.01), 0.08, 0.02)))
+    )
+    K = np.array([[0.7 * frame.K[0, 0], 0, frame.K[0, 2]], [0, 0.7 * frame.K[1, 1], frame.K[1, 2]], [0, 0, 1]])
+    wrong = replace(frame, K=K)
+    assert abs(focal_fit(wrong, find_support(wrong), labels).factor * 0.7 - 1) < 0.15
+
+
+@pytest.mark.parametrize("spoiled", ["noise", "steps"])
+def test_noise(seen: tuple[Frame, SupportSurface, Segmentation], spoiled: str) -> None:
     frame, support, segmentation = seen
-    assert codes(image_doubts(frame, replace(support, residual=0.008), segmentation)) == [NOISY]
+    noise = np.random.default_rng(1).normal(0, 0.006, frame.depth.shape)
+    depth = frame.depth + noise if spoiled == "noise" else np.round(frame.depth / 0.02) * 0.02
+    assert NOISY in codes(image_doubts(replace(frame, depth=depth), support, segmentation))
+    assert depth_noise(replace(frame, depth=frame.depth + noise), support) == pytest.approx(0.0061, abs=4e-4)
+
+
+def test_a_support_that_is_not_flat(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    (bent,) = image_doubts(frame, replace(support, residual=0.008), segmentation)
+    assert bent.code == NOISY and "not flat" in bent.message
+
+
+@pytest.mark.parametrize("shift", [(0, 9), (-11, 7)])
+def test_an_image_exposed_twice(seen: tuple[Frame, SupportSurface, Segmentation], shift: tuple[int, int]) -> None:
+    frame, support, segmentation = seen
+    assert repeated_edges(frame.depth)[1] < 0.1
+    depth = (frame.depth + np.roll(frame.depth, shift, axis=(0, 1))) / 2
+    assert REPEATED in codes(image_doubts(replace(frame, depth=depth), support, segmentation))
+    (du, dv), share = repeated_edges(depth)
+    assert (dv, du) in (shift, (-shift[0], -shift[1])) and 0.3 < share < 0.6
 
 
 def test_another_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:

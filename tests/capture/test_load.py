@@ -70,6 +70,13 @@ def test_nan_negative_and_infinite_depth_are_no_measurement(tmp_path: Path) -> N
     assert frame.depth[50, 60] == pytest.approx(plane()[50, 60], rel=1e-6)
 
 
+@pytest.mark.parametrize(("scale", "is_known"), [("0.00025", True), ("0.001004", True), ("0.0015", False)])
+def test_a_unit_that_no_camera_has_is_doubted(tmp_path: Path, scale: str, is_known: bool) -> None:
+    folder = write(tmp_path)
+    edit(folder, "scale: 0.001", f"scale: {scale}")
+    assert [f.code for f in frame_of(folder).findings] == ([] if is_known else ["SF628"])
+
+
 def test_values_named_invalid_are_no_measurement(tmp_path: Path) -> None:
     folder = write(tmp_path)
     raw = np.rint(plane() * 1000)

@@ -10,19 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
+from simfoundry.geometry.frames import Pose
 from tests.corpora.synthetic_tables import PIXELS, SyntheticTable
 
 Rng = np.random.Generator
 
+SAME_CAMERA = Pose.of()
+
 
 @dataclass(frozen=True, eq=False)
 class Damaged:
-    """A damaged picture, the unit of its depth as stated [m], and the number of objects in it."""
+    """A damaged picture, the unit of its depth as stated [m], and the number of objects in it.
+
+    ``X_camera`` is the pose of the camera that took the picture in the frame of the table's camera.
+    """
 
     frame: Frame
     count: int
     scale: float = 1e-4
     spoil: Callable[[Path], None] = lambda folder: None
+    X_camera: Pose = SAME_CAMERA
 
 
 def _scaled(table: SyntheticTable, rng: Rng) -> Damaged:

@@ -19,7 +19,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +41,11 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.capture import CaptureSpec, Shot
 from simfoundry.spec.yaml.write import to_yaml
+from tests.corpora.attacks import ATTACKS
 from tests.corpora.damages import DAMAGES, UNSEEN, Damaged
 from tests.corpora.synthetic_tables import SyntheticTable, synthetic_table
 
-ALL = DAMAGES | UNSEEN
+ALL = DAMAGES | UNSEEN | ATTACKS
 MIN_F1 = 0.5
 MAX_OFF = 1
 MAX_SUPPORT_HEIGHT, MAX_SUPPORT_TILT_DEG = 0.02, 3.0
@@ -115,9 +116,10 @@ def _segmented(table: SyntheticTable, damaged: Damaged, capture: Path) -> tuple[
     found = [segmentation.labels == k for k in np.unique(segmentation.labels[segmentation.labels > 0])]
     if abs(len(found) - damaged.count) > MAX_OFF:
         return findings, f"{len(found)} objects instead of {damaged.count}"
-    if fault := _support_fault(table, support.X_WC):
+    if fault := _support_fault(table.camera.X_WC @ damaged.X_camera, support.X_WC):
         return findings, fault
-    true = [_sample(table.frame.points[table.truth == k]) for k in np.unique(table.truth[table.truth > 0])]
+    points = damaged.X_camera.inverse().apply(table.frame.points)
+    true = [_sample(points[table.truth == k]) for k in np.unique(table.truth[table.truth > 0])]
     seen = [_sample(frame.points[mask]) for mask in found]
     scores = np.array([[surface_distance(a, b)[1] if len(a) and len(b) else 0.0 for b in seen] for a in true])
     rows, columns = linear_sum_assignment(-scores)
@@ -135,15 +137,15 @@ def _errors(table: SyntheticTable, damaged: Damaged, run: CaptureRun) -> str:
     found = len([o for o in scene.objects if o.name != "table"])
     if abs(found - damaged.count) > MAX_OFF:
         return f"{found} objects instead of {damaged.count}"
-    if fault := _support_fault(table, scene.cameras[0].X_WC):
+    camera = replace(table.camera, X_WC=table.camera.X_WC @ damaged.X_camera)
+    if fault := _support_fault(camera.X_WC, scene.cameras[0].X_WC):
         return fault
-    compared = compare(table.scene, table.camera, scene, scene.cameras[0])
+    compared = compare(table.scene, camera, scene, scene.cameras[0])
     return _f1_fault([0.0 if np.isnan(c.f1) else c.f1 for c in compared], damaged)
 
 
-def _support_fault(table: SyntheticTable, X_found: Pose) -> str:
+def _support_fault(X_true: Pose, X_found: Pose) -> str:
     """How far off the support is, seen from the camera, or an empty string."""
-    X_true = table.camera.X_WC
     tilt = np.degrees(np.arccos(np.clip(X_found.rotation[2] @ X_true.rotation[2], -1, 1)))
     height = float(X_found.p[2] - X_true.p[2])
     if abs(height) > MAX_SUPPORT_HEIGHT or tilt > MAX_SUPPORT_TILT_DEG:

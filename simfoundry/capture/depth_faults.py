@@ -1,0 +1,98 @@
+"""Find faults of a depth image: noise that hides objects, and edges that appear twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simfoundry.capture.findings import NOISY, REPEATED, CaptureFinding
+from simfoundry.capture.frame import Frame, SupportSurface, depth_sigma
+from simfoundry.geometry.frames import Array
+
+WIDTH = 640  # [px] width to which larger images are reduced
+SPAN = 4  # [px] distance of the readings that are compared; matching windows correlate the noise of nearer ones
+NOISE = 1.15  # maximum noise, in units of the expected one; on real and simulated tables it stays below 0.95
+BENT = 2.0  # maximum distance of the support's points from its plane, in the same unit; on real tables below 1.96
+EDGE = 0.012  # [1/m] minimum difference of inverse depths at an edge: 1 cm at 0.9 m
+STEEP = 0.08  # [1/m] difference of inverse depths to which edges are limited, so that no single one dominates
+NEAREST_ECHO, FARTHEST_ECHO = 6, 40  # [px] distances at which edges may repeat; sensors smear an edge over fewer
+SMOOTH = 0.5  # [px] standard deviation over which slopes are averaged, so that those of staircases of pixels cancel
+REPEATING = 0.14  # maximum correlation of edges with themselves at another place; it stays below 0.1 on real tables
+
+
+def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFinding]:
+    """Yield a finding for each fault of a depth image."""
+    expected = float(np.median(depth_sigma(frame.depth[support.inliers])))
+    noise = depth_noise(frame, support) / expected
+    bend = support.residual / (0.67 * expected)
+    if noise > NOISE:
+        message = f"the depth of the support is {noise:.1f} times as noisy as that of common depth cameras"
+        yield CaptureFinding(NOISY, message, "average several images, or move the camera closer")
+    elif bend > BENT:
+        message = (
+            f"the support is not flat: half of its points are more than {support.residual * 1000:.0f} mm off a plane"
+        )
+        yield CaptureFinding(
+            NOISY, message, "check that the depth and the intrinsics are right, or flatten the support"
+        )
+    shift, share = repeated_edges(frame.depth)
+    if share > REPEATING:
+        message = f"edges in the depth image are smeared or appear again {shift} px (columns, rows) beside them"
+        yield CaptureFinding(
+            REPEATED, message, "keep camera and objects still, and check that the image is a single one"
+        )
+
+
+def depth_noise(frame: Frame, support: SupportSurface) -> float:
+    """Return the standard deviation [m] of the depth of the support, including coarse steps.
+
+    Inverse depth is linear on a plane, so its second differences are zero without noise, even if the support is warped.
+    A high quantile of their size is used because most differences of an image with coarse steps are zero.
+    """
+    step = max(1, frame.depth.shape[1] // WIDTH)
+    depth = np.where(support.inliers, frame.depth, np.nan)[::step, ::step]
+    sizes = []
+    for z in (depth, depth.T):
+        bend = 1 / z[:, 2 * SPAN :] - 2 / z[:, SPAN:-SPAN] + 1 / z[:, : -2 * SPAN]
+        size = np.abs(bend) * z[:, SPAN:-SPAN] ** 2
+        sizes.append(size[np.isfinite(size)])
+    both = np.concatenate(sizes)
+    # 90 % of normal errors are within 1.645 standard deviations; a second difference has a variance of 1 + 4 + 1.
+    return float(np.quantile(both, 0.9)) / (1.645 * 6**0.5) if len(both) else 0.0
+
+
+def repeated_edges(depth: Array) -> tuple[tuple[int, int], float]:
+    """Return the shift (columns, rows) [px] at which edges of a depth image repeat most, and their correlation there.
+
+    In an average of two images between which the camera moved, it is one half, whatever is in the image. Only the
+    slope along the shift is compared, because a straight edge repeats along itself.
+    """
+    import cv2
+
+    step = max(1, depth.shape[1] // WIDTH)
+    inverse = np.nan_to_num(1 / _without_gaps(np.asarray(depth[::step, ::step], np.float64)))
+    slopes = []
+    for axis in (1, 0):
+        slope = np.diff(inverse, axis=axis, append=0.0)
+        slope[-1:], slope[:, -1:] = 0.0, 0.0
+        slope = np.where(np.abs(slope) > EDGE, np.clip(slope, -STEEP, STEEP), 0.0)
+        centered = (slope + np.roll(slope, 1, axis)) / 2
+        slopes.append(cv2.GaussianBlur(centered, (0, 0), SMOOTH))
+    h, w = (n + FARTHEST_ECHO for n in inverse.shape)  # no edge meets one at the opposite border
+    x, y = np.fft.rfft2(np.stack(slopes), (h, w))
+    across, down, mixed = (np.fft.irfft2(a * np.conj(b), (h, w)) for a, b in ((x, x), (y, y), (x, y)))
+    far = range(-FARTHEST_ECHO, FARTHEST_ECHO + 1)
+    u, v = np.meshgrid(np.array(far), np.arange(FARTHEST_ECHO + 1))
+    here = across[0, 0] * u**2 + down[0, 0] * v**2 + 2 * mixed[0, 0] * u * v
+    there = across[v, u] * u**2 + down[v, u] * v**2 + (mixed[v, u] + mixed[-v, -u]) * u * v
+    share = np.where(np.hypot(u, v) >= NEAREST_ECHO, there / np.maximum(here, 1e-9), 0.0)
+    best = np.unravel_index(int(np.argmax(share)), share.shape)
+    return (int(u[best]) * step, int(v[best]) * step), float(share[best])
+
+
+def _without_gaps(depth: Array) -> Array:
+    """Return a depth image in which each pixel without a reading has the last one to its left, if there is one."""
+    columns = np.where(np.isfinite(depth), np.arange(depth.shape[1]), 0)
+    last = np.maximum.accumulate(columns, axis=1)
+    return np.asarray(np.take_along_axis(depth, last, axis=1))
