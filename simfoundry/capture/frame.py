@@ -83,6 +83,17 @@ class Frame:
         y = (v - self.K[1, 2]) / self.K[1, 1] * self.depth
         return np.stack([x, y, self.depth], axis=-1)
 
+    def points_of(self, mask: NDArray[np.bool_]) -> Array:
+        """Return the points of the pixels under a mask of shape (h, w), in the order of rows, as in :attr:`points`.
+
+        Returns:
+            Points in the camera frame [m], shape (n, 3).
+        """
+        v, u = np.nonzero(mask)
+        depth = self.depth[v, u]
+        x, y = (u - self.K[0, 2]) / self.K[0, 0] * depth, (v - self.K[1, 2]) / self.K[1, 1] * depth
+        return np.stack([x, y, depth], axis=-1)
+
     def cleaned(self) -> Frame:
         """Return the frame without depth values outside the sensor range.
 

@@ -20,7 +20,7 @@ from simfoundry.capture.model_stages.masks import model_segmentation
 from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, fit_segments, footprint, nearby_labels
 from simfoundry.capture.removal import ClearedImage, cleared_images
-from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.any_size import segmentation_of
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import textured_mesh
@@ -96,7 +96,7 @@ def segmented_frame(
     stated = "" if measured.decomposition is None else measured.decomposition.model_dump_json()
     inputs = {**seen, "support": support.digest, "masks": digest_of(measured.instances), "decomposition": stated}
     is_given = measured.instances is not None
-    found = stages.run("segment", inputs, lambda: decompose(measured, support.value), quick=is_given)
+    found = stages.run("segment", inputs, lambda: segmentation_of(measured, support.value), quick=is_given)
     if is_given or measured.decomposition is not None:
         return found, ()
     phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.reduced import reduced, reduction
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.render.montage import overlay, png_bytes, side_by_side
 from simfoundry.render.raycast import Raycast, raycast
@@ -41,8 +42,23 @@ class RenderedScene:
         """The scene as its first camera sees it."""
         return raycast(self.scene, self.scene.cameras[0], self.state)
 
+    def seen(self, step: int) -> NDArray[np.uint8]:
+        """Return every ``step``-th pixel of the scene as its first camera sees it, uint8, shape (h, w, 3)."""
+        if step == 1:
+            return self.ray.color
+        camera, middle = self.scene.cameras[0], step // 2
+        width, height = (len(range(middle, extent, step)) for extent in (camera.width, camera.height))
+        fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - middle) / step, (camera.cy - middle) / step
+        small = replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+        return raycast(self.scene, small, self.state).color
+
 
 def comparison_picture(color: NDArray[np.uint8], labels: Labels, rendered: RenderedScene) -> bytes:
-    """Return a PNG image with the captured image, the objects found in it, and the scene at rest side by side."""
-    panels = [("capture", color), ("objects found", overlay(color, labels, TINT)), ("simulated", rendered.ray.color)]
+    """Return a PNG image with the captured image, the objects found in it, and the scene at rest side by side.
+
+    Large images are shown at a lower resolution.
+    """
+    step = reduction(labels.shape)
+    color, labels = reduced(color, step), reduced(labels, step)
+    panels = [("capture", color), ("objects found", overlay(color, labels, TINT)), ("simulated", rendered.seen(step))]
     return png_bytes(side_by_side(panels), FAST)

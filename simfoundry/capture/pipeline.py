@@ -32,7 +32,7 @@ from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.removal import removal_layers
 from simfoundry.capture.scene_reading import MatchedReading, match_objects, read_scene, unmatched_findings
-from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.segment.any_size import support_of
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
@@ -89,7 +89,7 @@ def reconstruct(
     seen = {"image": digest_of([measured.color, measured.depth, measured.K])}
     progress("support", 0.0)
     chosen = "" if frame.support is None else frame.support.model_dump_json()
-    support = stages.run("support", seen | {"chosen": chosen}, lambda: find_support(measured))
+    support = stages.run("support", seen | {"chosen": chosen}, lambda: support_of(measured))
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
     segmentation, masked = segmented_frame(measured, frame, support, seen, overrides, models, reading)

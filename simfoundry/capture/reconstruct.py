@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.capture.findings import LEFT_OUT, UNSURE, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.reduced import reduced_frame, reduced_segmentation, reduction
 from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.masks import Labels, Mask, outline_of
 from simfoundry.capture.shapes.evidence import WINDOW_MARGIN
@@ -96,7 +97,8 @@ def fit_segments(
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
     """Fit a shape to every segment, from the bottom up.
 
-    ``fit`` fits one segment, for example by reusing an earlier result. The default is :func:`fit_shape`.
+    ``fit`` fits one segment, for example by reusing an earlier result. The default is :func:`fit_shape`. It is given
+    large images at a lower resolution.
 
     Returns:
         The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a finding
@@ -105,7 +107,9 @@ def fit_segments(
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
     findings = []
-    order = _bottom_up(segmentation)
+    order, whole = _bottom_up(segmentation), segmentation
+    step = reduction(frame.depth.shape)
+    frame, segmentation = reduced_frame(frame, step), reduced_segmentation(segmentation, step)
     for done, k in enumerate(order):
         report(f"shape {k}", done / len(order))
         carriers[k] = _carrier(frame, support, segmentation, shapes, k)
@@ -119,10 +123,10 @@ def fit_segments(
                 else fit(seen, mask, base_z, others, k)
             )
         except CaptureError as error:
-            findings.append(left_out(segmentation, k, error.message))
+            findings.append(left_out(whole, k, error.message))
             continue
         if shape.confidence < DOUBTFUL:
-            findings.append(unsure(segmentation, k, shape.confidence))
+            findings.append(unsure(whole, k, shape.confidence))
         shapes[k] = shape
         if carriers[k]:
             shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
@@ -189,7 +193,7 @@ def _carrier(
     on = segmentation.supports.get(k, 0)
     if on not in shapes:
         return 0
-    seen = support.X_WC.apply(frame.points[(segmentation.labels == k) & np.isfinite(frame.depth)])
+    seen = support.X_WC.apply(frame.points_of((segmentation.labels == k) & np.isfinite(frame.depth)))
     if not len(seen) or np.percentile(seen[:, 2], 5) < _top(shapes[on]) - SUNK:
         return 0
     below = shapely.MultiPoint(footprint(shapes[on])).convex_hull.buffer(EDGE)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.reduced import reduced_frame, reduction
 from simfoundry.capture.segment.masks import simplified
 from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array
@@ -53,7 +54,8 @@ def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
     """Return the thickness of the support [m], or None if too few points on its edge are visible."""
     import shapely
 
-    points = support.X_WC.apply(frame.points[np.isfinite(frame.depth)])
+    small = reduced_frame(frame, reduction(frame.depth.shape))
+    points = support.X_WC.apply(small.points_of(np.isfinite(small.depth)))
     below = points[(points[:, 2] < -0.004) & (points[:, 2] > -0.12)]
     ring = shapely.Polygon(support.outline).exterior
     near = below[shapely.distance(ring, shapely.points(below[:, :2])) < EDGE] if len(below) else below

@@ -139,6 +139,19 @@ def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
     return simple
 
 
+def window_around(mask: Mask, margin: int) -> tuple[slice, slice]:
+    """Return the rows and the columns of a mask that contain its pixels, and a margin [px] as far as the image reaches.
+
+    Raises:
+        ValueError: The mask is empty.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        raise ValueError("an empty mask has no window")
+    first = max(0, int(rows[0]) - margin), max(0, int(columns[0]) - margin)
+    return slice(first[0], int(rows[-1]) + margin + 1), slice(first[1], int(columns[-1]) + margin + 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A map of the support as seen from above.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.segment.masks import Labels, Mask
+from simfoundry.capture.segment.masks import Labels, Mask, window_around
 from simfoundry.capture.shapes.solid_casts import SolidHits
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry
@@ -138,10 +138,12 @@ def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, lab
     ``labels`` is an int32 array of shape (h, w) that identifies the other objects. Rays that end on them do not count
     as misses.
     """
-    keep = mask & np.isfinite(frame.depth) & ~flying_pixels(frame.depth)
+    window = window_around(mask, 1)
+    keep = np.zeros_like(mask)
+    keep[window] = mask[window] & np.isfinite(frame.depth[window]) & ~flying_pixels(frame.depth[window])
     distance = float(np.median(frame.depth[keep])) if keep.any() else 1.0
     scale = depth_scale(distance)
-    p_W = support.X_WC.apply(frame.points[keep])
+    p_W = support.X_WC.apply(frame.points_of(keep))
     connected = main_body(p_W, 0.008 + 0.5 * scale)
     points = p_W[connected & (p_W[:, 2] > base_z - scale)]
     stray = np.zeros_like(mask)

@@ -7,6 +7,7 @@ the color of the visible point on the opposite side.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.mesh import adjacent_faces
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.segment.masks import Mask, window_around
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Array, frozen_array
@@ -26,6 +27,8 @@ _LARGE_FROM = 120**2  # [px] minimum visible area of an object that benefits fro
 _GRAZING = 0.2  # minimum cosine of the viewing angle at which a surface point has a reliable color
 _NORMAL_WEIGHT = 0.03  # [m] weight of a unit difference in normals when searching for the nearest visible point
 _LENDERS = 6000  # maximum number of points from which colors are copied; limits the nearest-neighbor search
+_BATCH = 200_000  # texels that are compared with faces at once, in 20 MB of memory
+_MARGIN = 3  # [px] margin around an object that the erosion of its mask and the interpolation of its colors can reach
 _TOO_FAR = 0.3  # as a fraction of the object's size; beyond this, a uniform color looks better than a stretched one
 
 
@@ -49,10 +52,15 @@ def dominant_color(frame: Frame, mask: Mask) -> tuple[float, float, float]:
     ``mask`` is a bool array of shape (h, w). The rim of the mask is excluded because colors mix there. The darkest 10%
     (shadows) and the lightest 20% (highlights) are also excluded.
     """
-    core = _eroded(mask, 2)
-    pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
-    if len(pixels) == 0:
+    if not mask.any():
         return 0.5, 0.5, 0.5
+    window = window_around(mask, _MARGIN)
+    return _robust_mean(frame.color[window], mask[window])
+
+
+def _robust_mean(color: NDArray[np.uint8], mask: Mask) -> tuple[float, float, float]:
+    core = _eroded(mask, 2)
+    pixels = color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
     light = pixels @ np.array([0.299, 0.587, 0.114])
     low, high = np.percentile(light, [10.0, 80.0])
     r, g, b = pixels[(light >= low) & (light <= high)].mean(axis=0)
@@ -74,53 +82,76 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
     texels = _rasterize(atlas, vertices, faces)
+    window = window_around(mask, _MARGIN)
+    color, depth, mask = frame.color[window], frame.depth[window], mask[window]
     core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
     core = core if core.any() else mask
-    view = _View(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
-    colors = _paint(texels, view, np.array(dominant_color(frame, mask)) * 255.0)
+    corner = (window[1].start, window[0].start)
+    view = _View(shape, support, frame.K, corner, depth, core, _nearest_fill(color.astype(np.float32), core))
+    colors = _paint(texels, view, np.array(_robust_mean(color, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
     return Mesh(frozen_array(vertices[atlas.source]), atlas.faces, frozen_array(atlas.uv), encode_png(picture))
 
 
 def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
-    """Find the texels inside each face, along with the surface point and the normal at each texel."""
-    normals = face_normals(vertices, faces)
-    point_map = np.full((atlas.size, atlas.size, 3), np.nan)
-    normal_map = np.zeros((atlas.size, atlas.size, 3))
-    for face, corners in enumerate(atlas.texel[atlas.faces]):
-        low = np.maximum(np.floor(corners.min(axis=0) - 1), 0).astype(int)
-        high = np.minimum(np.ceil(corners.max(axis=0) + 1), atlas.size).astype(int)
-        edges = np.column_stack([corners[1] - corners[0], corners[2] - corners[0]])
-        if abs(np.linalg.det(edges)) < 1e-9:
-            continue
-        x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
-        weights = np.linalg.solve(edges, np.stack([x.ravel() - corners[0, 0], y.ravel() - corners[0, 1]]))
-        weights = np.vstack([1.0 - weights.sum(axis=0), weights])
+    """Find the texels inside each face, along with the surface point and the normal at each texel.
+
+    A texel belongs to the last face that contains its center, or else to the first that narrowly misses it.
+    """
+    corners = atlas.texel[atlas.faces]
+    low = np.maximum(np.floor(corners.min(axis=1) - 1), 0).astype(np.intp)
+    high = np.minimum(np.ceil(corners.max(axis=1) + 1), atlas.size).astype(np.intp)
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = ax * by - bx * ay  # twice the area [texels²]
+    sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
+    heights = np.abs(area)[:, None] / np.maximum(sides, 1e-9)
+    span = np.maximum(high - low, 0)
+    proper = np.flatnonzero(np.abs(area) >= 1e-9)
+    owner = np.full(atlas.size**2, -1, dtype=np.intp)
+    weight = np.zeros((3, len(owner)))
+    for batch in _batches(proper, span.prod(axis=1)):
+        count = span[batch].prod(axis=1)
+        face = np.repeat(batch, count)
+        within = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+        row, col = low[face, 1] + within // span[face, 0], low[face, 0] + within % span[face, 0]
+        x, y = col + 0.5 - corners[face, 0, 0], row + 0.5 - corners[face, 0, 1]
+        second, third = (by[face] * x - bx[face] * y) / area[face], (ax[face] * y - ay[face] * x) / area[face]
+        weights = np.stack([1.0 - second - third, second, third])
         # A barycentric weight multiplied by the height over its edge is a distance [texels]. A texel whose center
         # narrowly misses the face still belongs to it; otherwise, seams would be visible.
-        sides = np.linalg.norm(corners[[1, 2, 0]] - corners[[2, 0, 1]], axis=1)
-        heights = abs(np.linalg.det(edges)) / np.maximum(sides, 1e-9)
-        near = (weights * heights[:, None]).min(axis=0) > -0.75
-        row, col = (y.ravel()[near] - 0.5).astype(int), (x.ravel()[near] - 0.5).astype(int)
-        empty = np.isnan(point_map[row, col, 0]) | (weights[:, near].min(axis=0) >= 0)
-        row, col = row[empty], col[empty]
-        point_map[row, col] = np.clip(weights[:, near][:, empty], 0, 1).T @ vertices[faces[face]]
-        normal_map[row, col] = normals[face]
-    row, col = np.nonzero(np.isfinite(point_map[..., 0]))
-    return _Texels(row, col, point_map[row, col], normal_map[row, col])
+        near = np.flatnonzero((weights * heights[face].T).min(axis=0) > -0.75)
+        face, texel, weights = face[near], row[near] * atlas.size + col[near], weights[:, near]
+        is_in = weights.min(axis=0) >= 0
+        for chosen in (np.flatnonzero(~is_in)[::-1], np.flatnonzero(is_in)):  # what is written last remains
+            chosen = chosen[is_in[chosen] | (owner[texel[chosen]] < 0)]
+            owner[texel[chosen]], weight[:, texel[chosen]] = face[chosen], weights[:, chosen]
+    found = np.flatnonzero(owner >= 0)
+    owned = owner[found]
+    points = np.einsum("kn,nkd->nd", np.clip(weight[:, found], 0, 1), vertices[faces[owned]])
+    return _Texels(found // atlas.size, found % atlas.size, points, face_normals(vertices, faces)[owned])
+
+
+def _batches(faces: NDArray[np.intp], texels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """Yield the faces in groups that cover about :data:`_BATCH` texels, given the number of texels of each face."""
+    if len(faces):
+        group = np.cumsum(texels[faces]) // _BATCH
+        yield from np.split(faces, np.flatnonzero(np.diff(group)) + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The image prepared for texturing, and the projection of object points into it.
+    """The window of the image around an object, prepared for texturing, and the projection of object points into it.
 
-    ``colors`` is a float32 array of shape (h, w, 3) that contains only colors of the object. ``core`` is a bool array
-    of shape (h, w) that marks the object's pixels without the rim, where colors mix.
+    ``corner`` is the position (column, row) of the window in the image. ``depth`` [m] has the shape (h, w) of the
+    window. ``core`` is a bool array of the same shape that marks the object's pixels without the rim, where colors mix.
+    ``colors`` is a float32 array of shape (h, w, 3) that contains only colors of the object.
     """
 
     shape: FittedShape
-    frame: Frame
     support: SupportSurface
+    K: Array
+    corner: tuple[int, int]
+    depth: Array
     core: Mask
     colors: NDArray[np.float32]
 
@@ -136,11 +167,12 @@ class _View:
         ray = p_W - self.support.X_WC.p
         cosine = -np.einsum("ij,ij->i", n_W, ray) / np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
         p_C = self.support.X_WC.inverse().apply(p_W)
-        z, K = np.maximum(p_C[:, 2], 1e-6), self.frame.K
-        u, v = p_C[:, 0] / z * K[0, 0] + K[0, 2], p_C[:, 1] / z * K[1, 1] + K[1, 2]
+        z, K = np.maximum(p_C[:, 2], 1e-6), self.K
+        u = p_C[:, 0] / z * K[0, 0] + K[0, 2] - self.corner[0]
+        v = p_C[:, 1] / z * K[1, 1] + K[1, 2] - self.corner[1]
         h, w = self.core.shape
         col, row = np.clip(np.round(u), 0, w - 1).astype(int), np.clip(np.round(v), 0, h - 1).astype(int)
-        gap = self.frame.depth[row, col] - z
+        gap = self.depth[row, col] - z
         in_picture = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1) & (p_C[:, 2] > 0)
         same_surface = ~(np.abs(gap) > 2.0 * depth_scale(float(np.median(z))))  # missing depth is accepted
         where = np.stack([v, u])
