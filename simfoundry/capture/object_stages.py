@@ -9,8 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from simfoundry.capture.cad.explain import CadSegmentation, explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary
-from simfoundry.capture.cad.match import CadLookup
+from simfoundry.capture.cad.match import CadLookup, ModelMatch
 from simfoundry.capture.describe import SUPPORT_NAME
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
@@ -104,6 +105,20 @@ def segmented_frame(
     return (found, ()) if masked is None else (StageResult(masked.value, masked.digest), masked.models)
 
 
+def explained_objects(
+    measured: Frame,
+    support: StageResult[SupportSurface],
+    segmentation: StageResult[Segmentation],
+    seen: Mapping[str, str],
+    cad: CadLibrary,
+    stages: StageRunner,
+) -> StageResult[CadSegmentation]:
+    """Correct a segmentation by the models of a CAD library, and find the model of each object."""
+    inputs = {**seen, "support": support.digest, "segments": segmentation.digest, "cad": cad.digest}
+    compute = partial(explained_segmentation, measured, support.value, segmentation.value, cad)
+    return stages.run("register", inputs, compute)
+
+
 def cleared_images_of(
     view: SegmentedView, shapes: Mapping[int, FittedShape], models: StageModels
 ) -> tuple[tuple[ClearedImage, ...], tuple[ModelUse, ...]]:
@@ -119,9 +134,14 @@ def cleared_images_of(
 
 
 def fitted_shapes(
-    view: SegmentedView, progress: Progress, cad: CadLibrary | None = None
+    view: SegmentedView,
+    progress: Progress,
+    cad: CadLibrary | None = None,
+    matches: Mapping[int, ModelMatch] | None = None,
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
     """Fit a solid to each segment, or take a model of the CAD library that explains it better.
+
+    ``matches`` are models that were registered before, by the number of the segment.
 
     Raises:
         CaptureError: No object could be fitted.
@@ -129,9 +149,12 @@ def fitted_shapes(
 
     def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
         inputs = {**view.seen, "mask": digest_of(mask), "others": digest_of(others)}
+        suggest = None
+        if cad is not None:
+            lookup = CadLookup(cad, None if matches is None else matches.get(k))
+            suggest, base_z = lookup.candidates, lookup.base_z(base_z)
+            inputs |= {"cad": cad.digest, "known": digest_of(lookup.known)}
         inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
-        inputs |= {} if cad is None else {"cad": cad.digest}
-        suggest = None if cad is None else CadLookup(cad).candidates
         compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others, suggest=suggest)
         return view.stages.run("shape", inputs, compute, str(k)).value
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from simfoundry.capture import describe
 from simfoundry.capture.cad.library import CadLibrary
+from simfoundry.capture.cad.match import ModelMatch
 from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
@@ -23,6 +24,7 @@ from simfoundry.capture.object_stages import (
     SegmentedView,
     TexturedObjects,
     cleared_images_of,
+    explained_objects,
     fitted_shapes,
     placed_by_person,
     segmented_frame,
@@ -93,9 +95,14 @@ def reconstruct(
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
     segmentation, masked = segmented_frame(measured, frame, support, seen, overrides, models, reading)
+    matches: Mapping[int, ModelMatch] = {}
+    stated = overrides.masks is not None or measured.instances is not None or measured.decomposition is not None
+    if known.cad is not None and not stated and not masked:
+        explained = explained_objects(measured, support, segmentation, seen, known.cad, stages)
+        segmentation, matches = replace(segmentation, value=explained.value.segmentation), explained.value.matches
     seen |= {} if completed is None else {"completed": completed.digest}
     view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
-    shapes, carriers, findings = fitted_shapes(view, progress, known.cad)
+    shapes, carriers, findings = fitted_shapes(view, progress, known.cad, matches)
     cleared, painters = cleared_images_of(view, shapes, models)
     modelled = model_shapes(view, shapes, cleared, models)
     read = None if reading is None else match_objects(reading, segmentation.value.labels)

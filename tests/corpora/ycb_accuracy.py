@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +20,15 @@ from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import hull
 from simfoundry.assets.deviation import surface_samples
 from simfoundry.capture.accuracy import SAME_OBJECT, surface_distance
-from simfoundry.capture.cad.library import open_library
-from simfoundry.capture.cad.match import CadLookup
+from simfoundry.capture.cad.explain import explained_segmentation
+from simfoundry.capture.cad.library import CadLibrary, open_library
+from simfoundry.capture.cad.match import CadLookup, ModelMatch
 from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.reconstruct import fit_segments
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels, Mask
-from simfoundry.capture.shapes.fit import FittedShape, Suggest, fit_shape
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.stated import stated_segmentation
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, tessellate
@@ -93,15 +93,23 @@ def _samples(mesh: Mesh, pose: Pose) -> Array:
     return pose.apply(surface_samples(np.asarray(mesh.vertices), mesh.faces, 4000)[0])
 
 
-def fitted(table: SyntheticTable, masks: Labels | None, suggest: Suggest | None, group: str) -> list[Result]:
+def fitted(table: SyntheticTable, masks: Labels | None, library: CadLibrary | None, group: str) -> list[Result]:
     """Reconstruct a picture, with the masks or with those that are found."""
     try:
         support = find_support(table.frame)
         found = None if masks is None else stated_segmentation(table.frame, support, masks)
         segmentation = found or decompose(table.frame, support)
+        matches: Mapping[int, ModelMatch] = {}
+        if library is not None and found is None:
+            explained = explained_segmentation(table.frame, support, segmentation, library)
+            segmentation, matches = explained.segmentation, explained.matches
 
-        def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, _: int) -> FittedShape:
-            return fit_shape(frame, support, mask, base_z, labels=others, suggest=suggest)
+        def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
+            if library is None:
+                return fit_shape(frame, support, mask, base_z, labels=others)
+            lookup = CadLookup(library, matches.get(k))
+            base_z = lookup.base_z(base_z)
+            return fit_shape(frame, support, mask, base_z, labels=others, suggest=lookup.candidates)
 
         shapes = fit_segments(table.frame, support, segmentation, lambda stage, share: None, fit)[0]
     except CaptureError:
@@ -109,18 +117,18 @@ def fitted(table: SyntheticTable, masks: Labels | None, suggest: Suggest | None,
     return judged(table, support, list(shapes.values()), group)
 
 
-def results(kind: str, seeds: Sequence[int], suggest: Suggest | None) -> Iterator[list[Result]]:
+def results(kind: str, seeds: Sequence[int], library: CadLibrary | None) -> Iterator[list[Result]]:
     """Draw the pictures of the seeds, and reconstruct them."""
     for seed in seeds:
         if kind == "isolated":
             for half, names in zip("AB", HALVES, strict=True):
                 for name in names:
                     table = isolated(name, seed)
-                    yield fitted(table, table.truth, suggest, f"half {half}, {table.sensor}")
+                    yield fitted(table, table.truth, library, f"half {half}, {table.sensor}")
         else:
             table = pile(seed)
             for group, masks in (("true masks", table.truth), ("masks from depth", None)):
-                yield fitted(table, masks, suggest, group)
+                yield fitted(table, masks, library, group)
 
 
 def summary(found: Sequence[Result]) -> str:
@@ -141,10 +149,9 @@ def main() -> None:
     parser.add_argument("--cad", action="store_true", help="add the 21 meshes as a library")
     arguments = parser.parse_args()
     library = open_library(Path(DATA), cache=Cache.default()) if arguments.cad else None
-    suggest = None if library is None else partial(CadLookup.candidates, CadLookup(library))
     every: list[Result] = []
     start = time.process_time()
-    for some in results(arguments.kind, arguments.seeds, suggest):
+    for some in results(arguments.kind, arguments.seeds, library):
         for r in some:
             numbers = f"{1000 * r.position:6.1f} mm  F1 {r.f1:.2f}  {1000 * r.thickness:6.1f} mm"
             print(f"{r.name:22s} {r.group:32s} {r.family:18s} {numbers}", flush=True)

@@ -82,6 +82,10 @@ class CadLibrary:
         """A digest of all models, on which the results of a capture depend."""
         return key_of(f"{self.scale!r}", *(f"{m.name}={m.digest}" for m in self.models))
 
+    def named(self, name: str) -> CadModel:
+        """Return the model called ``name``, which must be in the library."""
+        return next(model for model in self.models if model.name == name)
+
     def mesh(self, model: CadModel) -> Mesh:
         """Read a model, in meters.
 

@@ -9,16 +9,23 @@ import numpy as np
 from simfoundry.capture.cad.library import CadLibrary, CadModel
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate
 from simfoundry.capture.shapes.mesh_template import MeshTemplate
-from simfoundry.capture.shapes.register_mesh import RegistrationEffort, pose_agreement, register_mesh
+from simfoundry.capture.shapes.register_mesh import (
+    RegistrationEffort,
+    misplacement,
+    pose_agreement,
+    refine_registration,
+    register_mesh,
+)
+from simfoundry.geometry.frames import Pose
 
 # A first look at each model takes 50 ms of processor time. Of 29 YCB objects, alone and in piles, it ranked the right
 # one first for 28; thorough registrations decide among the best.
 FIRST_LOOK = RegistrationEffort(yaws=8, points=50, rounds=5, judged=4, rays=300, refined=0)
 FINALISTS = 3
 
-# Largest cost beyond that of the best model after the first look for which a model is registered thoroughly. The cost
-# of the right model decreases by 0.05 on average, and by 0.25 at most.
-STILL_LIKELY = 0.25
+# Largest cost after the first look, beyond that of the best model registered so far, for which a model is registered
+# thoroughly. The cost of the right model decreases by 0.05 on average.
+STILL_LIKELY = 0.15
 
 # A model is not larger than its visible part requires: tolerances of its diameter, and of its silhouette if all of it
 # is visible, relative to the silhouettes of its convex hull. A mug's handle or a clamp fills half of its hull.
@@ -29,18 +36,61 @@ WHOLE_SHARE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
+class ModelMatch:
+    """A model of a library at a pose.
+
+    Attributes:
+        model: Name of the model.
+        X_WO: Its pose in the world.
+        cost: The cost of its registration.
+        is_sure: True if it agrees with the image wherever it is visible.
+    """
+
+    model: str
+    X_WO: Pose
+    cost: float
+    is_sure: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class CadLookup:
-    """Candidates for the fit of an object, from a CAD library."""
+    """Candidates for the fit of an object, from a CAD library.
+
+    If ``known`` is the model that an object is, at about its pose, no other model is registered.
+    """
 
     library: CadLibrary
+    known: ModelMatch | None = None
 
     def candidates(self, evidence: Evidence) -> list[FitCandidate]:
         """Return the model that explains the evidence best, at its pose, if any is likely."""
-        found = best_match(evidence, self.library)
-        return [] if found is None else [found]
+        found = best_match(evidence, self.library) if self.known is None else self._refined(evidence, self.known)
+        if found is None:
+            return []
+        mesh = self.library.mesh(self.library.named(found.model))
+        result = pose_agreement(evidence, (mesh.vertices, mesh.faces), found.X_WO)
+        low = float(found.X_WO.apply(mesh.vertices)[:, 2].min())
+        penalty = misplacement(evidence, low)
+        return [FitCandidate("cad", mesh, found.X_WO, result, model=found.model, penalty=penalty)]
+
+    def base_z(self, stated: float) -> float:
+        """Return the height on which the object stands [m]: that of its model if this is sure, or else ``stated``."""
+        template = None
+        if self.known is not None and self.known.is_sure:
+            template = self.library.template(self.library.named(self.known.model))
+        if self.known is None or template is None:
+            return stated
+        return max(0.0, float(self.known.X_WO.apply(template.vertices)[:, 2].min()))
+
+    def _refined(self, evidence: Evidence, known: ModelMatch) -> ModelMatch | None:
+        template = self.library.template(self.library.named(known.model))
+        if template is None:
+            return None
+        found = refine_registration(evidence, template, known.X_WO)
+        return ModelMatch(known.model, found.X_WO, found.cost)
 
 
-def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
+def best_match(evidence: Evidence, library: CadLibrary) -> ModelMatch | None:
     """Return the library model that explains the evidence best, or None if no model has a plausible size."""
     looked: list[tuple[float, CadModel, MeshTemplate]] = []
     for model in library.models:
@@ -49,14 +99,13 @@ def best_match(evidence: Evidence, library: CadLibrary) -> FitCandidate | None:
             cost = register_mesh(evidence, template, effort=FIRST_LOOK).cost
             looked.append((cost, model, template))
     looked.sort(key=lambda each: (each[0], each[1].name))
-    likely = [each for each in looked[:FINALISTS] if each[0] <= looked[0][0] + STILL_LIKELY]
-    found = [(register_mesh(evidence, template), model) for _, model, template in likely]
-    if not found:
-        return None
-    best, model = min(found, key=lambda each: (each[0].cost, each[1].name))
-    mesh = library.mesh(model)
-    result = pose_agreement(evidence, (mesh.vertices, mesh.faces), best.X_WO)
-    return FitCandidate("cad", mesh, best.X_WO, result, model=model.name, penalty=best.cost - best.agreement.cost)
+    best: ModelMatch | None = None
+    for cost, model, template in looked[:FINALISTS]:
+        if best is None or cost <= best.cost + STILL_LIKELY:
+            found = register_mesh(evidence, template)
+            if best is None or found.cost < best.cost:
+                best = ModelMatch(model.name, found.X_WO, found.cost)
+    return best
 
 
 def is_plausible(evidence: Evidence, template: MeshTemplate) -> bool:

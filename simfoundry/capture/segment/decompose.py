@@ -123,7 +123,7 @@ def survey_regions(frame: Frame, points_W: Array, support: SupportSurface) -> Re
     The result is None if nothing stands on the support.
     """
     depth = frame.depth
-    standing = _standing(depth, points_W, support)
+    standing = standing_mask(depth, points_W, support)
     if not standing.any():
         return None
     step = max(1, round(reach_of(depth[standing], frame.K) / WORKING_REACH))
@@ -139,7 +139,7 @@ def survey_regions(frame: Frame, points_W: Array, support: SupportSurface) -> Re
 
 def _crop(frame: Frame, points_W: Array, support: SupportSurface) -> Crop | None:
     """Crop the image to the objects on the support, or return None if there are no objects."""
-    high = _standing(frame.depth, points_W, support)
+    high = standing_mask(frame.depth, points_W, support)
     if high.sum() < MIN_PIXELS:
         return None
     window = _padded(high), _padded(high.T)
@@ -180,7 +180,7 @@ def _near(points_W: Array, support: SupportSurface) -> Mask:
     return _within(support, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
 
 
-def _standing(depth: Array, points_W: Array, support: SupportSurface) -> Mask:
+def standing_mask(depth: Array, points_W: Array, support: SupportSurface) -> Mask:
     """Return a mask of the pixels that are clearly above the support."""
     return _near(points_W, support) & (points_W[..., 2] > np.maximum(LOWEST, depth_sigma(depth)))
 

@@ -50,6 +50,9 @@ SCALE_RANGE = 2.5
 # Least decrease of the cost for which a mesh is laid on another side than that on which it stands.
 UPRIGHT_WORTH = 0.02
 
+# Rounds of matching after which only this share of the starts goes on, those that are closest to the observed points.
+EARLY_ROUNDS, GOING_ON = 2, 0.4
+
 # Local registration: edges of the simplex [m, rad], evaluations, turns about the vertical axis from which it starts
 # [deg], and the least decrease of the cost for which an object is moved. Below it, turns of round objects differ only
 # by their facets.
@@ -164,6 +167,11 @@ def register_mesh(
         value, found = _refined(few, template, one, scale is None, effort.evaluations)
         if value < least:
             best, least = found, value
+    return _registered(evidence, template, best)
+
+
+def _registered(evidence: Evidence, template: MeshTemplate, best: _Placed) -> RegisteredMesh:
+    """Judge a mesh at a pose with all rays."""
     mesh = template.mesh
     X_WO = Pose.from_matrix(best.R)
     X_WO = Pose.of(best.t, X_WO.q)
@@ -171,6 +179,15 @@ def register_mesh(
     result = pose_agreement(evidence, surface, X_WO)
     low = float(X_WO.apply(surface[0])[:, 2].min())
     return RegisteredMesh(X_WO, best.scale, result, result.cost + misplacement(evidence, low))
+
+
+def refine_registration(evidence: Evidence, template: MeshTemplate, X_WO: Pose) -> RegisteredMesh:
+    """Return the pose near ``X_WO`` at which a mesh of known size explains the evidence best, which is never worse."""
+    few = _fewer_rays(evidence, THOROUGH.rays)
+    start = _Placed(X_WO.rotation, X_WO.p, 1.0)
+    value, found = _refined(few, template, start, False, THOROUGH.evaluations)
+    best = found if value < _cost(few, template, start) else start
+    return _registered(evidence, template, best)
 
 
 def register_upright(evidence: Evidence, template: MeshTemplate, scale: float | None = 1.0) -> RegisteredMesh:
@@ -273,11 +290,16 @@ def _matched(cloud: VisibleCloud, template: MeshTemplate, state: _States, free_s
     tree = _tree(template)
     low, high = state[2] / SCALE_RANGE, state[2] * SCALE_RANGE
     unknowns = 7 if free_scale else 6
-    for _ in range(rounds):
+    for done in range(rounds):
         local, index = _nearest(cloud, template, state, tree)
+        distance = np.linalg.norm(local - template.points[index], axis=2)
+        if done == EARLY_ROUNDS:
+            ranked = np.argsort(_trimmed_mean(distance) * state[2], kind="stable")
+            kept = np.sort(ranked[: max(1, int(GOING_ON * len(ranked)))])
+            state = state[0][kept], state[1][kept], state[2][kept]
+            local, index, distance, low, high = local[kept], index[kept], distance[kept], low[kept], high[kept]
         normal, offset = template.normals[index], local - template.points[index]
         lever = local - template.center
-        distance = np.linalg.norm(offset, axis=2)
         spread = np.maximum(np.median(distance, axis=1, keepdims=True), 0.01 * template.diameter)
         weight = 1.0 / (1.0 + (distance / (2 * spread)) ** 2) ** 2  # Geman and McClure's
         along = [np.cross(lever, normal), normal, (lever * normal).sum(axis=2, keepdims=True)]
@@ -324,8 +346,13 @@ def rotations_about(vectors: Array) -> Array:
 def _residuals(cloud: VisibleCloud, template: MeshTemplate, state: _States) -> Array:
     """Return the trimmed mean distance of observed points from the matched points in meters, shape (n,)."""
     local, index = _nearest(cloud, template, state, _tree(template))
-    distance = np.sort(np.linalg.norm(local - template.points[index], axis=2) * state[2][:, None], axis=1)
-    return np.asarray(distance[:, : max(1, int(0.9 * distance.shape[1]))].mean(axis=1))
+    return _trimmed_mean(np.linalg.norm(local - template.points[index], axis=2)) * state[2]
+
+
+def _trimmed_mean(distance: Array) -> Array:
+    """Return the mean of the smallest nine tenths of the distances in each row."""
+    ordered = np.sort(distance, axis=1)
+    return np.asarray(ordered[:, : max(1, int(0.9 * distance.shape[1]))].mean(axis=1))
 
 
 def _distinct(placed: list[_Placed], template: MeshTemplate, count: int) -> list[_Placed]:

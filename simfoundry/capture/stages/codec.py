@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.cad.explain import CadSegmentation
+from simfoundry.capture.cad.match import ModelMatch
 from simfoundry.capture.candidates import JointedObject, ShapeChoice
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
@@ -32,6 +34,7 @@ TYPES: dict[str, type[Any]] = {
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
         *(Frame, SupportSurface, SupportRival, Segmentation, ClearedImage, FittedShape, CaptureFinding),
         *(SettleResult, ObjectSettle, SceneState, ShapeChoice, JointedObject),
+        *(CadSegmentation, ModelMatch),
     )
 }
 

@@ -84,6 +84,12 @@ STAGES = (
         is_optional=True,
     ),
     Stage(
+        "register",
+        "registers the models of a CAD library, and corrects the pixels of the objects by them",
+        ("cad",),
+        is_optional=True,
+    ),
+    Stage(
         "shape",
         "fits a solid to each object: its geometry and its pose",
         ("reconstruct.py", "cad"),

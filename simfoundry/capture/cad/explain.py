@@ -1,0 +1,301 @@
+"""Correct the segmentation of an image by the models of a library that explain it.
+
+Depth alone cannot tell a part of an object from an object: two pieces of a bowl behind a clamp are two regions, and
+scissors that lie on a banana are in its region. A model that is registered with a part of its object shows where all of
+it is. Models are registered with the regions that were found, then with the pixels that no model explains so far, and
+with pairs of what remains. Those that agree with the image wherever they are visible are chosen, the ones that explain
+most pixels first, and each pixel belongs to the chosen model whose surface is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from simfoundry.capture.cad.library import CadLibrary
+from simfoundry.capture.cad.match import ModelMatch, best_match
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
+from simfoundry.capture.segment.decompose import LOW, MIN_PIXELS, standing_mask
+from simfoundry.capture.segment.masks import Labels, Mask, components, disk, grown, opened
+from simfoundry.capture.segment.merge_regions import compact
+from simfoundry.capture.segment.regions import pixel_area
+from simfoundry.capture.segment.support_graph import carriers, parts_of
+from simfoundry.capture.shapes.evidence import depth_scale, gather
+from simfoundry.capture.shapes.mesh_template import MeshTemplate
+from simfoundry.capture.shapes.solid_casts import cast_mesh
+from simfoundry.geometry.frames import Array
+
+# Rounds of registration: regions, what they leave, and what that leaves.
+ROUNDS = 3
+
+# Least share of the visible part of a model that must be where a surface was measured, least share of the pixels of its
+# region that it must explain, and largest cost of its registration. On six piles, right models have at least 0.89,
+# 0.55 and at most 0.37, wrong ones at most 0.87 or a cost of at least 0.5.
+PRECISE, OWN_SHARE, MAX_COST = 0.85, 0.4, 0.5
+
+# Least share of the pixels that a model explains that no other chosen model explains.
+NEW_SHARE = 0.5
+
+# Fewest pixels that a model must explain to be chosen: with fewer, many models agree.
+FEWEST = 100
+
+# Width [px] of the rim of a model within which pixels belong to it though its surface is not there: flying pixels, and
+# the error of its pose.
+RIM = 4
+
+# Radius [px] of the narrowest remainder that may be an object, and its least height above the support [m]: what is
+# lower is the support beside an object. If more than a share of the region of a model is left, the model is not sure,
+# because lookalikes explain three quarters: mixed pixels of a time-of-flight camera behind a mug are 7 % of its region.
+NARROW, FLAT, LEFT_SHARE = 2, 0.01, 0.15
+
+# Pairs of remainders that are tried in each round: those that are nearest to each other in space, and the largest gap.
+MAX_PAIRS, PAIR_GAP = 4, 0.08
+
+
+# Least overlap (IoU) of an object with the pixels for which a model was registered, to be a candidate for it.
+SAME = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class CadSegmentation:
+    """A segmentation that was corrected by models, and the best model for each object, by number."""
+
+    segmentation: Segmentation
+    matches: dict[int, ModelMatch] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Instance:
+    """A model at a pose.
+
+    ``agree`` are the pixels at which its surface was measured, with ``distance`` [m] to it, ``silhouette`` all its
+    pixels, and ``precision`` the share of its visible part at which it was measured. ``seed`` are the pixels with which
+    it was registered. All have shape (h, w).
+    """
+
+    match: ModelMatch
+    seed: Mask
+    silhouette: Mask
+    agree: Mask
+    distance: Array
+    precision: float
+
+    @property
+    def gain(self) -> float:
+        """The number of pixels that the model explains, less ten for each that it contradicts."""
+        count = int(self.agree.sum())
+        return count - 10 * count * (1 / max(self.precision, 0.1) - 1)
+
+    @property
+    def is_sure(self) -> bool:
+        """True if the model agrees with the image wherever it is visible, and explains much of its seed."""
+        own = float((self.agree & self.seed).sum()) / max(1, int(self.seed.sum()))
+        agrees = self.precision >= PRECISE and own >= OWN_SHARE and self.match.cost <= MAX_COST
+        return agrees and int(self.agree.sum()) >= FEWEST
+
+
+def explained_segmentation(
+    frame: Frame, support: SupportSurface, segmentation: Segmentation, library: CadLibrary
+) -> CadSegmentation:
+    """Return a segmentation that the models of a library explain better, with the models.
+
+    Regions that no model explains stay as they are, apart from pixels that belong to others.
+    """
+    scene = _Scene.of(frame.cleaned(), support)
+    labels = segmentation.labels
+    tried: dict[bytes, _Instance | None] = {}
+    chosen: list[_Instance] = []
+    for _ in range(ROUNDS):
+        before = chosen
+        seeds = list(_seeds(scene, labels, chosen))
+        _register(scene, library, seeds, labels, tried)
+        chosen = _chosen(scene, tried)
+        _register(scene, library, list(_pairs(scene, list(_seeds(scene, labels, chosen)))), labels, tried)
+        chosen = _chosen(scene, tried)
+        if chosen == before:
+            break
+    chosen = _complete(scene, chosen)
+    return _corrected(scene, segmentation, chosen, [one for one in tried.values() if one is not None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """An image: its points in the world (h, w, 3) [m], and the pixels that stand on the support."""
+
+    frame: Frame
+    support: SupportSurface
+    points_W: Array
+    standing: Mask
+
+    @classmethod
+    def of(cls, frame: Frame, support: SupportSurface) -> _Scene:
+        points_W = support.X_WC.apply(frame.points)
+        standing = standing_mask(frame.depth, points_W, support)
+        return cls(frame, support, points_W, standing)
+
+    def instance(self, match: ModelMatch, template: MeshTemplate, seed: Mask) -> _Instance:
+        """Compare a model with all of the image."""
+        eye, frame = self.support.X_WC.p, self.frame
+        vertices = match.X_WO.apply(template.vertices)
+        window = self._window(vertices)
+        rows, columns = np.mgrid[window]
+        rays = np.stack([(columns - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1],
+                         np.ones(rows.shape)], axis=-1).reshape(-1, 3) @ self.support.X_WC.rotation.T  # fmt: skip
+        hits = cast_mesh(eye, rays, vertices, template.faces)
+        depth, slant = hits.depth.reshape(rows.shape), hits.slant.reshape(rows.shape)
+        measured = frame.depth[window]
+        hit, known = np.isfinite(depth), np.isfinite(measured)
+        gap = np.where(hit & known, np.where(known, measured, 0) - np.where(hit, depth, 0), 0)
+        scale = depth_scale(float(np.median(measured[hit & known]))) if (hit & known).any() else 0.01
+        near = hit & known & (np.abs(gap) * slant < scale) & self.standing[window]
+        missed = hit & known & ~near & (gap > scale)  # the camera saw through the model
+        distance = np.full(frame.depth.shape, np.inf)
+        distance[window] = np.where(near, np.abs(gap) * slant, np.inf)
+        agree, silhouette = np.zeros((2, *frame.depth.shape), dtype=bool)
+        agree[window], silhouette[window] = near, hit
+        precision = float(near.sum()) / max(1, int(near.sum() + missed.sum()))
+        return _Instance(match, seed, silhouette, agree, distance, precision)
+
+    def _window(self, vertices: Array) -> tuple[slice, slice]:
+        """Return the rows and columns of the image in which points of the world are."""
+        p = self.support.X_WC.inverse().apply(vertices)
+        K, (h, w) = self.frame.K, self.frame.depth.shape
+        z = np.maximum(p[:, 2], 1e-3)
+        u, v = p[:, 0] / z * K[0, 0] + K[0, 2], p[:, 1] / z * K[1, 1] + K[1, 2]
+        left, right = (int(np.clip(x, 0, w - 1)) for x in (u.min() - 2, u.max() + 2))
+        top, bottom = (int(np.clip(y, 0, h - 1)) for y in (v.min() - 2, v.max() + 2))
+        return slice(top, bottom + 1), slice(left, right + 1)
+
+
+def _explained(scene: _Scene, chosen: list[_Instance]) -> Mask:
+    """Return a mask of the pixels that chosen models explain."""
+    out = np.zeros(scene.standing.shape, dtype=bool)
+    for one in chosen:
+        out |= one.agree
+    return out
+
+
+def _seeds(scene: _Scene, labels: Labels, chosen: list[_Instance]) -> Iterator[Mask]:
+    """Yield the regions of the segmentation without the pixels that models explain, and what was in no region."""
+    explained = _explained(scene, chosen)
+    for k in range(int(labels.max()) + 1):
+        if k == 0 and not chosen:
+            continue  # first the regions: what else there is may be background
+        region = labels == k if k else (labels == 0) & scene.standing
+        rest = region & ~explained
+        if k and rest.sum() == region.sum():
+            yield region
+            continue
+        rims = np.zeros_like(rest)
+        for one in chosen:
+            if (one.agree & region).any() or k == 0:
+                rims |= grown(one.agree, disk(1))
+        parts, areas = components(opened(rest & ~rims, disk(NARROW)), connectivity=8)
+        for part in np.flatnonzero(areas >= MIN_PIXELS):
+            seed = grown(parts == part, disk(NARROW)) & rest
+            if np.nanpercentile(scene.points_W[seed, 2], 90) > (FLAT if k else LOW):
+                yield seed
+
+
+def _register(
+    scene: _Scene, library: CadLibrary, seeds: list[Mask], labels: Labels, tried: dict[bytes, _Instance | None]
+) -> None:
+    """Find the best model for each seed that was not tried before, and remember it, or None if there is none."""
+    for seed in seeds:
+        key = np.packbits(seed).tobytes()
+        if key in tried:
+            continue
+        tried[key] = None
+        if int((seed & np.isfinite(scene.frame.depth)).sum()) >= MIN_PIXELS:
+            around = np.where(seed, 1, np.where((labels > 0) | scene.standing, 2, 0)).astype(np.int32)
+            evidence = gather(scene.frame, scene.support, seed, 0.0, around)
+            match = best_match(evidence, library) if len(evidence.points) >= MIN_PIXELS else None
+            template = None if match is None else library.template(library.named(match.model))
+            if match is not None and template is not None:
+                tried[key] = scene.instance(match, template, seed)
+
+
+def _chosen(scene: _Scene, tried: dict[bytes, _Instance | None]) -> list[_Instance]:
+    """Return the models that agree with the image and explain what no other does, those of most pixels first."""
+    explained: Mask = np.zeros(scene.standing.shape, dtype=bool)
+    out = []
+    sure = [one for one in tried.values() if one is not None and one.is_sure]
+    for one in sorted(sure, key=lambda one: -one.gain):
+        if int((one.agree & ~explained).sum()) >= max(FEWEST, NEW_SHARE * int(one.agree.sum())):
+            out.append(one)
+            explained |= one.agree
+    return out
+
+
+def _complete(scene: _Scene, chosen: list[_Instance]) -> list[_Instance]:
+    """Return the models whose regions are explained, together with the other models.
+
+    A model that explains only a part of a region is right if something else is there, or a lookalike of the object.
+    """
+    explained = grown(_explained(scene, chosen), disk(NARROW)) | (scene.points_W[..., 2] < FLAT)
+    left = [float((one.seed & ~explained).sum()) / max(1, int(one.seed.sum())) for one in chosen]
+    kept = [one for one, share in zip(chosen, left, strict=True) if share <= LEFT_SHARE]
+    return kept if len(kept) == len(chosen) else _complete(scene, kept)
+
+
+def _pairs(scene: _Scene, seeds: list[Mask]) -> Iterator[Mask]:
+    """Yield the unions of two seeds that are close to each other in space, the closest first."""
+    from scipy.spatial import cKDTree
+
+    clouds = [scene.points_W[seed & np.isfinite(scene.frame.depth)] for seed in seeds]
+    trees = [cKDTree(cloud[:: max(1, len(cloud) // 300)]) for cloud in clouds]
+    gaps = []
+    for i, j in combinations(range(len(seeds)), 2):
+        if len(clouds[i]) and len(clouds[j]):
+            gap = float(trees[i].query(trees[j].data)[0].min())
+            if gap <= PAIR_GAP:
+                gaps.append((gap, i, j))
+    for _, i, j in sorted(gaps)[:MAX_PAIRS]:
+        yield seeds[i] | seeds[j]
+
+
+def _corrected(
+    scene: _Scene, segmentation: Segmentation, chosen: list[_Instance], tried: list[_Instance]
+) -> CadSegmentation:
+    """Return the segmentation in which each pixel belongs to the model whose surface is there."""
+    old, area = segmentation.labels, pixel_area(scene.frame)
+    owner = _owners(old, chosen)
+    labels, count = owner.copy(), len(chosen)
+    for k in range(1, int(old.max()) + 1):
+        rest = (old == k) & (owner == 0)
+        within = np.bincount(owner[(old == k) & (owner > 0)], minlength=1)
+        if rest.sum() > LEFT_SHARE * (old == k).sum():  # something in the region has no model
+            count += 1
+            labels[rest] = count
+        else:
+            labels[rest] = int(np.argmax(within))
+    labels = compact(labels)
+    numbers = {int(i): int(labels[owner == i][0]) for i in np.unique(owner[owner > 0])}
+    matches = {numbers[i]: replace(one.match, is_sure=True) for i, one in enumerate(chosen, 1) if i in numbers}
+    for k in range(1, int(labels.max()) + 1):
+        if k not in matches:
+            near = [one for one in tried if _overlap(one.seed, labels == k) > SAME]
+            if near:
+                matches[k] = min(near, key=lambda one: one.match.cost).match
+    supports = carriers(parts_of(labels, scene.points_W, area))
+    return CadSegmentation(Segmentation(labels, supports, segmentation.pieces, segmentation.unmet), matches)
+
+
+def _owners(old: Labels, chosen: list[_Instance]) -> Labels:
+    """Return the number of the model that each pixel belongs to, from 1, or 0."""
+    owner = np.zeros(old.shape, np.int32)
+    best = np.full(old.shape, np.inf)
+    for i, one in enumerate(chosen, 1):
+        closer = one.distance < best
+        owner[closer], best[closer] = i, one.distance[closer]
+    rims = np.zeros_like(owner)
+    for i, one in enumerate(chosen, 1):
+        rims[grown(one.agree, disk(RIM)) & (owner == 0) & (old > 0) & (rims == 0)] = i
+    return np.where(owner > 0, owner, rims).astype(np.int32)
+
+
+def _overlap(a: Mask, b: Mask) -> float:
+    return float((a & b).sum()) / max(1, int((a | b).sum()))
