@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from simfoundry.capture.findings import MODEL_FAILED, UNUSED_FRAME, CaptureFinding
-from simfoundry.capture.frame import Frame, depth_sigma
+from simfoundry.capture.frame import Frame
+from simfoundry.capture.fused_depth import DepthView, fused_depth, same_surface, without_edges
 from simfoundry.capture.load import load_frame
+from simfoundry.capture.recordings.odometry import depth_surface, refined_pose
 from simfoundry.capture.sensors import register
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.setup import ModelSetup
@@ -17,18 +18,12 @@ from simfoundry.scene.lower import pose
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec
 
-# Maximum difference of two readings of one surface, in standard deviations of a reading; noise exceeds it in 0.3 %.
-SAME_SURFACE = 3.0
-
 # Minimum share of the pixels that two frames both see at which their depth must agree. Occlusion leaves 93 % in the
 # frames of `redkitchen`; a wrong pose leaves hardly any.
 AGREEING = 0.5
 
 # Least number of pixels that two frames must share for a judgment about the pose.
 SHARED_MIN = 1000
-
-# Least number of frames that must agree on the depth of a pixel at which the view itself has none.
-WITNESSES = 2
 
 # Maximum number of frames that are fused: noise falls with the square root, and each takes 0.2 s.
 FRAMES_MAX = 16
@@ -63,17 +58,17 @@ def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None)
     if own is None or not others:
         return frame
     setup = _answering(setup, frame)
-    X_VW = pose(own).inverse()
-    views: list[Array] = []
+    reference = depth_surface(frame.depth, frame.K)
+    views: list[DepthView] = []
     findings: list[CaptureFinding] = []
     for other in others:
         stated = shots[other].pose
         assert stated is not None
-        another = load_frame(loaded, other, setup)
-        setup = _answering(setup, another)
-        findings += another.findings
-        seen = seen_from(another, X_VW @ pose(stated), frame)
-        share = agreement_of(frame.depth, seen)
+        shown = load_frame(loaded, other, setup)
+        setup = _answering(setup, shown)
+        findings += shown.findings
+        X_CV = refined_pose(reference, depth_surface(shown.depth, shown.K), pose(own).inverse() @ pose(stated))
+        share = agreement_of(frame.depth, seen_from(shown, X_CV, frame))
         if share is None:  # it shows something else
             continue
         if share < AGREEING:
@@ -83,8 +78,8 @@ def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None)
             )
             findings.append(CaptureFinding(UNUSED_FRAME, message, HINT))
         else:
-            views.append(seen)
-    return replace(frame, depth=fused_depth(frame.depth, views), findings=(*frame.findings, *findings))
+            views.append(DepthView(without_edges(shown.depth).astype(np.float32), shown.K, X_CV))
+    return replace(frame, depth=fused_depth(frame, views), findings=(*frame.findings, *findings))
 
 
 def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> tuple[tuple[Frame, Pose], ...]:
@@ -131,38 +126,4 @@ def agreement_of(depth: Array, other: Array) -> float | None:
     both = np.isfinite(depth) & np.isfinite(other)
     if both.sum() < SHARED_MIN:
         return None
-    return float((np.abs(depth - other)[both] < SAME_SURFACE * depth_sigma(depth[both])).mean())
-
-
-def fused_depth(depth: Array, views: Sequence[Array]) -> Array:
-    """Return the depth of an image, with less noise and fewer holes.
-
-    Args:
-        depth: Depth of the image [m], shape (h, w); NaN for holes.
-        views: Depth of other frames as seen by the same camera, of the same shape.
-
-    Returns:
-        The median of the readings that agree with that of the image. In its holes, the median of the readings of the
-        other frames, if enough of them agree with it.
-    """
-    if not views:
-        return depth
-    stack = np.stack(views)
-    limit = SAME_SURFACE * depth_sigma(depth)
-    with np.errstate(invalid="ignore"):
-        same = np.where(np.abs(stack - depth) < limit, stack, np.nan)
-    measured = _median(np.concatenate([depth[None], same]))
-    guess = _median(stack)
-    with np.errstate(invalid="ignore"):
-        agreeing = np.abs(stack - guess) < SAME_SURFACE * depth_sigma(guess)
-    filled = np.where(agreeing.sum(axis=0) >= WITNESSES, guess, np.nan)
-    return np.where(np.isfinite(depth), measured, filled)
-
-
-def _median(stack: Array) -> Array:
-    """Return the median over the first axis without NaN, or NaN where there is nothing else."""
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of pixels that no frame has seen
-        return np.asarray(np.nanmedian(stack, axis=0))
+    return float(same_surface(depth, other)[both].mean())

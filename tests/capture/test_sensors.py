@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.fusion import fused_depth, fused_frames, load_fused_frame
+from simfoundry.capture.fused_depth import DepthView, fused_depth, without_edges
+from simfoundry.capture.fusion import fused_frames, load_fused_frame
 from simfoundry.capture.inputs import load_stage
 from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.recordings.odometry import depth_surface, refined_pose
 from simfoundry.capture.sensors import undistorted
 from simfoundry.capture.stages.runner import StageRunner
 from simfoundry.capture.stages.store import StageStore
@@ -262,8 +264,59 @@ def test_frames_without_a_pose_are_not_fused(posed: Path) -> None:
     assert len(set(fused_frames(loaded.spec.model_copy(update={"frames": many}), "f7"))) == 16
 
 
-def test_fused_depth() -> None:
-    nan = np.nan
-    depth = np.array([[0.800, nan, nan, 0.8]])
-    views = [np.array([[0.804, 0.9, 0.7, nan]]), np.array([[0.801, 0.902, nan, nan]]), np.array([[2.0, nan, nan, nan]])]
-    assert fused_depth(depth, views)[0] == pytest.approx([0.801, 0.901, nan, 0.8], nan_ok=True)
+def plain_frame(depth: NDArray[np.float64]) -> Frame:
+    return Frame(np.zeros((*depth.shape, 3), np.uint8), depth, np.array([[50.0, 0, 15.5], [0, 50, 15.5], [0, 0, 1]]))
+
+
+def test_readings_of_one_surface_are_averaged_and_holes_filled() -> None:
+    depth = np.full((32, 32), 0.800)
+    depth[10, 10] = np.nan
+    frame = plain_frame(depth)
+    views = [DepthView(np.full((32, 32), z), frame.K, Pose.of()) for z in (0.804, 0.801, 2.0)]
+    fused = fused_depth(frame, views)
+    assert fused[5, 20] == pytest.approx((0.800 + 0.804 + 0.801) / 3)
+    assert fused[10, 10] == pytest.approx(0.804), "the median of those that agree"
+    assert np.isnan(fused_depth(frame, views[:1])[10, 10]), "one witness is not enough"
+    assert fused_depth(frame, []) is depth
+
+
+def test_a_hole_beside_an_object_is_not_filled_with_what_is_behind() -> None:
+    """The other frames, whose readings beside edges were dropped, see only the wall in the object's blind rim."""
+    depth, wall = np.full((32, 32), 1.0), np.full((32, 32), 1.0)
+    depth[:, :12], depth[:, 12:15] = 0.7, np.nan
+    depth[4, 28] = np.nan
+    frame = plain_frame(depth)
+    wall[:, :12] = np.nan
+    fused = fused_depth(frame, [DepthView(wall, frame.K, Pose.of())] * 3)
+    assert np.isnan(fused[:, 12:15]).all() and fused[4, 28] == pytest.approx(1.0)
+
+
+def test_readings_beside_edges_are_dropped() -> None:
+    depth = np.full((32, 32), 1.0)
+    depth[:, :12] = 0.7
+    depth += 0.004 * np.arange(32)[:, None]  # a slope is no edge
+    kept = np.isfinite(without_edges(depth))
+    assert not kept[:, 10:14].any() and kept[:, :10].all() and kept[:, 14:].all()
+
+
+def test_stated_poses_are_refined_by_the_depth(posed: Path) -> None:
+    """Poses that are off as a tracker's. The two small objects say little of a shift along the table."""
+    loaded = open_capture(posed)
+    assert isinstance(loaded.spec, CaptureSpec)
+    reference, frames = load_frame(loaded, "f0"), loaded.spec.frames
+    surface, first = depth_surface(reference.depth, reference.K), frames["f0"].pose
+    assert first is not None
+    corners = np.array([[x, y, 0.8] for x in (-0.2, 0.2) for y in (-0.15, 0.15)])
+    before: list[NDArray[np.float64]] = []
+    after: list[NDArray[np.float64]] = []
+    for k in range(1, 6):
+        other, stated = load_frame(loaded, f"f{k}"), frames[f"f{k}"].pose
+        assert stated is not None
+        true = pose(first).inverse() @ pose(stated)
+        off = Pose.of([0.004, -0.002, 0.003]) @ true @ Pose.about(np.array([0.6, 0.0, 0.8]), np.radians(0.4))
+        found = refined_pose(surface, depth_surface(other.depth, other.K), off)
+        for errors, X in ((before, off), (after, found)):
+            errors.append(np.abs(X.apply(corners) - true.apply(corners)).mean(axis=0))
+    (x, y, z), (x_after, y_after, z_after) = np.mean(before, axis=0), np.mean(after, axis=0)
+    assert z > 0.003 and z_after < 0.001, "the table shows the distance"
+    assert x_after < x and y_after < y, "they say a little about the rest"
