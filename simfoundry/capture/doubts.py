@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from simfoundry.capture.color_match import color_doubts
 from simfoundry.capture.depth_faults import depth_doubts
-from simfoundry.capture.findings import BORDER, HOLE, OFFSET, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
+from simfoundry.capture.findings import BORDER, HOLE, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.intrinsics import intrinsics_doubt
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
@@ -29,15 +29,6 @@ NEARER = 0.02  # [1/m] minimum difference of inverse depths between an object an
 SHADOW_RIM = 6  # [px] width of the zone beside an object in which a matching window loses depth
 BORDER_PX = 3  # [px] distance from the border of the image at which an object is cut off; resampling loses pixels there
 BORDER_SHARE = 0.08  # minimum fraction of an object's outline along the border of the image
-MATCH_WIDTH = 640  # [px] width to which images are reduced, before color and depth are compared
-SHIFTS = 24  # [px] maximum offset between color and depth that is searched
-SHIFT_STEP = 2  # [px] step of this search; smaller offsets do no harm
-MIN_SHIFT = 5  # [px] minimum offset that is reported: 1 cm at 1 m
-GAIN = 1.2  # minimum ratio of the color contrast along silhouettes after and before shifting
-FEWEST = 200  # [px] minimum length of all silhouettes that are compared with color edges
-UNIFORM = 20.0  # minimum slope of the steepest 2 % of a color image that is compared; noise alone has 10
-DISTANT = 10.0  # [px] minimum shift at which silhouettes match only by chance
-MATCHING = 3.5  # minimum contrast of color along silhouettes; 53 of 54 tables have more, and no mirrored depth
 
 
 def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentation) -> tuple[CaptureFinding, ...]:
@@ -51,7 +42,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *_unexplained(frame, labels, points_W, support),
         *_holes(frame, support, labels, inside),
         *_cut_off(labels),
-        *_mismatch(frame, labels),
+        *color_doubts(frame, labels),
         *scale_doubt(frame, support, labels, points_W),
         *intrinsics_doubt(frame, support, labels),
         *depth_doubts(frame, support),
@@ -165,59 +156,3 @@ def _cut_off(labels: Labels) -> Iterator[CaptureFinding]:
         if (mask & frame).sum() > BORDER_SHARE * BORDER_PX * max(1, rim):
             message = f"the border of the image cuts off the object with the number {k} in segments.png"
             yield CaptureFinding(BORDER, message, "show the entire object", outline=outline_of(mask))
-
-
-def _mismatch(frame: Frame, labels: Labels) -> Iterator[CaptureFinding]:
-    """Yield a finding if silhouettes in the depth are elsewhere, or nowhere, in the color image."""
-    match = color_match(frame, labels)
-    if match is None:
-        return
-    hint = "check `pose` and `camera` under `depth`, and the images' times"
-    if np.hypot(*match.shift) >= MIN_SHIFT and match.gain > GAIN:
-        message = f"the color image seems to be shifted by {match.shift} px (columns, rows) against the depth image"
-        yield CaptureFinding(OFFSET, message, hint)
-    elif match.contrast < MATCHING:
-        message = "the silhouettes of objects in the depth image are not in the color image"
-        yield CaptureFinding(OFFSET, message, hint)
-
-
-@dataclass(frozen=True)
-class ColorMatch:
-    """The agreement between silhouettes in the depth and edges in the color image.
-
-    Silhouettes match the edges best if they are moved by ``shift`` (columns, rows) [px], with a contrast that is
-    ``gain`` times the one in place. ``contrast`` is the contrast in place above the mean of those at distant places, in
-    standard deviations of these.
-    """
-
-    shift: tuple[int, int]
-    gain: float
-    contrast: float
-
-
-def color_match(frame: Frame, labels: Labels) -> ColorMatch | None:
-    """Return the agreement between color and depth, or None if silhouettes are too short or colors too uniform."""
-    import cv2
-
-    step = max(1, round(frame.depth.shape[1] / MATCH_WIDTH))
-    mask = labels[::step, ::step] > 0
-    color = cv2.blur(frame.color, (step, step))[::step, ::step] if step > 1 else frame.color
-    rim = mask & ~shrunk(mask, np.ones((3, 3), np.uint8))
-    margin = SHIFTS + 1
-    rim[:margin], rim[-margin:], rim[:, :margin], rim[:, -margin:] = False, False, False, False
-    rows, columns = np.nonzero(rim)
-    smooth = cv2.GaussianBlur(color, (0, 0), 1.5).astype(np.float32)
-    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)).max(axis=-1)
-    limit = float(np.quantile(slope, 0.98))
-    if len(rows) < FEWEST or limit < UNIFORM:
-        return None
-    slope = np.minimum(slope, limit)
-    steps = range(-SHIFTS, SHIFTS + 1, SHIFT_STEP)
-    scores = {(du, dv): float(slope[rows + dv, columns + du].mean()) for du in steps for dv in steps}
-    best = max(scores, key=lambda s: (scores[s], -abs(s[0]) - abs(s[1])))
-    near = max(scores[(du, dv)] for du in (-2, 0, 2) for dv in (-2, 0, 2))
-    far = [score for shift, score in scores.items() if np.hypot(*shift) >= DISTANT]
-    shift = best[0] * step, best[1] * step
-    return ColorMatch(
-        shift, scores[best] / max(near, 1e-6), (near - float(np.mean(far))) / max(float(np.std(far)), 1e-6)
-    )

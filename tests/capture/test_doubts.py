@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simfoundry.capture.color_match import color_match
 from simfoundry.capture.depth_faults import depth_noise, repeated_edges
 from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import (
@@ -89,6 +90,17 @@ def test_color_of_something_else(seen: tuple[Frame, SupportSurface, Segmentation
     other = replace(frame, color=np.kron(patches, np.ones((8, 8, 1), np.uint8)))
     (mismatch,) = image_doubts(other, support, segmentation)
     assert mismatch.code == OFFSET and "not in the color image" in mismatch.message
+
+
+def test_an_object_that_is_not_in_the_color_image(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    wrong = np.where((segmentation.labels == 1)[..., None], [[120, 90, 60]], frame.color).astype(np.uint8)
+    match = color_match(replace(frame, color=wrong), segmentation.labels)
+    assert match is not None and 0.3 < match.unmatched < 0.8
+    (mismatch,) = image_doubts(replace(frame, color=wrong), support, segmentation)
+    assert mismatch.code == OFFSET
+    in_place = color_match(frame, segmentation.labels)
+    assert in_place is not None and in_place.unmatched == 0
 
 
 @pytest.mark.parametrize("factor", [0.2, 4.0])
