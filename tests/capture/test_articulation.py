@@ -87,6 +87,16 @@ def test_a_drawer_is_no_flap_if_little_of_its_front_is_in_the_image(tmp_path: Pa
     assert errors(found, truth)[0] < 2 and found.estimate.motion.q == pytest.approx(truth.furniture.opened, abs=0.01)
 
 
+@pytest.mark.slow  # 6 s: in half of the width, the slide explains less
+def test_a_door_that_is_seen_edge_on_and_leaves_the_image_is_no_slide(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "door", 60009)
+    found = articulate(truth.shut, [truth.opened], tmp_path / "door.asset.yaml")
+    assert found.estimate.is_cut and found.estimate.explained < 0.7 and found.estimate.reached > 0.95
+    assert found.estimate.motion.kind is JointType.REVOLUTE and found.doubt == ""
+    angle, off = errors(found, truth)
+    assert angle < 2 and off < 0.02
+
+
 @pytest.mark.slow  # 6 s
 @pytest.mark.parametrize(("kind", "seed"), [("drawer", 5000), ("lid", 5003)])
 def test_captures_in_the_wrong_order_are_doubtful(kind: str, seed: int, tmp_path: Path) -> None:

@@ -66,11 +66,14 @@ class MotionJudgement:
     Attributes:
         explained: The share of new points that the motion brings there from surface that is not there any more. If
             hardly any are new, it is the share of gone points that the motion brings to surface that was not seen.
+            Points count less the farther they are from where the motion brings surface, and the more they are turned.
+        reached: The share of new points that are near to where the motion brings surface, however they are turned.
         contradicted: The share of gone points that the motion brings to where the second view sees free space.
         impossible: The share of new points that the motion brings there from where the first view sees free space.
     """
 
     explained: float
+    reached: float
     contradicted: float
     impossible: float
 
@@ -141,17 +144,18 @@ class MotionEvidence:
         wrong = float(((sight == Sight.FREE) & gone).sum() / max(1, gone.sum()))
         if len(self.new.points) < LEAST_NEW:  # as if a lid is raised before a background without depth
             arrived = held & gone & (self.first.sight(moved) != Sight.SEEN)
-            return MotionJudgement(float(arrived.sum() / max(1, gone.sum())), wrong, 0.0)
+            explained = float(arrived.sum() / max(1, gone.sum()))
+            return MotionJudgement(explained, explained, wrong, 0.0)
         impossible = 0.0 if self.is_coarse else self._impossible(motion)
         if held.sum() < LEAST_HELD:
-            return MotionJudgement(0.0, wrong, impossible)
+            return MotionJudgement(0.0, 0.0, wrong, impossible)
         turned = self.moved.normals[held] @ motion.rotation.T
         distance, k = cKDTree(moved[held]).query(self.new.points, distance_upper_bound=self.reach)
         near = np.isfinite(distance)
         # An edge-on panel shows its rim, so that normals count only by their angle.
         aligned = np.abs(np.einsum("ij,ij->i", turned[k[near]], self.new.normals[near]))
         weight = (1 - (distance[near] / self.reach) ** 2) * aligned
-        return MotionJudgement(float(weight.sum() / len(self.new.points)), wrong, impossible)
+        return MotionJudgement(float(weight.sum() / len(near)), float(near.mean()), wrong, impossible)
 
     def _impossible(self, motion: Motion) -> float:
         return float((self.first.sight(motion.sources(self.new.points)) == Sight.FREE).mean())
