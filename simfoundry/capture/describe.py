@@ -11,6 +11,7 @@ from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.kinds import SUPPORT, MaterialPrior, kind_of, material_of
+from simfoundry.capture.mass_estimates import mass_estimate
 from simfoundry.capture.scene_reading import MatchedReading
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import DEFAULT_THICKNESS
@@ -83,10 +84,6 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
     )
 
 
-# Range of a mass that a model estimates from an image, as factors of its value.
-MASS_RANGE = (0.5, 2.0)
-
-
 def material_prior(shape: FittedShape, segment: int, read: MatchedReading | None) -> MaterialPrior:
     """Return the prior of an object's material: as a model states it, or as its form and size suggest."""
     seen = None if read is None else read.objects.get(segment)
@@ -115,10 +112,9 @@ def object_spec(
     substance = kind.material if segment is None else material_prior(shape, segment, read)
     densities = substance.density, substance.lowest, substance.highest
     kilograms, low, high = (float(f"{volume * density:.2g}") for density in densities)
-    source = "material_table"
+    estimate = spec.Estimate(value=kilograms, range=(low, high), source="material_table")
     if seen is not None and read is not None and seen.mass is not None:
-        low, high = (float(f"{factor * seen.mass:.2g}") for factor in MASS_RANGE)
-        kilograms, source = seen.mass, read.use.name
+        estimate = mass_estimate(seen.mass, read.use.name)
     return ObjectSpec(
         category=(shape.model or kind.name) if seen is None else plain_name(seen.category),
         shape=primitive,
@@ -126,7 +122,7 @@ def object_spec(
         visual=f"meshes/{name}.obj" if primitive is not None else None,
         material=substance.name,
         solid="hull" if is_open else "exact",
-        mass=spec.Estimate(value=kilograms, range=(low, high), source=source),
+        mass=estimate,
         pose=pose_spec(shape.X_WO),
         origin=Origin(
             capture=capture,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from simfoundry.capture.candidates import JointedObject, ShapeChoice
 from simfoundry.capture.describe import mesh_files
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
+from simfoundry.capture.mass_estimates import share_mass
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.joints import joint_inputs, jointed_object, stated_joints
 from simfoundry.capture.model_stages.meshes import ObjectView, model_mesh, model_pose, object_picture
@@ -21,9 +23,14 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.runner import StaleStageError
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import tessellate
+from simfoundry.runtime.files import MARK
 from simfoundry.scene.state import pose_spec
+from simfoundry.spec.load import load
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Estimate, Quantity
 from simfoundry.spec.models.origin import ModelUse
 from simfoundry.spec.models.scene import ObjectSpec
+from simfoundry.spec.yaml.write import to_yaml
 
 # Folder of the output with the shapes that were compared, which a person may state in `overrides/objects.yaml`.
 CANDIDATES = "candidates"
@@ -139,6 +146,21 @@ def jointed_objects(
             if result is not None:
                 out.objects[k], out.uses[k] = result.value, result.models
     return out
+
+
+def weighed(jointed: JointedObjects, masses: Mapping[int, Quantity | None]) -> JointedObjects:
+    """Return objects with joints whose links have the masses together that the scene would state for them [kg].
+
+    What is known of an object decides on its mass, with its range and its source; the articulation only divides it.
+    """
+    objects = dict(jointed.objects)
+    for k, each in jointed.objects.items():
+        mass = masses[k]
+        asset = load(Path(each.asset), text=each.files[each.asset].decode()).spec
+        if isinstance(mass, Estimate) and isinstance(asset, AssetSpec):
+            text = to_yaml(share_mass(asset, mass), comment=MARK)
+            objects[k] = replace(each, files={**each.files, each.asset: text.encode()})
+    return replace(jointed, objects=objects)
 
 
 def jointed_spec(

@@ -15,7 +15,7 @@ from simfoundry.capture.doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.kinds import SUPPORT
-from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes
+from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes, weighed
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.background import BACKGROUND, Views, model_background
 from simfoundry.capture.model_stages.depth import completed_frame
@@ -118,6 +118,7 @@ def reconstruct(
     everywhere = (*sensed, *(completed.models if completed else ()), *masked)
     uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
     spec = scene_spec(name, frame, support.value, objects, names, read, uses)
+    jointed = weighed(jointed, {k: spec.objects[names[k]].mass for k in jointed.objects})
     spec = _with_joints(spec, jointed, objects, names)
     files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
     spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)

@@ -32,7 +32,9 @@ from simfoundry.render.raycast import raycast
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import pose_spec
-from simfoundry.spec.load import load_scene
+from simfoundry.spec.load import load, load_scene
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Estimate
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.spec.models.model_sources import ModelSource
 from simfoundry.spec.models.scene import ObjectSpec
@@ -59,6 +61,7 @@ cameras:
   view: {size: [240, 180], fx: 229, fy: 229, pose: {xyz: [-0.55, 0.05, 0.5], look_at: [0.05, 0, 0.02]}}
 lights: {key: {type: distant, direction: [0.5, -0.35, -1]}, sky: {type: dome, intensity: 0.45}}
 """
+CHEST_KG = 0.31
 NAMES = {"chest": "toy chest", "jam": "jar of jam"}
 
 
@@ -88,7 +91,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StandIns]:
     labels[labels == numbers["desk"]] = 0
     names = {numbers[name]: phrase for name, phrase in NAMES.items()}
     stand_ins = StandIns(
-        labels, names, (numbers["chest"],), {numbers[name]: glb_of_object(scene, name) for name in ("chest",)}
+        labels,
+        names,
+        (numbers["chest"],),
+        {numbers[name]: glb_of_object(scene, name) for name in ("chest",)},
+        masses={numbers["chest"]: CHEST_KG},
     )
     return tmp, stand_ins
 
@@ -138,6 +145,13 @@ def test_a_capture_from_recorded_answers(capture: tuple[Path, StandIns]) -> None
     scene = lower(load_scene(folder / "out" / "capture.scene.yaml"), Cache(folder / "cache"))
     (chest,) = (item for item in scene.objects if item.name == "toy_chest")
     assert [joint.name for joint in chest.joints] == ["lid"] and len(chest.links) == 2
+    document = load(folder / "out" / (spec.objects["toy_chest"].asset or "")).spec
+    assert isinstance(document, AssetSpec) and spec.objects["toy_chest"].mass is None
+    masses = [link.mass for link in document.links.values() if isinstance(link.mass, Estimate)]
+    assert [mass.source for mass in masses] == ["stand-in", "stand-in"]
+    ends = np.sum([mass.range for mass in masses if mass.range is not None], axis=0)
+    assert sum(link.mass for link in chest.links) == pytest.approx(CHEST_KG, rel=0.01)
+    assert ends == pytest.approx([0.5 * CHEST_KG, 2 * CHEST_KG], rel=0.01), "a model's mass counts, with its range"
     vertices = chest.X_WO.apply(object_surface(chest)[0])
     assert np.allclose(np.ptp(vertices[:, 2]), 0.11, atol=0.006), "the scale of the mesh was found"
     assert scene.background is not None

@@ -46,6 +46,7 @@ class StandIns:
         spoil: Changes the answer for a task, for tests of faults.
         commercial: What the server states about commercial use.
         trained: The images from which the last splat was made.
+        masses: Masses of objects [kg] that are stated, by number.
         measured: Depth [m] of the picture, shape (h, w), which the task `depth` is answered with.
     """
 
@@ -58,6 +59,7 @@ class StandIns:
     commercial: bool = True
     measured: Any = None
     trained: list[Any] = field(default_factory=list)
+    masses: Mapping[int, float] = field(default_factory=dict)
 
     def model(self) -> Model:
         """Return a server of all tasks."""
@@ -81,7 +83,7 @@ class StandIns:
         boxes = bounding_boxes(np.array([self.labels == k for k in numbers]))
         objects = [
             {"phrase": self.names[k], "category": self.names[k].split()[-1], "box": box.tolist(),
-             "is_articulated": k in self.moving}
+             "is_articulated": k in self.moving, "mass": self.masses.get(k)}
             for k, box in zip(numbers, boxes, strict=True)
         ]  # fmt: skip
         return Result(values={"objects": objects, "support": "table"})

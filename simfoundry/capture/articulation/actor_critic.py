@@ -174,7 +174,7 @@ def _physics(vlm: Vlm, mesh: SegmentedMesh, joints: Sequence[PartJoint], look: b
     listed = "\n".join(f"- {name}: {1000 * box_volume(pieces):.3g} liters" for name, pieces in own.items())
     answer = vlm.ask(PHYSICS.format(parts=listed), [look], ObjectPhysics)
     return {
-        part.name: LinkPhysics(part.mass, part.joint_friction, part.joint_damping)
+        part.name: LinkPhysics(part.mass, vlm.name, part.joint_friction, part.joint_damping)
         for part in answer.parts
         if part.name in own
     }

@@ -15,8 +15,11 @@ import numpy as np
 
 from simfoundry.capture.articulation.estimate import JointEstimate
 from simfoundry.capture.articulation.motions import QUANTILES, TYPICAL_BACK
+from simfoundry.capture.mass_estimates import mass_estimate, rounded_mass
 from simfoundry.geometry.frames import Array, Pose, cross, quat_from_matrix
+from simfoundry.scene.bodies import open_box_walls
 from simfoundry.scene.model import JointType
+from simfoundry.spec.models.shapes import OpenBox
 
 # Assumed thickness of walls and panels [m], and gap around a moving part [m].
 WALL, GAP = 0.012, 0.003
@@ -35,6 +38,9 @@ STANDS_OFF, HANDLE_POINTS = 0.012, 30
 
 # Assumed density of wood panels [kg/m^3], and friction of surfaces.
 WOOD = {"density": 650, "friction": 0.5}
+
+# The source of masses that nothing states.
+PANELS = f"assumed: wood panels of {1000 * WALL:.0f} mm"
 
 # Damping and friction of joints as in the paper: 0.4 N for slides, 0.01 Nm for hinges, damping 0.5.
 JOINT_FRICTION = {JointType.PRISMATIC: 0.4, JointType.REVOLUTE: 0.01}
@@ -100,7 +106,7 @@ def articulated_parts(
         "damping": DAMPING,
         "friction": JOINT_FRICTION[motion.kind],
     }
-    links = {"body": {"material": "wood", "parts": body}, "part": {"material": "wood", "parts": moving}}
+    links = {name: _link(parts) for name, parts in (("body", body), ("part", moving))}
     data = {
         "simfoundry": "asset/1",
         "name": name,
@@ -110,6 +116,21 @@ def articulated_parts(
         "origin": origin,
     }
     return ArticulatedParts(X_WA, data)
+
+
+def _link(parts: dict[str, Any]) -> dict[str, Any]:
+    """Return a link of wood, with the mass of its walls and panels as an assumption."""
+    volume = 0.0
+    for part in parts.values():
+        shape = part["shape"]
+        boxes = (
+            [shape["box"]]
+            if "box" in shape
+            else [wall.box for _, wall, _ in open_box_walls(OpenBox.model_validate(shape["open_box"]))]
+        )
+        volume += sum(math.prod(box) for box in boxes)
+    mass = mass_estimate(rounded_mass(volume * WOOD["density"]), PANELS)
+    return {"material": "wood", "mass": mass.model_dump(), "parts": parts}
 
 
 def _front(estimate: JointEstimate) -> Array:

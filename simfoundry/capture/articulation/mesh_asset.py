@@ -9,14 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 
+from simfoundry.assets.mass import mesh as solid_mass
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, weld
-from simfoundry.capture.articulation.asset import DAMPING, JOINT_FRICTION, WALL, WOOD, numbers
+from simfoundry.capture.articulation.asset import DAMPING, JOINT_FRICTION, PANELS, WALL, WOOD, numbers
 from simfoundry.capture.articulation.placed_joints import PartJoint
 from simfoundry.capture.articulation.segments import SegmentedMesh, face_areas
+from simfoundry.capture.mass_estimates import mass_estimate, rounded_mass
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import JointType
+from simfoundry.spec.models.base import Estimate
 
 # Folder of the meshes beside an asset document.
 FOLDER = "meshes"
@@ -40,11 +43,13 @@ class LinkPhysics:
 
     Attributes:
         mass: Its mass [kg].
+        mass_source: The model that estimated the mass.
         joint_friction: Coulomb friction of its joint [N or N m].
         joint_damping: Viscous damping of its joint [N s/m or N m s/rad].
     """
 
     mass: float | None = None
+    mass_source: str = "model"
     joint_friction: float | None = None
     joint_damping: float | None = None
 
@@ -151,19 +156,24 @@ def _link(
     link: dict[str, Any] = {"material": "wood", "collision": collision}
     if not is_closed:  # a part that was cut out of a surface has no volume of its own
         link["solid"] = "hull"
+    mass = _assumed_mass(pieces, is_closed)
     if physics.mass is not None:
-        link["mass"] = physics.mass
-    elif not is_closed:
-        link["mass"] = _panel_mass(pieces)
+        mass = mass_estimate(physics.mass, physics.mass_source)
+    link["mass"] = mass.model_dump()
     return {**link, "parts": parts}, files
 
 
-def _panel_mass(pieces: Sequence[MeshPart]) -> dict[str, Any]:
-    """Return an assumed mass: that of wood panels with the area of the part, whose two sides may both be modeled."""
-    area = float(face_areas(*merged(pieces)).sum())
-    most = area * WALL * WOOD["density"]
-    value, low, high = (max(LIGHTEST, round(share * most, 4)) for share in (0.5, 0.25, 1.0))
-    return {"value": value, "range": (low, max(high, 2 * low)), "source": "assumed: wood panels of 12 mm"}
+def _assumed_mass(pieces: Sequence[MeshPart], is_closed: bool) -> Estimate:
+    """Return an assumed mass: that of solid wood, or of panels with the area of a part that is not closed.
+
+    Both sides of a panel may be modeled, so that its mass is that of half the area.
+    """
+    vertices, faces = merged(pieces)
+    if is_closed:
+        volume, source = abs(solid_mass(vertices, faces).volume), "assumed: solid wood"
+    else:
+        volume, source = 0.5 * float(face_areas(vertices, faces).sum()) * WALL, PANELS
+    return mass_estimate(max(LIGHTEST, rounded_mass(volume * WOOD["density"])), source)
 
 
 def _joint(joint: PartJoint, parent_start: Array, physics: LinkPhysics) -> dict[str, Any]:
