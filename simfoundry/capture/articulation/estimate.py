@@ -70,7 +70,8 @@ OUTLINE, PROUD = 0.004, 0.1
 BORDER, LEAST_CUT = 3, 10
 
 # Largest angle between an axis and one of the object's box for which they are taken as the same [rad]: noise turns axes
-# by about as much, which costs little of the evidence. Up to the second angle, it must cost hardly any.
+# by about as much, which costs little of the evidence. Up to the second angle, it must cost hardly any, except for
+# slides: none is oblique to its front, and the sides of a tray pull an axis away where few pixels show it.
 SNAP, FAR_SNAP = math.radians(8.0), math.radians(20.0)
 NEAR_COST, SNAP_COST = 0.3, 0.06
 
@@ -266,9 +267,9 @@ def _rank(motion: Motion, evidence: MotionEvidence) -> float:
 
 def _differs(motion: Motion, other: Motion) -> bool:
     """Return True if two motions are of different types, or about different hinges."""
-    if motion.kind is not other.kind or abs(float(motion.axis @ other.axis)) < math.cos(SNAP):
-        return True
     is_turn = motion.kind is JointType.REVOLUTE
+    if motion.kind is not other.kind or abs(float(motion.axis @ other.axis)) < math.cos(SNAP if is_turn else FAR_SNAP):
+        return True
     return is_turn and float(np.linalg.norm(cross(motion.pivot - other.pivot, other.axis))) > APART
 
 
@@ -292,7 +293,8 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     starts = [along, *(replace(along, back=back, pivot=pivot) for back in sides)]
     tried = [_refined(start, evidence, SNAPPED) for start in starts]
     snapped = max(tried, key=partial(_rank, evidence=evidence))
-    cost = NEAR_COST if abs(cosine) > math.cos(SNAP) else SNAP_COST
+    is_near = motion.kind is JointType.PRISMATIC or abs(cosine) > math.cos(SNAP)
+    cost = NEAR_COST if is_near else SNAP_COST
     return snapped if evidence.score(snapped) > evidence.score(motion) - cost else None
 
 

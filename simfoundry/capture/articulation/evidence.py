@@ -86,7 +86,8 @@ class MotionEvidence:
         first: The first view.
         second: The second view.
         moved: The surface of the first view that the second one does not see any more: it is gone, or hidden.
-        new: The surface of the second view where the first one sees free space.
+        new: The surface of the second view where the first one sees free space. If that is little, it is also the
+            surface where the first view has no reading, which may be new.
         still: The surface that both views see.
         reach: The distance at which a new point counts as not explained [m].
         is_coarse: True if motions are tried in steps, so that new points seem to come from free space a step away.
@@ -117,11 +118,14 @@ class MotionEvidence:
         may_move = ~is_still if box is None else ~is_still & box.reshape(-1)[pixels_of(first)]
         if may_move.sum() < FEWEST:
             raise SimfoundryError("nothing moved inside the stated box; draw it around the part in the first capture")
+        is_new = after.is_gone
+        if is_new.sum() < FEWEST:  # as if a lid is raised before a background without depth
+            is_new = is_new | first.is_unread(after.points)
         return MotionEvidence(
             first,
             second,
             before.at(may_move).sampled(rng),
-            after.at(after.is_gone).sampled(rng),
+            after.at(is_new).sampled(rng),
             before.at(is_still).sampled(rng),
         )
 
@@ -142,7 +146,7 @@ class MotionEvidence:
         sight = self.second.sight(moved)
         held, gone = sight == Sight.SEEN, self.moved.is_gone
         wrong = float(((sight == Sight.FREE) & gone).sum() / max(1, gone.sum()))
-        if len(self.new.points) < LEAST_NEW:  # as if a lid is raised before a background without depth
+        if len(self.new.points) < LEAST_NEW:
             arrived = held & gone & (self.first.sight(moved) != Sight.SEEN)
             explained = float(arrived.sum() / max(1, gone.sum()))
             return MotionJudgement(explained, explained, wrong, 0.0)

@@ -93,6 +93,15 @@ class PosedView:
         out[index[free]] = Sight.FREE
         return out
 
+    def is_unread(self, points: Array) -> Mask:
+        """Return True for points in the world frame [m], shape (n, 3), at whose pixel there is no reading."""
+        u, v = self.pixels(points)
+        h, w = self.depth.shape
+        inside = (u >= 0) & (v >= 0) & (u < w) & (v < h)
+        out = np.zeros(len(points), np.bool_)
+        out[inside] = np.isnan(self.depth[v[inside], u[inside]])
+        return out
+
     def pixels(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the columns and the rows of points in the world frame [m], shape (n, 3), also outside of the image."""
         x, y, z = ((points - self.X_WC.p) @ self.X_WC.rotation).T
