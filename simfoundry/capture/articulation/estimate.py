@@ -28,29 +28,21 @@ from simfoundry.capture.articulation.motions import (
     candidate_motions,
     patches,
 )
+from simfoundry.capture.articulation.out_of_sight import slide_out_of_sight
+from simfoundry.capture.articulation.refine import SNAPPED, rank_of, refined_motion
 from simfoundry.capture.articulation.views import Mask, PosedView, Sight
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, cross
 from simfoundry.scene.model import JointType
 
-# Number of candidates to refine, one for each axis, number of those to refine again, and evaluations for each. A
-# simplex search stops early where few points decide.
-FINALISTS, REPEATED, EVALUATIONS = 6, 3, 160
+# Number of candidates to refine, one for each axis, and number of those to refine again.
+FINALISTS, REPEATED = 6, 3
+
+# Largest ratio of scores that is stated: a drawer whose front is out of sight has no score of its own.
+MOST_AHEAD = 10.0
 
 # Distance between two hinges that are different ones [m].
 APART = 0.05
-
-# Edges of the initial simplex: amount of motion [m, rad], pivot [m], tilt of the axis [rad], and thickness [m].
-SLIDE_STEP, TURN_STEP, PIVOT_STEP, TILT_STEP, BACK_STEP = 0.02, 0.08, 0.015, 0.06, 0.005
-
-# Smallest thickness of a part whose back is seen [m], such as a sheet of metal.
-THINNEST = 0.001
-
-# Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
-DRIFT = 5.0
-
-# Smallest amount of motion [m, rad].
-LEAST = 1e-3
 
 # Smallest sine of the angle between two normals of a box.
 SQUARE = 0.9
@@ -81,14 +73,6 @@ NEAR_COST, SNAP_COST = 0.3, 0.06
 # to 60, and 5 drawers of the seeds 0 and 100 to 170 of tests.capture.furniture, 320 pixels wide).
 WHOLE = 0.85
 
-# Surfaces of a tray are along the slide or across it: bounds of the cosines between their normals and the slide, and
-# the share of new surface that must keep them. Noise of normals is 10 degrees.
-ALONG, ACROSS, TRAY_SHARE = 0.3, 0.95, 0.85
-
-# Largest shares of surface that speak against a slide whose front is mostly out of sight, and the smallest share that
-# must speak for it.
-AGAINST, IN_FAVOR = 0.03, 0.05
-
 
 @dataclass(frozen=True, eq=False)
 class StatedPart:
@@ -117,6 +101,7 @@ class JointEstimate:
         is_snapped: True if the axis is one of the object's box instead of the one that fits best.
         runner_up: The score of the best motion of another type, or about another hinge, relative to this one.
         is_cut: True if the border of the second image cuts off the part.
+        is_out_of_sight: True if its front has left the second image, so that it may have moved farther.
         is_reversed: True if the part stands out from the object in the first view more than in the second.
     """
 
@@ -129,6 +114,7 @@ class JointEstimate:
     is_snapped: bool
     runner_up: float
     is_cut: bool
+    is_out_of_sight: bool
     is_reversed: bool
 
 
@@ -162,12 +148,15 @@ def estimate_joint(
             "front is visible, or state the joint in the asset document"
         )
     found = sorted(best_of_axes, key=coarse.score, reverse=True)[:FINALISTS]
-    refined = [_refined(motion, evidence) for motion in found]
-    refined = [_refined(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]]
-    best = max(refined, key=partial(_rank, evidence=evidence))
+    refined = [refined_motion(motion, evidence) for motion in found]
+    refined = [
+        refined_motion(motion, evidence) for motion in sorted(refined, key=evidence.score, reverse=True)[:REPEATED]
+    ]
+    best = max(refined, key=partial(rank_of, evidence=evidence))
     is_flap = best.kind is JointType.REVOLUTE and evidence.judge(best).reached < WHOLE
-    if is_flap and _is_cut(first, second) and (slide := _slide_out_of_sight(evidence, fronts)) is not None:
-        return _estimate(slide, True, evidence, fronts, refined, first, second)
+    if is_flap and _is_cut(first, second) and (slide := slide_out_of_sight(evidence, fronts)) is not None:
+        estimate = _estimate(slide[0], True, evidence, fronts, refined, first, second)
+        return replace(estimate, explained=slide[1], is_out_of_sight=True)
     snapped = _snapped(best, evidence, axes)
     return _estimate(snapped or best, snapped is not None, evidence, fronts, refined, first, second)
 
@@ -181,7 +170,7 @@ def amount_about(motion: Motion, first: PosedView, second: PosedView, seed: int 
     evidence = MotionEvidence.of(first, second, np.random.default_rng(seed))
     amounts = TURNS if motion.kind is JointType.REVOLUTE else SLIDES
     best = max((replace(motion, q=q) for q in amounts), key=evidence.coarse().score)
-    return _refined(best, evidence, frozenset("q")).q
+    return refined_motion(best, evidence, frozenset("q")).q
 
 
 def _about(hinge: Array, evidence: MotionEvidence) -> Motion:
@@ -192,7 +181,7 @@ def _about(hinge: Array, evidence: MotionEvidence) -> Motion:
         Motion(JointType.REVOLUTE, sign * axis, pivot, q, back)
         for sign, q, back in product((1.0, -1.0), TURNS, (0.0, TYPICAL_BACK))
     ]
-    return _refined(max(turns, key=evidence.coarse().score), evidence, frozenset("q"))
+    return refined_motion(max(turns, key=evidence.coarse().score), evidence, frozenset("q"))
 
 
 def _estimate(
@@ -216,53 +205,11 @@ def _estimate(
         judged.reached,
         judged.contradicted,
         is_snapped,
-        max([0.0, *others]) / max(1e-9, evidence.score(final)),
+        min(MOST_AHEAD, max([0.0, *others]) / max(1e-9, evidence.score(final))),
         _is_cut(first, second),
+        False,
         _is_reversed(evidence, fronts),
     )
-
-
-# What refinement may change: the amount of a motion, the place and the direction of its axis, and the thickness of a
-# part whose back is seen.
-EVERYTHING = frozenset(("q", "pivot", "axis"))
-SNAPPED = frozenset(("q", "pivot", "back"))
-
-
-def _refined(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EVERYTHING) -> Motion:
-    """Return the motion near a candidate that scores best, among those that differ in what is ``free``."""
-    from scipy.optimize import minimize
-
-    side = cross(motion.axis, np.eye(3)[int(np.argmin(np.abs(motion.axis)))])
-    side /= np.linalg.norm(side)
-    other = cross(motion.axis, side)
-    is_turn = motion.kind is JointType.REVOLUTE
-    may_shift, may_tilt = is_turn and "pivot" in free, "axis" in free
-    may_thicken = motion.back > 0 and "back" in free
-    steps = [TURN_STEP if is_turn else SLIDE_STEP]
-    steps += [PIVOT_STEP] * 2 * may_shift + [TILT_STEP] * 2 * may_tilt + [BACK_STEP] * may_thicken
-
-    def at(x: Array) -> Motion:
-        shift = x[1:3] if may_shift else np.zeros(2)
-        tilt = x[-2:] if may_tilt else np.zeros(2)
-        back = max(THINNEST, float(motion.back + x[-1])) if may_thicken else motion.back
-        axis = motion.axis + tilt[0] * side + tilt[1] * other
-        pivot = motion.pivot + shift[0] * side + shift[1] * other
-        q = max(LEAST, float(motion.q + x[0]))
-        return replace(motion, axis=axis / np.linalg.norm(axis), pivot=pivot, q=q, back=back)
-
-    def cost(x: Array) -> float:
-        return -_rank(at(x), evidence)
-
-    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
-    return at(minimize(cost, np.zeros(len(steps)), method="Nelder-Mead", options=options).x)
-
-
-def _rank(motion: Motion, evidence: MotionEvidence) -> float:
-    """Return the score of a motion, less the cost of a hinge that is away from the edge of its part."""
-    if motion.edge is None:
-        return evidence.score(motion)
-    return evidence.score(motion) - DRIFT * float(np.linalg.norm(cross(motion.pivot - motion.edge, motion.axis)))
 
 
 def _differs(motion: Motion, other: Motion) -> bool:
@@ -291,27 +238,11 @@ def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) ->
     along = replace(motion, axis=near * math.copysign(1.0, cosine))
     pivot = motion.pivot if motion.edge is None else motion.edge
     starts = [along, *(replace(along, back=back, pivot=pivot) for back in sides)]
-    tried = [_refined(start, evidence, SNAPPED) for start in starts]
-    snapped = max(tried, key=partial(_rank, evidence=evidence))
+    tried = [refined_motion(start, evidence, SNAPPED) for start in starts]
+    snapped = max(tried, key=partial(rank_of, evidence=evidence))
     is_near = motion.kind is JointType.PRISMATIC or abs(cosine) > math.cos(SNAP)
     cost = NEAR_COST if is_near else SNAP_COST
     return snapped if evidence.score(snapped) > evidence.score(motion) - cost else None
-
-
-def _slide_out_of_sight(evidence: MotionEvidence, fronts: Sequence[Patch]) -> Motion | None:
-    """Return the slide of a drawer whose front has mostly left the second image, or None if there is none."""
-    found = []
-    for front in fronts:
-        cosines = np.abs(evidence.new.normals @ front.normal)
-        if ((cosines < ALONG) | (cosines > ACROSS)).mean() > TRAY_SHARE:
-            slides = [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in SLIDES]
-            found.append(_refined(max(slides, key=evidence.score), evidence, frozenset("q")))
-    if not found:
-        return None
-    slide = max(found, key=evidence.score)
-    judged = evidence.judge(slide)
-    is_good = max(judged.impossible, judged.contradicted) < AGAINST and judged.explained > IN_FAVOR
-    return slide if is_good else None
 
 
 def _is_cut(first: PosedView, second: PosedView) -> bool:

@@ -133,6 +133,19 @@ def _on(points: Array, normals: Array, normal: Array, offset: float) -> np.ndarr
     return (np.abs(points @ normal - offset) < THICKNESS) & (normals @ normal > ALIGNED)
 
 
+def behind(front: Patch, points: Array) -> tuple[float, float]:
+    """Return the share of points [m], shape (n, 3), that a box behind a front may have if it slid out, and how far [m].
+
+    They are in front of the front's plane, within its outline.
+    """
+    u = cross(front.normal, np.eye(3)[int(np.argmin(np.abs(front.normal)))])
+    basis = np.column_stack([u / np.linalg.norm(u), cross(front.normal, u / np.linalg.norm(u))])
+    low, high = np.quantile((front.points - front.center) @ basis, QUANTILES, axis=0)
+    flat, height = (points - front.center) @ basis, (points - front.center) @ front.normal
+    inside = ((flat > low - RIM) & (flat < high + RIM)).all(axis=1) & (height > -THICKNESS)
+    return float(inside.mean()), float(np.quantile(height, QUANTILES[1]))
+
+
 def candidate_motions(fronts: Sequence[Patch], axes: Sequence[Array]) -> Iterator[list[Motion]]:
     """Yield motions of flat fronts: slides along their normals, and turns about their edges.
 

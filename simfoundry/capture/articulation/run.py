@@ -283,6 +283,8 @@ def _doubt(estimate: JointEstimate, is_stated: bool) -> str:
     is_turn = estimate.motion.kind is JointType.REVOLUTE
     if estimate.is_reversed:
         return "the part stands out most in the first capture, which must show it shut; are the captures in this order?"
+    if estimate.is_out_of_sight:
+        return "the part reaches the border of the second image, so that it may have moved farther"
     if is_turn and estimate.is_cut and estimate.reached < WHOLE:
         return "the part reaches the border of the second image, so that its front may be out of sight"
     if estimate.explained < DOUBTFUL:
