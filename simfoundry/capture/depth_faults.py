@@ -23,7 +23,7 @@ REPEATING = 0.14  # maximum correlation of edges with themselves at another plac
 
 def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFinding]:
     """Yield a finding for each fault of a depth image."""
-    expected = float(np.median(depth_sigma(frame.depth[support.inliers])))
+    expected = float(np.nanmedian(depth_sigma(frame.depth[support.inliers])))
     noise = depth_noise(frame, support) / expected
     bend = support.residual / (0.67 * expected)
     if noise > NOISE:

@@ -64,7 +64,7 @@ FEW_TASKS = "SF642"
 # A depth image in which edges are smeared or appear twice.
 REPEATED = "SF629"
 
-# Sizes and distances that no tabletop has.
+# A unit of depth, or intrinsics of a camera, that are probably wrong.
 IMPLAUSIBLE = "SF628"
 
 

@@ -85,8 +85,9 @@ def focal_fit(frame: Frame, support: SupportSurface, labels: Labels) -> FocalFit
     likelihood = [
         _log_likelihood(points, normals[known], small[known], support.X_WC.rotation[2], factor) for factor in FACTORS
     ]
-    best = int(np.argmax(likelihood))
-    return FocalFit(float(FACTORS[best]), float(likelihood[best] - likelihood[len(FACTORS) // 2]))
+    stated = len(FACTORS) // 2
+    best = max(range(len(FACTORS)), key=lambda k: (likelihood[k], -abs(k - stated)))  # the stated one without objects
+    return FocalFit(float(FACTORS[best]), float(likelihood[best] - likelihood[stated]))
 
 
 def _log_likelihood(points: Array, normals: Array, labels: Labels, up: Array, factor: float) -> float:
