@@ -35,6 +35,8 @@ PRIOR = {
     "lathe": 0.06,
     "completed": 0.14,
     "leaning": 0.06,
+    "tilted": 0.08,
+    "tilted_hollow": 0.08,
     "relief": 0.1,
     "mirrored": 0.1,
     "cad": -0.02,

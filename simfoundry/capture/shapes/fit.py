@@ -16,6 +16,7 @@ from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_leaning import fit_leaning_box
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.capture.shapes.fit_relief import fit_mirrored_relief, fit_relief
+from simfoundry.capture.shapes.fit_tilted import fit_tilted, fit_tilted_hollow
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry, tessellate
 
@@ -29,11 +30,18 @@ MAX_ALTERNATIVES = 2  # each one that is tried costs a settling of the entire sc
 # objects, a box or a cylinder that is right never costs 0.1 more.
 COST_GAIN = 0.1
 
+# Cost of the best simple solid above which bodies about tilted axes are tried, which takes 0.7 s. The right solid of a
+# can or a carton costs less.
+POOR = 0.34
+
 # Least share of the visible points that a CAD model must explain to be a candidate at all.
 EXPLAINED = 0.7
 
 # Families whose shape follows the visible points.
 FLEXIBLE = frozenset({"completed", "relief", "mirrored"})
+
+# Families of open containers.
+HOLLOW = frozenset({"hollow", "tilted_hollow"})
 
 # Families of shapes with a level base, which stand if anything does.
 STABLE = frozenset({"box", "cylinder", "lathe", "hollow"})
@@ -113,7 +121,7 @@ def fit_shape(
 
 def _fitted(candidate: FitCandidate, evidence: Evidence) -> FittedShape:
     fit_m = candidate.agreement.fit if math.isfinite(candidate.agreement.fit) else evidence.scale
-    hollow = candidate.family == "hollow"
+    hollow = candidate.family in HOLLOW
     sure = confidence(candidate, evidence)
     return FittedShape(candidate.geometry, candidate.X_WO, fit_m, sure, hollow, candidate.profile, (), candidate.model)
 
@@ -149,7 +157,10 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
         fit_relief,
         fit_mirrored_relief,
     )
-    return [*found, *filter(None, (fit(evidence) for fit in families))]
+    found += filter(None, (fit(evidence) for fit in families))
+    if min(c.cost for c in found if c.family not in FLEXIBLE) > POOR:
+        found += filter(None, (fit(evidence) for fit in (fit_tilted, fit_tilted_hollow)))
+    return found
 
 
 # Scores of agreement, and the F1 scores at 1 cm of solids with these scores, on 114 objects of 18 synthetic tables

@@ -28,7 +28,7 @@ _MIN_IN_LEVEL = 4  # minimum number of points in a level for computing a median
 
 def fit_lathe(evidence: Evidence) -> FitCandidate:
     """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence."""
-    return _candidate("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile))
+    return body_of_revolution("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile))
 
 
 def fit_hollow(evidence: Evidence) -> FitCandidate | None:
@@ -36,13 +36,13 @@ def fit_hollow(evidence: Evidence) -> FitCandidate | None:
 
     The result is None if there are no points inside a rim.
     """
-    axis, radius = _rim_axis(evidence)
-    if _seen_through_rim(evidence, axis, radius).mean() < OPEN:
+    axis, radius = rim_axis(evidence)
+    if not is_open(evidence, axis, radius):
         return None
     axis, profile = _fit(evidence, axis, radius, hollow_profile)
-    if _seen_through_rim(evidence, axis, float(profile[:, 0].max())).mean() < OPEN:
+    if not is_open(evidence, axis, float(profile[:, 0].max())):
         return None
-    return _candidate("hollow", evidence, axis, profile)
+    return body_of_revolution("hollow", evidence, axis, profile)
 
 
 def _fit(
@@ -51,15 +51,15 @@ def _fit(
     """Search for the best axis near ``axis`` [m], and return it along with the profile about it."""
 
     def cost(x: Array) -> float:
-        return evidence.cost(cast_lathe, profile_of(evidence, x), _pose(evidence, x))
+        return profile_cost(evidence, x, profile_of(evidence, x))
 
     start = min((axis + shift * radius * evidence.view for shift in (-0.3, 0.0, 0.3)), key=cost)
     _, best = search(cost, start, np.array([0.15 * radius, 0.15 * radius]), 60)
     return best, profile_of(evidence, best)
 
 
-def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
-    """Return the solid for a profile.
+def body_of_revolution(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
+    """Return the solid with a profile about the vertical axis at ``axis`` [m].
 
     The profile is simplified by up to ``PROFILE_STEP``, but its ends are preserved.
     """
@@ -69,6 +69,11 @@ def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> 
     simple = np.asarray(line.coords)
     judged = _agreement(evidence, axis, profile)
     return FitCandidate(family, revolved(simple, SIDES), _pose(evidence, axis), judged, profile=simple)
+
+
+def profile_cost(evidence: Evidence, axis: Array, profile: Array) -> float:
+    """Return the cost of the solid with a profile about the vertical axis at ``axis`` [m]."""
+    return evidence.cost(cast_lathe, profile, _pose(evidence, axis))
 
 
 def _agreement(evidence: Evidence, axis: Array, profile: Array) -> RayAgreement:
@@ -116,6 +121,11 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
 
 
+def is_open(evidence: Evidence, axis: Array, radius: float) -> bool:
+    """Return True if enough points are visible only through an opening with the given ``radius`` [m] at the top."""
+    return bool(_seen_through_rim(evidence, axis, radius).mean() >= OPEN)
+
+
 def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
     """Return a mask of the points that are clearly below the rim and seen through the opening.
 
@@ -126,6 +136,8 @@ def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
     crossing = evidence.points[:, :2] + share[:, None] * (evidence.eye[:2] - evidence.points[:, :2])
     distance = np.hypot(*(crossing - axis).T)
+    if evidence.eye[2] <= evidence.top:  # as if a container lies whose opening faces away
+        return np.zeros(len(below), dtype=bool)
     deep = below > max(evidence.scale, 0.1 * (evidence.top - evidence.base_z))
     return np.asarray(deep & (distance < radius - WALL))
 
@@ -158,8 +170,8 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     return np.vstack([[0.0, floor], [np.interp(floor, levels, inner_at), floor], wall, outward, [0.0, 0.0]])
 
 
-def _rim_axis(evidence: Evidence) -> tuple[Array, float]:
-    """Return an initial axis and radius for a container.
+def rim_axis(evidence: Evidence) -> tuple[Array, float]:
+    """Return an initial axis and radius for an open container, in xy [m].
 
     They are the result of a robust circle fit to the points near the top.
     """
