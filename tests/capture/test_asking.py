@@ -50,7 +50,7 @@ def models(folder: Path, **sources: ModelSource) -> StageModels:
 
 def test_every_stage_that_asks_is_a_stage_and_every_task_is_one() -> None:
     optional = {stage.name for stage in STAGES if stage.is_optional}
-    assert optional == set(MODEL_STAGES)
+    assert optional == {*MODEL_STAGES, "register"}, "the last one runs with a CAD library"
     assert {task for stage in MODEL_STAGES.values() for task in stage.tasks} <= set(TASKS)
 
 
