@@ -1,8 +1,9 @@
-"""Captured scenes stay at rest in both simulators: ``python -m tests.corpora.rest [N] [--first SEED] [--real N]``.
+"""Captured scenes stay at rest in both simulators: ``python -m tests.corpora.rest [N] [--first SEED]``.
 
-Synthetic tables, and with ``--real`` real ones, are captured by the whole command. Every object of the written scene is
-then simulated for two seconds in MuJoCo and in PyBullet, and must stay within 1 cm and 5 degrees. Every segment must
-have become an object, and at most 5 % of them may be held in place. Exit code 1 if a bar is missed.
+Synthetic tables, with ``--real`` real ones and with ``--piles`` piles of eight YCB objects, are captured by the whole
+command. Every object of the written scene is then simulated for two seconds in MuJoCo and in PyBullet, and must stay
+within 1 cm and 5 degrees. Every segment must have become an object, and at most 5 % of them may be held in place. Exit
+code 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.rest import ObjectMotion, simulate
 from tests.corpora.segmentation import DATA, labelled_pictures
 from tests.corpora.synthetic_tables import synthetic_table
+from tests.corpora.ycb_scenes import pile
 
 ENGINES = ("mujoco", "pybullet")
 MAX_HELD = 0.05
@@ -71,14 +73,16 @@ def rested(name: str, frame: Frame, folder: Path) -> Rested:
     return Rested(name, len(np.unique(labels[labels > 0])), len(scene.objects) - 1, held, moving, farthest, seconds)
 
 
-def frames(first: int, count: int, real: int, data: Path) -> Iterator[tuple[str, Frame]]:
-    """Names and frames of synthetic tables, then of real ones."""
+def frames(first: int, count: int, real: int, data: Path, piles: int) -> Iterator[tuple[str, Frame]]:
+    """Names and frames of synthetic tables, then of real ones, then of piles."""
     for seed in range(first, first + count):
         yield f"seed {seed}", synthetic_table(seed).frame
     for k, (name, frame, _) in enumerate(labelled_pictures(data) if real else ()):
         if k >= real:
-            return
+            break
         yield name, frame
+    for seed in range(first, first + piles):
+        yield f"pile {seed}", pile(seed).frame
 
 
 def main() -> int:
@@ -87,10 +91,11 @@ def main() -> int:
     parser.add_argument("count", type=int, nargs="?", default=30, help="number of synthetic tables")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one")
     parser.add_argument("--real", type=int, default=0, metavar="N", help="number of real tables")
+    parser.add_argument("--piles", type=int, default=0, metavar="N", help="number of piles")
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real tables")
     options = parser.parse_args()
     scenes = []
-    for name, frame in frames(options.first, options.count, options.real, options.data):
+    for name, frame in frames(options.first, options.count, options.real, options.data, options.piles):
         with tempfile.TemporaryDirectory(prefix="simfoundry-rest-") as folder:
             try:
                 scene = rested(name, frame, Path(folder))
