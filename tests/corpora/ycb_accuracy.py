@@ -77,7 +77,7 @@ def judged(table: SyntheticTable, support: SupportSurface, shapes: Sequence[Fitt
     for i, j in zip(*linear_sum_assignment(np.minimum(distance, SAME_OBJECT)), strict=True):
         if distance[i, j] <= SAME_OBJECT:
             (true, X_true), (mesh, X_mesh) = truths[i], found[j]
-            f1 = surface_distance(_samples(true, X_true), _samples(mesh, X_mesh))[1]
+            f1 = surface_distance(samples_of(true, X_true), samples_of(mesh, X_mesh))[1]
             thin = abs(smallest_extent(true.vertices) - smallest_extent(np.asarray(mesh.vertices)))
             family = shapes[j].model or type(shapes[j].geometry).__name__.lower()
             results[i] = Result(objects[i].category, group, family, float(distance[i, j]), f1, thin)
@@ -89,7 +89,7 @@ def _middle(mesh: Mesh, pose: Pose) -> Array:
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
-def _samples(mesh: Mesh, pose: Pose) -> Array:
+def samples_of(mesh: Mesh, pose: Pose) -> Array:
     return pose.apply(surface_samples(np.asarray(mesh.vertices), mesh.faces, 4000)[0])
 
 
@@ -117,7 +117,9 @@ def fitted(table: SyntheticTable, masks: Labels | None, library: CadLibrary | No
     return judged(table, support, list(shapes.values()), group)
 
 
-def results(kind: str, seeds: Sequence[int], library: CadLibrary | None) -> Iterator[list[Result]]:
+def results(
+    kind: str, seeds: Sequence[int], library: CadLibrary | None, depth_only: bool = False
+) -> Iterator[list[Result]]:
     """Draw the pictures of the seeds, and reconstruct them."""
     for seed in seeds:
         if kind == "isolated":
@@ -127,7 +129,7 @@ def results(kind: str, seeds: Sequence[int], library: CadLibrary | None) -> Iter
                     yield fitted(table, table.truth, library, f"half {half}, {table.sensor}")
         else:
             table = pile(seed)
-            for group, masks in (("true masks", table.truth), ("masks from depth", None)):
+            for group, masks in (("true masks", table.truth), ("masks from depth", None))[depth_only:]:
                 yield fitted(table, masks, library, group)
 
 
@@ -147,11 +149,14 @@ def main() -> None:
     parser.add_argument("kind", choices=("isolated", "piles"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[100, 101, 102])
     parser.add_argument("--cad", action="store_true", help="add the 21 meshes as a library")
+    parser.add_argument(
+        "--depth-only", action="store_true", help="take only the masks of piles that are found in the depth"
+    )
     arguments = parser.parse_args()
     library = open_library(Path(DATA), cache=Cache.default()) if arguments.cad else None
     every: list[Result] = []
     start = time.process_time()
-    for some in results(arguments.kind, arguments.seeds, library):
+    for some in results(arguments.kind, arguments.seeds, library, arguments.depth_only):
         for r in some:
             numbers = f"{1000 * r.position:6.1f} mm  F1 {r.f1:.2f}  {1000 * r.thickness:6.1f} mm"
             print(f"{r.name:22s} {r.group:32s} {r.family:18s} {numbers}", flush=True)

@@ -18,7 +18,7 @@ import numpy as np
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import ModelMatch, best_match
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
-from simfoundry.capture.segment.decompose import LOW, MIN_PIXELS, standing_mask
+from simfoundry.capture.segment.decompose import EDGE_ZONE, LOW, MIN_PIXELS, is_within, standing_mask
 from simfoundry.capture.segment.masks import Labels, Mask, components, disk, grown, opened
 from simfoundry.capture.segment.merge_regions import compact
 from simfoundry.capture.segment.regions import pixel_area
@@ -33,8 +33,12 @@ ROUNDS = 3
 
 # Least share of the visible part of a model that must be where a surface was measured, least share of the pixels of its
 # region that it must explain, and largest cost of its registration. On six piles, right models have at least 0.89,
-# 0.55 and at most 0.37, wrong ones at most 0.87 or a cost of at least 0.5.
-PRECISE, OWN_SHARE, MAX_COST = 0.85, 0.4, 0.5
+# 0.55 and at most 0.37, wrong ones at most 0.87 or a cost of at least 0.5; a carton that is in no library costs 0.47.
+PRECISE, OWN_SHARE, MAX_COST = 0.85, 0.4, 0.4
+
+# The same for pixels that were in no region, which may show the room behind the table. Furthermore, least share of them
+# that is above the support and not at its edge.
+PRECISE_ALONE, OWN_ALONE, MAX_COST_ALONE, WITHIN = 0.95, 0.9, 0.25, 0.9
 
 # Least share of the pixels that a model explains that no other chosen model explains.
 NEW_SHARE = 0.5
@@ -53,6 +57,9 @@ NARROW, FLAT, LEFT_SHARE = 2, 0.01, 0.15
 
 # Pairs of remainders that are tried in each round: those that are nearest to each other in space, and the largest gap.
 MAX_PAIRS, PAIR_GAP = 4, 0.08
+
+# Largest number of remainders that are tried in each round, those of most pixels first: each takes 2 s.
+MAX_REMAINDERS = 8
 
 
 # Least overlap (IoU) of an object with the pixels for which a model was registered, to be a candidate for it.
@@ -73,7 +80,7 @@ class _Instance:
 
     ``agree`` are the pixels at which its surface was measured, with ``distance`` [m] to it, ``silhouette`` all its
     pixels, and ``precision`` the share of its visible part at which it was measured. ``seed`` are the pixels with which
-    it was registered. All have shape (h, w).
+    it was registered. All have shape (h, w). ``is_alone`` is True if most of the seed was in no region.
     """
 
     match: ModelMatch
@@ -82,6 +89,7 @@ class _Instance:
     agree: Mask
     distance: Array
     precision: float
+    is_alone: bool
 
     @property
     def gain(self) -> float:
@@ -93,7 +101,9 @@ class _Instance:
     def is_sure(self) -> bool:
         """True if the model agrees with the image wherever it is visible, and explains much of its seed."""
         own = float((self.agree & self.seed).sum()) / max(1, int(self.seed.sum()))
-        agrees = self.precision >= PRECISE and own >= OWN_SHARE and self.match.cost <= MAX_COST
+        limits = PRECISE_ALONE, OWN_ALONE, MAX_COST_ALONE
+        precise, least, most = limits if self.is_alone else (PRECISE, OWN_SHARE, MAX_COST)
+        agrees = self.precision >= precise and own >= least and self.match.cost <= most
         return agrees and int(self.agree.sum()) >= FEWEST
 
 
@@ -111,9 +121,11 @@ def explained_segmentation(
     for _ in range(ROUNDS):
         before = chosen
         seeds = list(_seeds(scene, labels, chosen))
+        if chosen:
+            seeds = _largest(seeds)
         _register(scene, library, seeds, labels, tried)
         chosen = _chosen(scene, tried)
-        _register(scene, library, list(_pairs(scene, list(_seeds(scene, labels, chosen)))), labels, tried)
+        _register(scene, library, list(_pairs(scene, _largest(list(_seeds(scene, labels, chosen))))), labels, tried)
         chosen = _chosen(scene, tried)
         if chosen == before:
             break
@@ -136,7 +148,7 @@ class _Scene:
         standing = standing_mask(frame.depth, points_W, support)
         return cls(frame, support, points_W, standing)
 
-    def instance(self, match: ModelMatch, template: MeshTemplate, seed: Mask) -> _Instance:
+    def instance(self, match: ModelMatch, template: MeshTemplate, seed: Mask, is_alone: bool) -> _Instance:
         """Compare a model with all of the image."""
         eye, frame = self.support.X_WC.p, self.frame
         vertices = match.X_WO.apply(template.vertices)
@@ -157,7 +169,7 @@ class _Scene:
         agree, silhouette = np.zeros((2, *frame.depth.shape), dtype=bool)
         agree[window], silhouette[window] = near, hit
         precision = float(near.sum()) / max(1, int(near.sum() + missed.sum()))
-        return _Instance(match, seed, silhouette, agree, distance, precision)
+        return _Instance(match, seed, silhouette, agree, distance, precision, is_alone)
 
     def _window(self, vertices: Array) -> tuple[slice, slice]:
         """Return the rows and columns of the image in which points of the world are."""
@@ -196,8 +208,15 @@ def _seeds(scene: _Scene, labels: Labels, chosen: list[_Instance]) -> Iterator[M
         parts, areas = components(opened(rest & ~rims, disk(NARROW)), connectivity=8)
         for part in np.flatnonzero(areas >= MIN_PIXELS):
             seed = grown(parts == part, disk(NARROW)) & rest
-            if np.nanpercentile(scene.points_W[seed, 2], 90) > (FLAT if k else LOW):
+            points = scene.points_W[seed & np.isfinite(scene.frame.depth)]
+            if len(points) < MIN_PIXELS or np.percentile(points[:, 2], 90) <= (FLAT if k else LOW):
+                continue
+            if k or is_within(scene.support, points[:, :2], -EDGE_ZONE).mean() >= WITHIN:
                 yield seed
+
+
+def _largest(seeds: list[Mask]) -> list[Mask]:
+    return sorted(seeds, key=lambda seed: -int(seed.sum()))[:MAX_REMAINDERS]
 
 
 def _register(
@@ -215,7 +234,8 @@ def _register(
             match = best_match(evidence, library) if len(evidence.points) >= MIN_PIXELS else None
             template = None if match is None else library.template(library.named(match.model))
             if match is not None and template is not None:
-                tried[key] = scene.instance(match, template, seed)
+                is_alone = float((labels[seed] > 0).mean()) < 0.5
+                tried[key] = scene.instance(match, template, seed, is_alone)
 
 
 def _chosen(scene: _Scene, tried: dict[bytes, _Instance | None]) -> list[_Instance]:

@@ -27,6 +27,12 @@ FINALISTS = 3
 # thoroughly. The cost of the right model decreases by 0.05 on average.
 STILL_LIKELY = 0.15
 
+# Least share of the points of an object that a model explains, and largest intrusion, with which it is preferred to a
+# solid of which it costs this much more: its sizes do not follow the errors of the depth, those of a solid do. Of 42
+# isolated YCB objects all but one are explained so by their model, of 21 without it none; in real pictures the right
+# model of a carton costs 0.04 more than a box.
+EXPLAINS_ALL, INTRUDES_NOWHERE, WORTH = 0.95, 0.02, 0.06
+
 # A model is not larger than its visible part requires: tolerances of its diameter, and of its silhouette if all of it
 # is visible, relative to the silhouettes of its convex hull. A mug's handle or a clamp fills half of its hull.
 DIAMETER_SLACK, LEAST_SILHOUETTE, MOST_SILHOUETTE = 1.08, 0.35, 1.25
@@ -71,6 +77,8 @@ class CadLookup:
         result = pose_agreement(evidence, (mesh.vertices, mesh.faces), found.X_WO)
         low = float(found.X_WO.apply(mesh.vertices)[:, 2].min())
         penalty = misplacement(evidence, low)
+        if result.explained >= EXPLAINS_ALL and result.intrusion <= INTRUDES_NOWHERE:
+            penalty -= WORTH
         return [FitCandidate("cad", mesh, found.X_WO, result, model=found.model, penalty=penalty)]
 
     def base_z(self, stated: float) -> float:

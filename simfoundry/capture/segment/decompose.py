@@ -177,7 +177,7 @@ def _averaged(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
 def _near(points_W: Array, support: SupportSurface) -> Mask:
     """Return a mask of the pixels on the support or at most :data:`TALLEST` above it."""
     height = points_W[..., 2]
-    return _within(support, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
+    return is_within(support, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
 
 
 def standing_mask(depth: Array, points_W: Array, support: SupportSurface) -> Mask:
@@ -194,7 +194,7 @@ def _padded(mask: Mask, pad: int = 16) -> slice:
     return slice(max(0, int(rows.min()) - pad), min(len(mask), int(rows.max()) + pad + 1))
 
 
-def _within(support: SupportSurface, xy: Array, margin: float) -> Mask:
+def is_within(support: SupportSurface, xy: Array, margin: float) -> Mask:
     """Return a mask of the points inside the support outline.
 
     Args:
@@ -244,7 +244,7 @@ def _without_foreign_regions(labels: Labels, crop: Crop, support: SupportSurface
     foreign = {}
     for part in parts:
         k = part.label
-        beside = _within(support, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
+        beside = is_within(support, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
         floats = not part.is_grounded and not on[k]
         glimpsed = floats and part.top - part.bottom < GLIMPSE * part.top
         floats_alone = floats and k not in touched and part.area < FLOATING
