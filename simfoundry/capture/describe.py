@@ -147,6 +147,9 @@ def shape_spec(shape: FittedShape) -> shapes.Shape | None:
     geometry = shape.geometry
     if shape.profile is not None:
         return shapes.LatheShape(lathe=shapes.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
+    if shape.wall > 0:
+        x, y, z = (meters(v) for v in np.ptp(tessellate(geometry).vertices, axis=0))
+        return shapes.OpenBoxShape(open_box=shapes.OpenBox(size=(x, y, z), wall=meters(shape.wall)))
     match geometry:
         case Box():
             x, y, z = (meters(v) for v in geometry.size)

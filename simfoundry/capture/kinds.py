@@ -16,7 +16,7 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Sphere, tessellate
 from simfoundry.spec.models.base import Material
 
-Form = Literal["box", "round", "ball", "hollow", "other"]
+Form = Literal["box", "round", "ball", "hollow", "open_box", "other"]
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,14 @@ class ObjectKind:
     roundness: float = 0.0
 
 
-# The first kind that fits is taken. Plates are at most a fifth as high as wide, and bowls three quarters; cups and mugs
-# are 5 to 12 cm wide. Bottles are about twice as long as wide or longer, and pens at most 2.5 cm thick.
+# The first kind that fits is taken. Plates and trays are at most a fifth as high as wide, bowls three quarters; cups
+# and mugs are 5 to 12 cm wide. Bottles are about twice as long as wide or longer, and pens at most 2.5 cm thick.
 KINDS = (
     ObjectKind("plate", CROCKERY, ("hollow",), flatness=(0.0, 0.2), length=(0.12, inf)),
     ObjectKind("cup", CROCKERY, ("hollow",), flatness=(0.75, 2.0), width=(0.05, 0.12), length=(0.05, 0.16)),
     ObjectKind("bowl", CROCKERY, ("hollow",)),
+    ObjectKind("tray", PLASTIC, ("open_box",), flatness=(0.0, 0.2)),
+    ObjectKind("bin", CARTON, ("open_box",)),
     ObjectKind("ball", FRUIT, ("ball",)),
     ObjectKind("pen", PLASTIC, ("round", "box", "other"), (0.08, 0.2), (0.0, 0.025), slenderness=(4.0, inf)),
     ObjectKind("bottle", PLASTIC, ("round", "other"), (0.14, 0.4), (0.035, 0.12), (1.9, inf), roundness=0.65),
@@ -134,6 +136,8 @@ def material_of(words: str) -> MaterialPrior | None:
 
 
 def _form_of(shape: FittedShape) -> Form:
+    if shape.wall > 0:
+        return "open_box"
     if shape.hollow:
         return "hollow"
     if shape.profile is not None:

@@ -15,6 +15,7 @@ from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.masks import Labels, Mask, outline_of
 from simfoundry.capture.shapes.evidence import WINDOW_MARGIN
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.spec.models.predicate import parse_call
@@ -112,8 +113,7 @@ def fit_segments(
     frame, segmentation = reduced_frame(frame, step), reduced_segmentation(segmentation, step)
     for done, k in enumerate(order):
         report(f"shape {k}", done / len(order))
-        carriers[k] = _carrier(frame, support, segmentation, shapes, k)
-        base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
+        carriers[k], base_z = _carrier(frame, support, segmentation, shapes, k)
         try:
             seen = without_occluders(frame, segmentation, k)
             mask, others = segmentation.labels == k, nearby_labels(segmentation.labels, k)
@@ -182,8 +182,8 @@ def _bottom_up(segmentation: Segmentation) -> list[int]:
 
 def _carrier(
     frame: Frame, support: SupportSurface, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int
-) -> int:
-    """Return the number of the fitted object that supports ``k``, or 0 for the table.
+) -> tuple[int, float]:
+    """Return the number of the fitted object that supports ``k``, or 0 for the table, and the height of its base [m].
 
     The support graph is trusted only if a substantial fraction of the visible points of ``k`` are above the supporting
     solid. An object whose base is merely hidden by a neighbor is not supported by that neighbor.
@@ -192,12 +192,30 @@ def _carrier(
 
     on = segmentation.supports.get(k, 0)
     if on not in shapes:
-        return 0
-    seen = support.X_WC.apply(frame.points_of((segmentation.labels == k) & np.isfinite(frame.depth)))
-    if not len(seen) or np.percentile(seen[:, 2], 5) < _top(shapes[on]) - SUNK:
-        return 0
+        return 0, 0.0
+    seen = support.X_WC.apply(frame.points[(segmentation.labels == k) & np.isfinite(frame.depth)])
+    if not len(seen):
+        return 0, 0.0
+    base_z = carrying_height(shapes[on], seen)
+    if np.percentile(seen[:, 2], 5) < base_z - SUNK:
+        return 0, 0.0
     below = shapely.MultiPoint(footprint(shapes[on])).convex_hull.buffer(EDGE)
-    return on if shapely.contains(below, shapely.points(seen[:, :2])).mean() >= CARRIED else 0
+    is_above = shapely.contains(below, shapely.points(seen[:, :2])).mean() >= CARRIED
+    return (on, base_z) if is_above else (0, 0.0)
+
+
+def carrying_height(carrier: FittedShape, points: Array) -> float:
+    """Return the height [m] at which a solid carries an object, whose points in the world [m] have shape (n, 3).
+
+    It is that of the floor beneath the object in an open container, and the top of any other solid.
+    """
+    top = _top(carrier)
+    if not carrier.hollow:
+        return top
+    mesh, (low, high) = tessellate(carrier.geometry), np.percentile(points[:, :2], [2.0, 98.0], axis=0)
+    eye = np.array([*((low + high) / 2), top + 1.0])
+    hit = cast_mesh(eye, np.array([[0.0, 0.0, -1.0]]), carrier.X_WO.apply(mesh.vertices), mesh.faces).depth[0]
+    return float(eye[2] - hit) if np.isfinite(hit) else top
 
 
 def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:

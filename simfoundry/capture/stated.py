@@ -62,7 +62,6 @@ def placed_shape(
     fit = result.fit if math.isfinite(result.fit) else evidence.scale
     sure = float(np.clip(result.explained * (1.0 - result.intrusion), 0.0, 1.0))
     profile = shape.profile if mesh is None else None
-    hollow = shape.hollow if mesh is None else False
-    return replace(
-        shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, hollow=hollow, profile=profile, alternatives=()
-    )
+    hollow, wall = (shape.hollow, shape.wall) if mesh is None else (False, 0.0)
+    placed = replace(shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, alternatives=())
+    return replace(placed, hollow=hollow, profile=profile, wall=wall)

@@ -18,6 +18,13 @@ from simfoundry.geometry.frames import Array
 CONTACT = 0.015  # [m] maximum gap between an object and its support
 OVERLAP = 0.05  # minimum overlap between an object and its support, as a fraction of the smaller visible footprint
 
+# Directions around a part, and in how many of them another part must be visible to surround it: the part hides what is
+# behind it, which is at most half of them, and a neighbor may hide one more.
+SECTORS, AROUND = 12, 7
+SECTOR_POINTS = 5  # minimum number of points in a direction; fewer are noise at an edge
+SURROUNDED = 0.85  # minimum share of a part inside the outline of the part that surrounds it, which it hides in part
+RIM_REACH = 0.06  # [m] maximum distance of what surrounds a part, and its maximum height above the bottom of the part
+
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
@@ -55,9 +62,42 @@ def carriers(parts: list[RegionPart]) -> dict[int, int]:
 
     The support is the part on whose top it starts or the part that contains it, or 0 for the table. If a part neither
     reaches the table nor has another part below it, its base is hidden, and it is assumed to stand on the table. Being
-    close to another part is not evidence of standing on it.
+    close to another part is not evidence of standing on it, but being surrounded by it is: the floor of a tray, and a
+    book, may be as low as the noise of the table.
     """
-    return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
+    return {p.label: _carrier(p, parts) for p in parts}
+
+
+def _carrier(part: RegionPart, parts: list[RegionPart]) -> int:
+    around = _surrounded_by(part, parts)
+    if around or part.is_grounded:
+        return around
+    return _stood_on(part, parts) or _contained_by(part, parts)
+
+
+def _surrounded_by(part: RegionPart, parts: list[RegionPart]) -> int:
+    """Return the label of the smallest part that is visible on most sides of ``part``, near its bottom, or 0.
+
+    If ``part`` starts on the top of another part that is not this one, it stands on that one.
+    """
+    if len(part.points_W) < 20:
+        return 0
+    own = thinned(part.points_W, 200)[:, :2]
+    middle = (own.min(axis=0) + own.max(axis=0)) / 2
+    reach = float(np.linalg.norm(np.ptp(own, axis=0))) / 2 + RIM_REACH
+    best, smallest = 0, np.inf
+    for other in parts:
+        if other.label == part.label or len(other.points_W) < 20 or other.bottom > part.bottom + CONTACT:
+            continue
+        away = other.points_W[:, :2] - middle
+        near = (np.hypot(*away.T) < reach) & (other.points_W[:, 2] < part.bottom + RIM_REACH)
+        turn = np.arctan2(away[near, 1], away[near, 0])
+        sectors = np.bincount(np.floor((turn + np.pi) / (2 * np.pi) * (SECTORS - 1e-6)).astype(int), minlength=SECTORS)
+        area = hull_area(other.points_W)
+        is_around = (sectors >= SECTOR_POINTS).sum() >= AROUND and hull_area(part.points_W) < area < smallest
+        if is_around and in_hull(hull_mm(other.points_W), own).mean() > SURROUNDED:
+            best, smallest = other.label, area
+    return best if best and _stood_on(part, parts) in (0, best) else 0
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
@@ -97,6 +137,13 @@ def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
 def shared_footprint(one: RegionPart, other: RegionPart) -> float:
     """Return the overlap between the convex footprints of two parts, as a fraction of the smaller footprint."""
     return footprint_overlap(one.points_W, other.points_W)
+
+
+def hull_area(points_W: Array) -> float:
+    """Return the area of the convex footprint of points in the world [mm²]."""
+    import cv2
+
+    return float(cv2.contourArea(hull_mm(points_W)))
 
 
 def footprint_overlap(one: Array, other: Array) -> float:

@@ -32,6 +32,7 @@ PRIOR = {
     "sphere": 0.02,
     "lying": 0.08,
     "hollow": 0.02,
+    "open_box": 0.03,
     "lathe": 0.06,
     "completed": 0.14,
     "leaning": 0.06,
@@ -347,6 +348,7 @@ class FitCandidate:
     The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
     mesh. For a body of revolution, ``profile`` contains pairs (radius, height) [m], as an array of shape (k, 2).
     ``guessed`` is True if a prior supplied an extent that was not visible. ``model`` is the name of a CAD model.
+    ``wall`` [m] is the thickness of the floor and the walls of an open box, and 0 for other solids.
     ``penalty`` is added to the cost for what rays do not show, such as a part below the table.
     """
 
@@ -358,6 +360,7 @@ class FitCandidate:
     profile: Array | None = None
     model: str = ""
     penalty: float = 0.0
+    wall: float = 0.0
 
     @property
     def cost(self) -> float:

@@ -14,6 +14,7 @@ from simfoundry.capture.shapes.complete import complete
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, gather
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_leaning import fit_leaning_box
+from simfoundry.capture.shapes.fit_open_box import fit_open_box
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.capture.shapes.fit_relief import fit_mirrored_relief, fit_relief
 from simfoundry.capture.shapes.fit_tilted import fit_tilted, fit_tilted_hollow
@@ -44,10 +45,10 @@ EXPLAINED, INTRUDES = 0.75, 0.05
 FLEXIBLE = frozenset({"completed", "relief", "mirrored"})
 
 # Families of open containers.
-HOLLOW = frozenset({"hollow", "tilted_hollow"})
+HOLLOW = frozenset({"hollow", "tilted_hollow", "open_box"})
 
 # Families of shapes with a level base, which stand if anything does.
-STABLE = frozenset({"box", "cylinder", "lathe", "hollow"})
+STABLE = frozenset({"box", "cylinder", "lathe", "hollow", "open_box"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,8 @@ class FittedShape:
         profile: Pairs (radius, height) [m], shape (k, 2), or None if the mesh is not a body of revolution.
         alternatives: The next best solids, which replace this one if it does not come to rest.
         model: Name of the CAD model that it is, or an empty string.
+        wall: Thickness of the floor and the walls of a box without a lid [m], whose frame is at the middle of its
+            outside, or 0 for other solids.
     """
 
     geometry: Geometry
@@ -74,6 +77,7 @@ class FittedShape:
     profile: Array | None = None
     alternatives: tuple[FittedShape, ...] = ()
     model: str = ""
+    wall: float = 0.0
 
 
 # Returns further candidates for the evidence, such as CAD models.
@@ -130,8 +134,8 @@ def _is_likely(result: RayAgreement) -> bool:
 def _fitted(candidate: FitCandidate, evidence: Evidence) -> FittedShape:
     fit_m = candidate.agreement.fit if math.isfinite(candidate.agreement.fit) else evidence.scale
     hollow = candidate.family in HOLLOW
-    sure = confidence(candidate, evidence)
-    return FittedShape(candidate.geometry, candidate.X_WO, fit_m, sure, hollow, candidate.profile, (), candidate.model)
+    sure, one = confidence(candidate, evidence), candidate
+    return FittedShape(one.geometry, one.X_WO, fit_m, sure, hollow, one.profile, (), one.model, one.wall)
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:
@@ -160,6 +164,7 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
         fit_sphere,
         fit_lathe,
         fit_hollow,
+        fit_open_box,
         complete,
         fit_leaning_box,
         fit_relief,

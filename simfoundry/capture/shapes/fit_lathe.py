@@ -26,8 +26,11 @@ _MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
 _MIN_IN_LEVEL = 4  # minimum number of points in a level for computing a median
 
 
-def fit_lathe(evidence: Evidence) -> FitCandidate:
-    """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence."""
+def fit_lathe(evidence: Evidence) -> FitCandidate | None:
+    """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence.
+
+    The result is None if its profile would cross itself.
+    """
     return body_of_revolution("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile))
 
 
@@ -58,14 +61,18 @@ def _fit(
     return best, profile_of(evidence, best)
 
 
-def body_of_revolution(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
-    """Return the solid with a profile about the vertical axis at ``axis`` [m].
+def body_of_revolution(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate | None:
+    """Return the solid with a profile about the vertical axis at ``axis`` [m], or None if the profile crosses itself.
 
     The profile is simplified by up to ``PROFILE_STEP``, but its ends are preserved.
     """
     import shapely
 
-    line = shapely.LineString(np.round(profile, 4)).simplify(PROFILE_STEP, preserve_topology=False)
+    rounded = shapely.LineString(np.round(profile, 4))
+    lines = [rounded.simplify(step, preserve_topology=False) for step in (PROFILE_STEP, PROFILE_STEP / 3)]
+    line = next((line for line in (*lines, rounded) if len(line.coords) > 3 and shapely.Polygon(line).is_valid), None)
+    if line is None:
+        return None
     simple = np.asarray(line.coords)
     judged = _agreement(evidence, axis, profile)
     return FitCandidate(family, revolved(simple, SIDES), _pose(evidence, axis), judged, profile=simple)

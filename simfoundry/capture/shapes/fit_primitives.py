@@ -145,7 +145,7 @@ def fit_box(evidence: Evidence) -> FitCandidate:
     starts = sorted(((cost(x), x) for x in yaws), key=lambda start: start[0])
     steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
     tried = [search(cost, start, steps, 260) for start in _distinct([x for _, x in starts])]
-    best = _walk_faces(cost, *min(tried, key=lambda found: found[0]))
+    best = walk(cost, *min(tried, key=lambda found: found[0]))
     guessed, best = _supply_depth(evidence, best)
     size, X_WO = _unpack(best, evidence.base_z)
     return FitCandidate("box", Box(size), X_WO, _box_agreement(evidence, best), guessed)
@@ -185,8 +185,8 @@ def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
     return evidence.judge(cast_box, *_unpack(x, evidence.base_z))
 
 
-def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
-    """Move one face at a time or change the yaw, in progressively smaller steps, as long as the cost decreases.
+def walk(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
+    """Move a face of a box or change its yaw, in progressively smaller steps, as long as the cost decreases.
 
     The Nelder-Mead method stalls at discontinuities caused by individual pixels, especially if a band of pixels without
     depth separates the object from the background. In that case, no small change to all parameters reduces the cost.

@@ -90,6 +90,8 @@ def _fit(family: _Family, evidence: Evidence) -> FitCandidate | None:
     if family is _HOLLOW and not _is_container(turned, best.position, profile):
         return None
     upright = body_of_revolution(family.name, turned, best.position, profile)
+    if upright is None:
+        return None
     lowest = _lowest(best.R_TW, turned.base_z, best.position, profile)
     X_WO = Pose.from_matrix(best.R_TW.T) @ upright.X_WO
     return replace(upright, X_WO=X_WO, penalty=misplacement(evidence, lowest))

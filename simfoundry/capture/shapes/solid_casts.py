@@ -50,6 +50,29 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
+def cast_open_box(eye: Array, rays: Array, size: Array, wall: float, X_WO: Pose) -> SolidHits:
+    """Cast rays against a box without a lid, with full extents ``size`` [m] and floor and walls of ``wall`` [m].
+
+    The middle of its outside is at ``X_WO``. The camera must not be inside of it.
+    """
+    outside = cast_box(eye, rays, size, X_WO)
+    origin, directions = _to_local(eye, rays, X_WO)
+    half, inner = size / 2, size / 2 - wall
+    known = np.where(np.isfinite(outside.depth), outside.depth, 0.0)
+    at = origin + known[:, None] * directions
+    enters = np.isfinite(outside.depth) & (np.abs(at[:, 2] - half[2]) < 1e-9) & (directions[:, 2] < 0)
+    enters &= (np.abs(at[:, :2]) < inner[:2]).all(axis=1)
+    # A ray that enters the opening ends where it leaves the cavity: at the floor or at a wall.
+    leave, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
+    for axis, direction in enumerate(directions.T.copy()):
+        bound = np.where(direction < 0, -inner[axis], inner[axis])
+        safe = np.where(np.abs(direction) < PARALLEL, PARALLEL, direction)
+        exit_at = np.where(np.abs(direction) < PARALLEL, np.inf, (bound - origin[axis]) / safe)
+        slant = np.where(exit_at < leave, np.abs(direction), slant)
+        np.minimum(leave, exit_at, out=leave)
+    return SolidHits(np.where(enters, leave, outside.depth), np.where(enters, slant, outside.slant))
+
+
 def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
     """Cast rays against a sphere."""
     to_eye = eye - center
