@@ -8,7 +8,7 @@ import trimesh
 
 from simfoundry.capture.frame import Segmentation
 from simfoundry.capture.reconstruct import carrying_height, fit_segments
-from simfoundry.capture.segment.decompose import pixel_area
+from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.fit import fit_shape
 from simfoundry.capture.shapes.fit_open_box import open_box_mesh

@@ -91,6 +91,8 @@ def _surrounded_by(part: RegionPart, parts: list[RegionPart]) -> int:
             continue
         away = other.points_W[:, :2] - middle
         near = (np.hypot(*away.T) < reach) & (other.points_W[:, 2] < part.bottom + RIM_REACH)
+        if not near.any() or part.bottom - np.quantile(other.points_W[near, 2], 0.9) > 2 * CONTACT:
+            continue  # it ends far below the part
         turn = np.arctan2(away[near, 1], away[near, 0])
         sectors = np.bincount(np.floor((turn + np.pi) / (2 * np.pi) * (SECTORS - 1e-6)).astype(int), minlength=SECTORS)
         area = hull_area(other.points_W)
