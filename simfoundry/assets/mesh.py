@@ -23,6 +23,9 @@ from simfoundry.assets.textures import gltf_tree
 # The links of a model usually share a few textures, and encoding a texture as PNG takes half a second.
 MAX_ENCODED = 4
 
+# Compression of textures: level 3 takes a third of the time of level 6, and its files are 11 % larger.
+LEVEL = 3
+
 # Maximum number of pixels in a texture; larger textures take a GiB and a minute, and no simulator renders them.
 MAX_PIXELS = 8192**2
 
@@ -179,7 +182,7 @@ def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
     from PIL import Image
 
     stream = io.BytesIO()
-    Image.frombytes(mode, size, pixels).save(stream, format="PNG")
+    Image.frombytes(mode, size, pixels).save(stream, format="PNG", compress_level=LEVEL)
     return stream.getvalue()
 
 

@@ -148,6 +148,8 @@ def fitted_shapes(
     """
 
     def fit(frame: Frame, mask: Mask, base_z: float, others: Labels, k: int) -> FittedShape:
+        if cad is None:  # then other objects matter only where there is no depth, which tells more if there is some
+            others = np.where((others == 2) & np.isfinite(frame.depth), 0, others)
         inputs = {**view.seen, "mask": digest_of(mask), "others": digest_of(others)}
         suggest = None
         if cad is not None:

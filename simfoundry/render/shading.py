@@ -292,7 +292,7 @@ def _pyramid(png: bytes) -> tuple[Array, ...]:
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:
-        image = decode_srgb(np.asarray(picture.convert("RGB"), dtype=np.float64) / 255)
+        image = decode_srgb(np.arange(256) / 255)[np.asarray(picture.convert("RGB"))]  # 256 powers, not one a texel
     levels = [image]
     while min(image.shape[:2]) >= 4:
         h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
