@@ -122,7 +122,7 @@ def reconstruct(
     spec = _with_joints(spec, jointed, objects, names)
     files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
     spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)
-    inputs = {**view.seen, "segments": segmentation.digest}
+    inputs = {**view.seen, "segments": digest_of(segmentation.value)}
     doubt = partial(image_doubts, measured, support.value, segmentation.value)
     doubts = stages.run("doubts", inputs, doubt, quick=True)
     findings = (
