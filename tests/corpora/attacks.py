@@ -1,4 +1,4 @@
-"""Damage of a second list: faults of drivers, recorders and people that no check of a capture was made for."""
+"""Damage of a second list: faults of drivers, recorders and people."""
 
 from __future__ import annotations
 

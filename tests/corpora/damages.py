@@ -185,4 +185,4 @@ UNSEEN: dict[str, Callable[[SyntheticTable, Rng], Damaged]] = {
     "torn": _torn,
     "empty": _empty,
 }
-"""Kinds that were added when the checks were complete."""
+"""Kinds that were added when the first checks were complete."""
