@@ -12,12 +12,14 @@ from simfoundry.capture.findings import BORDER, HOLE, SUPPORT_DOUBT, UNEXPLAINED
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.intrinsics import intrinsics_doubt
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
+from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.capture.size_priors import scale_doubt
 from simfoundry.geometry.frames import Array
 
 RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35
 ON_TOP, LARGE = 0.3, 0.1  # [m], [m²] maximum height and area of the top of an object on the support
 SAME = 0.02  # [m] maximum height of a second plane through the same surface, which is not flat
+LITTLE = 0.015  # [m²] minimum visible area of the support: half of the least on real tables, 0.029 of a round one
 INSIDE = 0.02  # [m] width of the zone along the outline of the support where walls and its own edge appear
 CLEARLY_ABOVE = 0.015  # [m] minimum height of what is no noise of the support; a plate is higher
 TALLEST = 0.5  # [m] maximum height of what is reported; lamps and walls are higher
@@ -39,6 +41,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
     inside = _inside_outline(frame, support)
     return (
         *_support(support),
+        *_little_support(frame, support),
         *_unexplained(frame, labels, points_W, support),
         *_holes(frame, support, labels, inside),
         *_cut_off(labels),
@@ -59,6 +62,15 @@ def _support(support: SupportSurface) -> Iterator[CaptureFinding]:
         message = f"a surface {where} could be the support as well ({rival.share:.0%} of the evidence)"
         hint = f"state `support: {{pixel: [{rival.pixel[0]}, {rival.pixel[1]}]}}` in the frame to choose it"
         yield CaptureFinding(SUPPORT_DOUBT, message, hint, outline=(rival.pixel,))
+
+
+def _little_support(frame: Frame, support: SupportSurface) -> Iterator[CaptureFinding]:
+    """Yield a finding if so little of the support is visible that it may be the top of an object."""
+    area = float(np.nansum(pixel_area(frame)[support.inliers]))
+    if area < LITTLE:
+        message = f"only {area * 1e4:.0f} cm² of the support are visible, so it may be a part of an object"
+        hint = "show more of the table, and make sure that it has depth: glass and dark glossy tables often have none"
+        yield CaptureFinding(SUPPORT_DOUBT, message, hint)
 
 
 def _inside_outline(frame: Frame, support: SupportSurface) -> Mask:

@@ -164,6 +164,16 @@ def test_an_image_exposed_twice(seen: tuple[Frame, SupportSurface, Segmentation]
     assert (dv, du) in (shift, (-shift[0], -shift[1])) and 0.3 < share < 0.6
 
 
+def test_a_support_of_which_little_is_visible(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    rows, columns = np.nonzero(support.inliers)
+    near = np.hypot(rows - np.median(rows), columns - np.median(columns)) < 16
+    inliers = np.zeros_like(support.inliers)
+    inliers[rows[near], columns[near]] = True
+    found = image_doubts(frame, replace(support, inliers=inliers), segmentation)
+    assert [f.code for f in found if "visible" in f.message] == [SUPPORT_DOUBT]
+
+
 def test_another_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
     frame, support, segmentation = seen
     rivals = SupportRival(0.8, -0.4, 0.6, (12, 200)), SupportRival(0.7, 0.05, 0.02, (150, 90))
