@@ -28,18 +28,14 @@ def item(name: str, mesh: Mesh | Box, pose: Pose) -> SceneObject:
     return SceneObject(name, category=name, fixed=True, X_WO=pose, links=(link,))
 
 
-@pytest.fixture(scope="module")
-def seen() -> tuple[Frame, SupportSurface, Labels]:
-    """A bracket, a can behind it and a brick, with exact depth and the number of the object at each pixel."""
+def picture(*objects: SceneObject) -> tuple[Frame, SupportSurface, Labels]:
+    """Exact depth of objects on a table, and the number of the object at each pixel."""
     table = item("table", Box(np.array([1.0, 1.0, 0.02])), Pose.of((0, 0, -0.01)))
-    objects = item("bracket", bracket(), X_BRACKET), item("can", CAN, X_CAN), item("brick", BRICK, X_BRICK)
     X_WC = look_at(np.array([-0.5, 0.1, 0.5]), np.array([0.0, 0.0, 0.03]))
     f, w, h = 570.0, 480, 360
     K = np.array([[f, 0, (w - 1) / 2], [0, f, (h - 1) / 2], [0, 0, 1]])
-    ray = raycast(
-        Scene("three", frozen_array([0, 0, -9.81]), (table, *objects)),
-        Camera("view", w, h, f, f, (w - 1) / 2, (h - 1) / 2, X_WC),
-    )
+    camera = Camera("view", w, h, f, f, (w - 1) / 2, (h - 1) / 2, X_WC)
+    ray = raycast(Scene("some", frozen_array([0, 0, -9.81]), (table, *objects)), camera)
     truth = np.where(ray.objects > 1, ray.objects - 1, 0).astype(np.int32)
     outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     return Frame(ray.color, ray.depth, K), SupportSurface(X_WC, outline, 0.0, truth == 0), truth
@@ -50,8 +46,9 @@ def overlap(a: Mask, b: Mask) -> float:
 
 
 @pytest.mark.slow
-def test_models_divide_and_join_regions(seen: tuple[Frame, SupportSurface, Labels], tmp_path: Path) -> None:
-    frame, support, truth = seen
+def test_models_divide_and_join_regions(tmp_path: Path) -> None:
+    objects = item("bracket", bracket(), X_BRACKET), item("can", CAN, X_CAN), item("brick", BRICK, X_BRICK)
+    frame, support, truth = picture(*objects)
     save(tmp_path, "bracket", bracket())
     save(tmp_path, "can", CAN)
     library = open_library(tmp_path)
@@ -71,3 +68,17 @@ def test_models_divide_and_join_regions(seen: tuple[Frame, SupportSurface, Label
     (brick,) = {1, 2, 3} - set(sure.values())
     assert np.array_equal(found.segmentation.labels == brick, truth == 3), "no model explains it"
     assert CadLookup(library, found.matches[sure["can"]]).base_z(0.07) == pytest.approx(0.0, abs=0.002)
+
+
+@pytest.mark.slow
+def test_two_of_a_kind_in_one_region(tmp_path: Path) -> None:
+    beside = Pose.of((0.045, -0.01, 0.05))
+    frame, support, truth = picture(item("one", CAN, X_CAN), item("other", CAN, beside))
+    save(tmp_path, "can", CAN)
+    labels = (truth > 0).astype(np.int32)
+    found = explained_segmentation(frame, support, Segmentation(labels, {1: 0}), open_library(tmp_path))
+    assert [(m.model, m.is_sure) for m in found.matches.values()] == [("can", True)] * 2
+    places = sorted((m.X_WO.p[1], k) for k, m in found.matches.items())
+    for (y, k), (pose, number) in zip(places, ((beside, 2), (X_CAN, 1)), strict=True):
+        assert y == pytest.approx(pose.p[1], abs=0.003)
+        assert overlap(found.segmentation.labels == k, truth == number) > 0.95

@@ -87,10 +87,25 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     regions = divide_regions(survey.regions, survey.initial, crop)
     regions = _without_specks(join_regions(merged_by_rules(regions, crop), crop), crop)
     coarse[crop.window] = _without_foreign_regions(regions, crop, support)
-    labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
-    labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
+    labels = _enlarged(coarse, step, depth.shape)
     labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
     return close_silhouettes(labels, depth, points_W, step + 1)
+
+
+def _enlarged(coarse: Labels, step: int, shape: tuple[int, ...]) -> Labels:
+    """Return labels of every ``step``-th pixel for an image of the given shape."""
+    labels = np.kron(coarse, np.ones((step, step), np.int32))[: shape[0], : shape[1]]
+    return np.asarray(np.pad(labels, [(0, n - m) for n, m in zip(shape, labels.shape, strict=True)]))
+
+
+def initial_regions(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
+    """Return the smooth regions of an image before most merging, from 1, and 0 elsewhere, shape (h, w)."""
+    survey = survey_regions(frame, points_W, support)
+    if survey is None:
+        return np.zeros(frame.depth.shape, np.int32)
+    coarse = np.zeros(frame.depth[:: survey.step, :: survey.step].shape, np.int32)
+    coarse[survey.crop.window] = survey.initial
+    return _enlarged(coarse, survey.step, frame.depth.shape)
 
 
 def merged_by_rules(regions: Labels, crop: Crop) -> Labels:
