@@ -10,7 +10,7 @@ from simfoundry.assets.deviation import surface_samples
 from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.capture.accuracy import surface_distance
 from simfoundry.capture.shapes.evidence import FitCandidate
-from simfoundry.capture.shapes.fit import MOST_FACES, candidates, choose, lighter_mesh
+from simfoundry.capture.shapes.fit import MOST_FACES, SAME_VOLUME, candidates, choose, lighter_mesh
 from simfoundry.capture.shapes.fit_relief import fit_mirrored_relief, fit_relief
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, closed_mesh, tessellate
@@ -90,7 +90,7 @@ def test_a_height_field_with_fewer_triangles_has_the_same_surface() -> None:
     assert len(full.faces) > 1.5 * MOST_FACES > len(light.faces)
     assert not open_edges(weld(light.vertices, light.faces)[1])
     volumes = [mass.mesh(mesh.vertices, mesh.faces).volume for mesh in (full, light)]
-    assert volumes[1] == pytest.approx(volumes[0], rel=0.01)
+    assert volumes[1] == pytest.approx(volumes[0], rel=SAME_VOLUME)
     assert light.vertices[:, 2].min() == full.vertices[:, 2].min() == 0.0
     chamfer, score = surface_distance(*(surface_samples(m.vertices, m.faces, 8000)[0] for m in (full, light)))
     assert chamfer < 0.001 and score == 1.0
