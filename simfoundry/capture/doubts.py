@@ -17,6 +17,10 @@ from simfoundry.capture.size_priors import scale_doubt
 from simfoundry.geometry.frames import Array
 
 RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35
+CARRIED = 2e-3  # [m²] minimum visible area of what a second surface carries: two small objects of 3 cm
+# Distance [m] of a second surface from the first: planes closer to it are through parts of it, so that nothing is lost,
+# and a floor is farther below a table, and carries its furniture.
+LEVELS = (0.05, 0.4)
 ON_TOP, LARGE = 0.3, 0.1  # [m], [m²] maximum height and area of the top of an object on the support
 SAME = 0.02  # [m] maximum height of a second plane through the same surface, which is not flat
 LITTLE = 0.015  # [m²] minimum visible area of the support: half of the least on real tables, 0.029 of a round one
@@ -53,8 +57,14 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
 
 
 def _support(support: SupportSurface) -> Iterator[CaptureFinding]:
-    """Yield a finding if another surface could be the support as well."""
+    """Yield a finding for each other surface that could be the support, or that carries objects as well."""
     for rival in support.rivals:
+        if rival.carried > CARRIED and LEVELS[0] < abs(rival.height) < LEVELS[1]:
+            where = f"{abs(rival.height) * 100:.0f} cm {'above' if rival.height > 0 else 'below'} the support"
+            message = f"a surface {where} carries objects as well, which are not in the scene"
+            hint = f"to reconstruct them, state `support: {{pixel: [{rival.pixel[0]}, {rival.pixel[1]}]}}` in the frame"
+            yield CaptureFinding(SUPPORT_DOUBT, message, hint, outline=(rival.pixel,))
+            continue
         on_top = 0 < rival.height < ON_TOP and rival.area < LARGE
         if rival.share < RIVAL or on_top or abs(rival.height) < (SAME if rival.area < LARGE else SAME / 2):
             continue

@@ -124,13 +124,15 @@ class SupportRival:
     """Another surface that could be the support.
 
     ``share`` is its evidence relative to that for the chosen surface, ``height`` [m] its position above the chosen
-    surface, negative below, ``area`` its visible area [m²], and ``pixel`` (column, row) is on it.
+    surface, negative below, ``area`` its visible area [m²], and ``pixel`` (column, row) is on it. ``carried`` is the
+    visible area [m²] of what stands on it and not on the chosen surface, if the two are parallel.
     """
 
     share: float
     height: float
     area: float
     pixel: tuple[int, int]
+    carried: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

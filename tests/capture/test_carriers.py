@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from simfoundry.capture.frame import Segmentation
 from simfoundry.capture.reconstruct import carrying_height, fit_segments
+from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.fit import fit_shape
 from simfoundry.capture.shapes.fit_open_box import open_box_mesh
 from simfoundry.capture.shapes.solid_casts import cast_mesh, cast_open_box
-from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.capture.synthesize import simulate_frame
+from simfoundry.geometry.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder
+from simfoundry.render.raycast import raycast
+from simfoundry.scene.model import Camera, Scene
 from tests.capture.depth_camera import EYE, Solid, see, yaw_pose
+from tests.corpora import synthetic_tables
 from tests.corpora.carriers import carrier_table, judged
 
 TRAY_SIZE, WALL = np.array([0.26, 0.19, 0.05]), 0.006
@@ -83,3 +90,25 @@ def test_scenes_with_carriers(seed: int) -> None:
     """A tray, a bowl and a book: everything is found, stands where it does in truth, and stays there."""
     result = judged(carrier_table(seed), with_masks=True)
     assert result.is_right and result.passed
+
+
+@pytest.mark.slow
+def test_a_lower_table_beside_the_first_one_is_a_rival() -> None:
+    """Two blocks on it, 25 cm below the table with three: they are not lost in silence."""
+    gray, rng = frozen_array([0.6, 0.6, 0.6, 1.0]), np.random.default_rng(0)
+    scene_objects = [
+        synthetic_tables._object(name, Pose.of(), [(synthetic_tables._box(*size), Pose.of(place), gray)], fixed)
+        for name, size, place, fixed in (
+            ("table", (0.9, 1.2, 0.03), (0.1, 0.0, -0.015), True),
+            ("side", (0.9, 0.7, 0.03), (0.1, -1.0, -0.265), True),
+            ("floor", (8.0, 8.0, 0.02), (0.0, 0.0, -0.7), True),
+            *((f"t{k}", (0.05, 0.05, 0.08), (0.0, y, 0.04), False) for k, y in enumerate((0.1, -0.1, -0.3))),
+            *((f"s{k}", (0.05, 0.05, 0.08), (0.05, y, -0.21), False) for k, y in enumerate((-0.8, -0.95))),
+        )
+    ]
+    X_WC = look_at(np.array([-0.75, -0.4, 0.65]), np.array([0.1, -0.4, 0.05]))
+    camera = Camera("view", 640, 480, 540, 540, 319.5, 239.5, X_WC)
+    scene = Scene("two", gravity=frozen_array([0, 0, -9.81]), objects=tuple(scene_objects))
+    support = find_support(replace(simulate_frame(raycast(scene, camera), rng), instances=None))
+    (side,) = (rival for rival in support.rivals if rival.carried > 0)
+    assert side.height == pytest.approx(-0.25, abs=0.01) and 0.003 < side.carried < 0.02

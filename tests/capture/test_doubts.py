@@ -179,3 +179,13 @@ def test_another_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> No
     rivals = SupportRival(0.8, -0.4, 0.6, (12, 200)), SupportRival(0.7, 0.05, 0.02, (150, 90))
     (doubt,) = image_doubts(frame, replace(support, rivals=rivals), segmentation)
     assert doubt.code == SUPPORT_DOUBT and "40 cm below" in doubt.message and "[12, 200]" in doubt.hint
+
+
+def test_a_second_surface_that_carries_objects(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    """A floor, planes through parts of the support, and a shelf with next to nothing on it are no such surface."""
+    frame, support, segmentation = seen
+    side = SupportRival(0.2, -0.25, 0.3, (12, 200), carried=0.004)
+    none = replace(side, height=-0.7), replace(side, height=0.02), replace(side, carried=0.001)
+    (doubt,) = image_doubts(frame, replace(support, rivals=(*none, side)), segmentation)
+    assert doubt.code == SUPPORT_DOUBT and "25 cm below the support carries objects" in doubt.message
+    assert "[12, 200]" in doubt.hint

@@ -26,6 +26,7 @@ COARSE, FINE = 0.01, 0.005  # [m] cell size of a plan when comparing planes, and
 OUTLINE_TOLERANCE = 0.01  # [m] tolerance of the simplified outline
 RIVAL = 0.1  # minimum evidence for another surface, relative to the best one, that is kept
 AROUND = 4  # [px] radius around a stated pixel, in the survey's image, in which the plane is fitted
+PARALLEL = 0.97  # minimum cosine between the normals of two level surfaces: noise and sagging turn one by 10 degrees
 SHADOW = 0.25  # [m] maximum width of the hidden strip behind an object that is bridged to connect two visible parts
 
 
@@ -131,7 +132,24 @@ def _rival(best: _Surface, other: _Surface, view: _View, step: int) -> SupportRi
     height = float(np.median(best.X_WC.apply(view.points[other.inliers])[:, 2]))
     area = float(other.plan.mask.sum() * other.plan.cell**2)
     pixel = int(columns[middle]) * step, int(rows[middle]) * step
-    return SupportRival(other.score / max(best.score, 1e-9), height, area, pixel)
+    return SupportRival(other.score / max(best.score, 1e-9), height, area, pixel, _carried_apart(best, other, view))
+
+
+def _carried_apart(best: _Surface, other: _Surface, view: _View) -> float:
+    """Return the visible area [m²] of what stands on a surface and is not above the chosen one.
+
+    It is 0 if the surfaces are not parallel.
+    """
+    if best.plane.normal @ other.plane.normal < PARALLEL:
+        return 0.0
+    on_best, on_other = (surface.X_WC.apply(view.points) for surface in (best, other))
+    tolerance = TOLERANCE * depth_sigma(view.depth)
+    taken = best.plan.contains(on_best[..., :2]) & (on_best[..., 2] > -tolerance)
+    raised = other.plan.contains(on_other[..., :2]) & (on_other[..., 2] > 2 * tolerance) & ~taken
+    if not raised.any():
+        return 0.0
+    share = carried_pixels(view.depth, raised, on_other) / int(raised.sum())
+    return share * float((view.depth[raised] ** 2).sum() / (view.K[0, 0] * view.K[1, 1]))
 
 
 def _view(frame: Frame, step: int = 1) -> _View:
