@@ -47,6 +47,7 @@ class Motion:
         q: The amount of motion from the first view to the second [m or rad], positive.
         back: The thickness of the part [m] if the second view shows its back, otherwise 0.
         edge: A point on the edge of the part [m] that a hinge should be near, shape (3,), or None.
+        outward: The unit direction out of the part at this edge, shape (3,), or None.
     """
 
     kind: JointType
@@ -55,6 +56,7 @@ class Motion:
     q: float
     back: float = 0.0
     edge: Array | None = None
+    outward: Array | None = None
 
     def moved(self, points: Array) -> Array:
         """Return points [m], shape (n, 3), after the motion."""
@@ -158,8 +160,8 @@ def candidate_motions(fronts: Sequence[Patch], axes: Sequence[Array]) -> Iterato
     for front in fronts:
         outline = _outline(front, axes)
         yield [Motion(JointType.PRISMATIC, front.normal, front.center, q) for q in SLIDES]
-        for (pivot, axis), back in product(_edges(front, outline), (0.0, TYPICAL_BACK)):
-            yield [Motion(JointType.REVOLUTE, axis, pivot, q, back, pivot) for q in TURNS]
+        for (pivot, axis, outward), back in product(_edges(front, outline), (0.0, TYPICAL_BACK)):
+            yield [Motion(JointType.REVOLUTE, axis, pivot, q, back, pivot, outward) for q in TURNS]
 
 
 def _outline(front: Patch, axes: Sequence[Array]) -> FrontOutline:
@@ -172,12 +174,12 @@ def _outline(front: Patch, axes: Sequence[Array]) -> FrontOutline:
     return FrontOutline(front.center, basis, np.asarray(low), np.asarray(high))
 
 
-def _edges(front: Patch, outline: FrontOutline) -> Iterator[tuple[Array, Array]]:
-    """Yield a point on each edge of a front [m], and the direction about which the front opens there."""
+def _edges(front: Patch, outline: FrontOutline) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield a point on each edge of a front [m], the direction about which it opens there, and that out of it."""
     inside = front.center - TYPICAL_BACK / 2 * front.normal  # hinges are rather in the panel than on its surface
     for k in (0, 1):
         side = outline.basis[:, k]
         turn = cross(front.normal, side)
         # From the edge at `high`, the front extends toward -side; it opens toward the normal by a turn about `turn`.
-        yield inside + outline.high[k] * side, turn
-        yield inside + outline.low[k] * side, -turn
+        yield inside + outline.high[k] * side, turn, side
+        yield inside + outline.low[k] * side, -turn, -side

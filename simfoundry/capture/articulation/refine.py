@@ -23,6 +23,9 @@ THINNEST = 0.001
 # Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
 DRIFT = 5.0
 
+# Distance by which a front may reach farther than its outline shows, because points near a hinge hardly move [m].
+UNSEEN = 0.03
+
 # Smallest amount of motion [m, rad].
 LEAST = 1e-3
 
@@ -67,4 +70,7 @@ def rank_of(motion: Motion, evidence: MotionEvidence) -> float:
     """Return the score of a motion, less the cost of a hinge that is away from the edge of its part."""
     if motion.edge is None:
         return evidence.score(motion)
-    return evidence.score(motion) - DRIFT * float(np.linalg.norm(cross(motion.pivot - motion.edge, motion.axis)))
+    away = motion.pivot - motion.edge
+    if motion.outward is not None:
+        away = away - min(UNSEEN, max(0.0, float(away @ motion.outward))) * motion.outward
+    return evidence.score(motion) - DRIFT * float(np.linalg.norm(cross(away, motion.axis)))
