@@ -30,6 +30,7 @@ from simfoundry.capture.articulation.motions import (
 )
 from simfoundry.capture.articulation.out_of_sight import slide_out_of_sight
 from simfoundry.capture.articulation.refine import SNAPPED, rank_of, refined_motion
+from simfoundry.capture.articulation.unclaimed import unclaimed_share
 from simfoundry.capture.articulation.views import Mask, PosedView, Sight
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, cross
@@ -102,6 +103,7 @@ class JointEstimate:
         runner_up: The score of the best motion of another type, or about another hinge, relative to this one.
         is_cut: True if the border of the second image cuts off the part.
         is_out_of_sight: True if its front has left the second image, so that it may have moved farther.
+        unclaimed: The share of the surface that changed that is not due to the motion of this part, from 0 to 1.
         is_reversed: True if the part stands out from the object in the first view more than in the second.
     """
 
@@ -115,6 +117,7 @@ class JointEstimate:
     runner_up: float
     is_cut: bool
     is_out_of_sight: bool
+    unclaimed: float
     is_reversed: bool
 
 
@@ -196,11 +199,12 @@ def _estimate(
     """Return the estimate for a motion; ``refined`` are the motions that compete with it."""
     judged = evidence.judge(final)
     front = max(fronts, key=lambda patch: _kept(final, patch, second))
+    part = _part(final, front, first, second)
     others = [evidence.score(motion) for motion in refined if _differs(motion, final)]
     return JointEstimate(
         final,
         front,
-        _part(final, front, first, second),
+        part,
         judged.explained,
         judged.reached,
         judged.contradicted,
@@ -208,6 +212,7 @@ def _estimate(
         min(MOST_AHEAD, max([0.0, *others]) / max(1e-9, evidence.score(final))),
         _is_cut(first, second),
         False,
+        unclaimed_share(final, front, part, evidence),
         _is_reversed(evidence, fronts),
     )
 
@@ -221,10 +226,15 @@ def _differs(motion: Motion, other: Motion) -> bool:
 
 
 def _box_axes(flat: Sequence[Patch]) -> list[Array]:
-    """Return the directions of an object's box: the vertical, the normals of its patches, and those square to two."""
-    axes = [np.array([0.0, 0.0, 1.0]), *(patch.normal for patch in flat)]
+    """Return the directions of an object's box: the vertical, the normals of its patches, and those square to two.
+
+    Directions that only noise tells from the vertical are left out, since the vertical is that of the ground.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    axes = [up, *(patch.normal for patch in flat)]
     crossed = [cross(a, b) for a, b in combinations(axes, 2)]
-    return [*axes, *(c / np.linalg.norm(c) for c in crossed if np.linalg.norm(c) > SQUARE)]
+    found = [*axes[1:], *(c / np.linalg.norm(c) for c in crossed if np.linalg.norm(c) > SQUARE)]
+    return [up, *(axis for axis in found if abs(float(axis @ up)) < math.cos(SNAP))]
 
 
 def _snapped(motion: Motion, evidence: MotionEvidence, axes: Sequence[Array]) -> Motion | None:

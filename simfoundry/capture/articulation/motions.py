@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, cross
 from simfoundry.scene.model import JointType
@@ -135,17 +136,18 @@ def _on(points: Array, normals: Array, normal: Array, offset: float) -> np.ndarr
     return (np.abs(points @ normal - offset) < THICKNESS) & (normals @ normal > ALIGNED)
 
 
-def behind(front: Patch, points: Array) -> tuple[float, float]:
-    """Return the share of points [m], shape (n, 3), that a box behind a front may have if it slid out, and how far [m].
-
-    They are in front of the front's plane, within its outline.
-    """
+def within_outline(front: Patch, points: Array) -> NDArray[np.bool_]:
+    """Return True for points [m], shape (n, 3), that are in front of or behind a front, within its outline."""
     u = cross(front.normal, np.eye(3)[int(np.argmin(np.abs(front.normal)))])
     basis = np.column_stack([u / np.linalg.norm(u), cross(front.normal, u / np.linalg.norm(u))])
     low, high = np.quantile((front.points - front.center) @ basis, QUANTILES, axis=0)
-    flat, height = (points - front.center) @ basis, (points - front.center) @ front.normal
-    inside = ((flat > low - RIM) & (flat < high + RIM)).all(axis=1) & (height > -THICKNESS)
-    return float(inside.mean()), float(np.quantile(height, QUANTILES[1]))
+    flat = (points - front.center) @ basis
+    return np.asarray(((flat > low - RIM) & (flat < high + RIM)).all(axis=1))
+
+
+def height_above(front: Patch, points: Array) -> Array:
+    """Return the distances of points [m], shape (n, 3), from the plane of a front, positive in front of it."""
+    return np.asarray((points - front.center) @ front.normal)
 
 
 def candidate_motions(fronts: Sequence[Patch], axes: Sequence[Array]) -> Iterator[list[Motion]]:

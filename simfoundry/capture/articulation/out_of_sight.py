@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.capture.articulation.evidence import MotionEvidence
-from simfoundry.capture.articulation.motions import SLIDES, Motion, Patch, behind
+from simfoundry.capture.articulation.motions import (
+    QUANTILES,
+    SLIDES,
+    THICKNESS,
+    Motion,
+    Patch,
+    height_above,
+    within_outline,
+)
 from simfoundry.capture.articulation.refine import refined_motion
 from simfoundry.scene.model import JointType
 
@@ -41,7 +49,9 @@ def slide_out_of_sight(evidence: MotionEvidence, fronts: Sequence[Patch]) -> tup
     if max(judged.impossible, judged.contradicted) < AGAINST and judged.explained > IN_FAVOR:
         return slide, judged.explained
     for slide, front in found:
-        share, least = behind(front, evidence.new.points)
+        height = height_above(front, evidence.new.points)
+        share = float((within_outline(front, evidence.new.points) & (height > -THICKNESS)).mean())
+        least = float(np.quantile(height, QUANTILES[1]))
         for q in (least, *(q for q in SLIDES if q > least)) if share > TRAY_SHARE else ():
             judged = evidence.judge(replace(slide, q=q))
             if max(judged.impossible, judged.contradicted) < AGAINST:

@@ -23,8 +23,9 @@ THINNEST = 0.001
 # Cost of a hinge that is away from the edge, because the views hardly tell its place across a panel [1/m].
 DRIFT = 5.0
 
-# Distance by which a front may reach farther than its outline shows, because points near a hinge hardly move [m].
-UNSEEN = 0.03
+# Distance by which a front may reach farther than its outline shows, because points near a hinge hardly move [m], and
+# the share of the cost that remains there, for doors that are seen so obliquely that only the cost tells their hinge.
+UNSEEN, REMAINING = 0.03, 0.2
 
 # Smallest amount of motion [m, rad].
 LEAST = 1e-3
@@ -72,5 +73,6 @@ def rank_of(motion: Motion, evidence: MotionEvidence) -> float:
         return evidence.score(motion)
     away = motion.pivot - motion.edge
     if motion.outward is not None:
-        away = away - min(UNSEEN, max(0.0, float(away @ motion.outward))) * motion.outward
+        farther = min(UNSEEN, max(0.0, float(away @ motion.outward)))
+        away = away - (1 - REMAINING) * farther * motion.outward
     return evidence.score(motion) - DRIFT * float(np.linalg.norm(cross(away, motion.axis)))
