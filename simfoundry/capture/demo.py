@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import SceneAccuracy
-from simfoundry.capture.load import checked_frame_name, open_capture
+from simfoundry.capture.accuracy.scene_accuracy import SceneAccuracy
+from simfoundry.capture.frames.load import checked_frame_name, open_capture
 from simfoundry.capture.reconstruct import Progress
 from simfoundry.capture.run import CaptureOptions, CaptureRun, ReportPage, run_capture
 from simfoundry.errors import MissingEngineError

@@ -10,19 +10,19 @@ from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.cad.library import CadLibrary, open_library
-from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.description.describe import SUPPORT_NAME
 from simfoundry.capture.findings import MODEL_FAILED
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.fusion import fused_frames, load_fused_frame, posed_views
-from simfoundry.capture.load import checked_frame_name, open_capture
-from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks
-from simfoundry.capture.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
-from simfoundry.capture.overrides import load_overrides
+from simfoundry.capture.frames.fusion import fused_frames, load_fused_frame, posed_views
+from simfoundry.capture.frames.load import checked_frame_name, open_capture
+from simfoundry.capture.outputs.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks
+from simfoundry.capture.outputs.output_folder import STAGES_FOLDER, PreviousOutput, previous_output
 from simfoundry.capture.pipeline import Statements, reconstruct
-from simfoundry.capture.settle_stage import picture_inputs, settle_inputs
+from simfoundry.capture.settling.settle_stage import picture_inputs, settle_inputs
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.stages.status import StageStatus, listed_states, read_source
 from simfoundry.capture.stages.store import StageStore
+from simfoundry.capture.statements.overrides import load_overrides
 from simfoundry.errors import SimfoundryError
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.spec.diagnostics import SpecError, nearest

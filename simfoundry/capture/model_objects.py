@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.capture.candidates import JointedObject, ShapeChoice
-from simfoundry.capture.describe import mesh_files
+from simfoundry.capture.description.describe import mesh_files
+from simfoundry.capture.description.mass_estimates import share_mass
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
-from simfoundry.capture.mass_estimates import share_mass
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.joints import joint_inputs, jointed_object, stated_joints
 from simfoundry.capture.model_stages.meshes import ObjectView, model_mesh, model_pose, object_picture
 from simfoundry.capture.object_stages import SegmentedView, TexturedObjects
-from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import nearby_labels
 from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.runner import StaleStageError
+from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import tessellate
 from simfoundry.runtime.files import MARK

@@ -12,13 +12,13 @@ import numpy as np
 from simfoundry.capture.cad.explain import CadSegmentation, explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import CadLookup, ModelMatch
-from simfoundry.capture.describe import SUPPORT_NAME
+from simfoundry.capture.description.describe import SUPPORT_NAME
+from simfoundry.capture.description.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.inpaint import inpainted_images
 from simfoundry.capture.model_stages.masks import model_segmentation
-from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, fit_segments, footprint, nearby_labels
 from simfoundry.capture.removal import ClearedImage, cleared_images
 from simfoundry.capture.segment.any_size import segmentation_of
@@ -27,8 +27,8 @@ from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner, StaleStageError
-from simfoundry.capture.stated import placed_shape, stated_segmentation
-from simfoundry.capture.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
+from simfoundry.capture.statements.overrides import Overrides
+from simfoundry.capture.statements.stated import placed_shape, stated_segmentation
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.tasks.scenes import SceneEstimate
 from simfoundry.scene.lower import pose

@@ -7,19 +7,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from simfoundry.capture import describe
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import ModelMatch
-from simfoundry.capture.describe import SUPPORT_NAME, mesh_files
-from simfoundry.capture.doubts import image_doubts
+from simfoundry.capture.description import describe
+from simfoundry.capture.description.describe import SUPPORT_NAME, mesh_files
+from simfoundry.capture.description.kinds import SUPPORT
+from simfoundry.capture.description.naming import final_names, found_names, kept_names, matched_names
+from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
-from simfoundry.capture.kinds import SUPPORT
 from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes, weighed
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.background import BACKGROUND, Views, model_background
 from simfoundry.capture.model_stages.depth import completed_frame
-from simfoundry.capture.naming import final_names, found_names, kept_names, matched_names
 from simfoundry.capture.object_stages import (
     SegmentedView,
     TexturedObjects,
@@ -30,7 +30,6 @@ from simfoundry.capture.object_stages import (
     segmented_frame,
     textured_objects,
 )
-from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.removal import removal_layers
 from simfoundry.capture.scene_reading import MatchedReading, match_objects, read_scene, unmatched_findings
@@ -39,6 +38,7 @@ from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner
+from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.models.setup import ModelSetup
 from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.capture.findings import LEFT_OUT, UNSURE, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
-from simfoundry.capture.reduced import reduced_frame, reduced_segmentation, reduction
+from simfoundry.capture.frames.reduced import reduced_frame, reduced_segmentation, reduction
 from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.masks import Labels, Mask, outline_of
 from simfoundry.capture.shapes.evidence import WINDOW_MARGIN

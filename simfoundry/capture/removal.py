@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simfoundry.capture.description.support_object import filled_colors
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.segment.masks import SQUARE, Labels, Mask, closed, disk, grown, shrunk
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.solid_casts import cast_mesh
-from simfoundry.capture.support_object import filled_colors
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import tessellate
 

@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
+from simfoundry.capture.accuracy.scene_accuracy import SceneAccuracy, difference_image, scene_accuracy, truth_camera
 from simfoundry.capture.findings import MOVED, CaptureFinding, ordered_findings
 from simfoundry.capture.frame import CaptureError
-from simfoundry.capture.fusion import posed_views
+from simfoundry.capture.frames.fusion import posed_views
+from simfoundry.capture.frames.load import checked_frame_name, open_capture
 from simfoundry.capture.inputs import labels_of, load_stage, stated_library, statements
-from simfoundry.capture.load import checked_frame_name, open_capture
-from simfoundry.capture.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
-from simfoundry.capture.outputs import write_masks, write_merged
-from simfoundry.capture.pictures import FAST, RenderedScene, comparison_picture
+from simfoundry.capture.outputs.edited_files import write_masks, write_merged
+from simfoundry.capture.outputs.output_folder import REPORT, STAGES_FOLDER, previous_output, stage_store, staged_output
+from simfoundry.capture.outputs.pictures import FAST, RenderedScene, comparison_picture
 from simfoundry.capture.pipeline import reconstruct
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.recordings.unpack import is_recording, unpack_recording
-from simfoundry.capture.settle_stage import resting_scene
+from simfoundry.capture.settling.settle_stage import resting_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
 from simfoundry.capture.stages.status import write_source
 from simfoundry.capture.tasks import TaskRequest, write_tasks

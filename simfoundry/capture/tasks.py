@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.findings import FEW_TASKS, CaptureFinding
-from simfoundry.capture.output_folder import TASK, PreviousOutput
+from simfoundry.capture.outputs.output_folder import TASK, PreviousOutput
 from simfoundry.capture.reconstruct import Progress
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import write_file

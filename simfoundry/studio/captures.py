@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.capture.frame import CaptureError
-from simfoundry.capture.load import matrix
-from simfoundry.capture.overlay import SEGMENTS, CaptureOverlay, load_overlay
+from simfoundry.capture.frames.load import matrix
+from simfoundry.capture.outputs.overlay import SEGMENTS, CaptureOverlay, load_overlay
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.diagnostics import SpecError

@@ -12,7 +12,7 @@ import pytest
 import simfoundry as sf
 from simfoundry.capture.articulation.ground import find_ground
 from simfoundry.capture.articulation.run import Articulated, articulate
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.synthesize import synthesize
 from simfoundry.errors import SimfoundryError

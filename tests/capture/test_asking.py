@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.capture.model_stages.ask import MODEL_STAGES, Makers, StageModels
 from simfoundry.capture.model_stages.joints import LEAST_FACES, subdivided
 from simfoundry.capture.removal import cleared_images, removal_order

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.frame import Frame, Segmentation
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.frames.load import load_frame
 from simfoundry.capture.reconstruct import fit_segments
 from simfoundry.capture.segment.constraints import without_occluders
 from simfoundry.capture.segment.decompose import decompose

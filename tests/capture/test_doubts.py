@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.capture.color_match import color_match
-from simfoundry.capture.depth_faults import depth_noise, repeated_edges
-from simfoundry.capture.doubts import image_doubts
+from simfoundry.capture.doubts.color_match import color_match
+from simfoundry.capture.doubts.depth_faults import depth_noise, repeated_edges
+from simfoundry.capture.doubts.image_doubts import image_doubts
+from simfoundry.capture.doubts.intrinsics import focal_fit
 from simfoundry.capture.findings import (
     BORDER,
     HOLE,
@@ -22,7 +23,6 @@ from simfoundry.capture.findings import (
     CaptureFinding,
 )
 from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
-from simfoundry.capture.intrinsics import focal_fit
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
 

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from simfoundry.capture.foreign import FRAMES_MAX
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.foreign import FRAMES_MAX
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose

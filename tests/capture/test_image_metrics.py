@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simfoundry.capture.accuracy import truth_camera
-from simfoundry.capture.image_metrics import image_agreement, lab
+from simfoundry.capture.accuracy.image_metrics import image_agreement, lab
+from simfoundry.capture.accuracy.scene_accuracy import truth_camera
 from simfoundry.errors import SimfoundryError
 from simfoundry.reports.capture import accuracy_text, capture_page
 from tests.capture.test_truth import CAMERA, scene

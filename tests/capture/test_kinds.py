@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simfoundry.capture.kinds import KINDS, kind_of
+from simfoundry.capture.description.kinds import KINDS, kind_of
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, tessellate

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.load import load_frame, matrix
-from simfoundry.capture.sensors import register
+from simfoundry.capture.frames.load import load_frame, matrix
+from simfoundry.capture.frames.sensors import register
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.load import load_capture

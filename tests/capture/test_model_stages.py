@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.capture.model_stages.ask import StageModels
 from simfoundry.capture.model_stages.meshes import ObjectView, model_pose
-from simfoundry.capture.overlay import object_surface
+from simfoundry.capture.outputs.overlay import object_surface
 from simfoundry.capture.reconstruct import nearby_labels
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.shapes.fit import FittedShape

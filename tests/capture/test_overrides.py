@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from simfoundry.capture.description.naming import final_names, kept_names
 from simfoundry.capture.inputs import examine
-from simfoundry.capture.mask_files import mask_image, palette, read_mask_names, read_masks
-from simfoundry.capture.naming import final_names, kept_names
-from simfoundry.capture.overrides import ObjectOverride, Overrides
+from simfoundry.capture.outputs.mask_files import mask_image, palette, read_mask_names, read_masks
+from simfoundry.capture.outputs.scene_merge import merge_scene
 from simfoundry.capture.pipeline import _other_names
 from simfoundry.capture.run import CaptureRun
-from simfoundry.capture.scene_merge import merge_scene
+from simfoundry.capture.statements.overrides import ObjectOverride, Overrides
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.object_shapes import bounds

@@ -15,7 +15,7 @@ pytest.importorskip("mcap_ros2", reason="the extra `sensors` is not installed")
 pytest.importorskip("rosbags", reason="the extra `sensors` is not installed")
 pytest.importorskip("OpenEXR", reason="the extra `sensors` is not installed")
 
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.capture.recordings.record3d import raw_size
 from simfoundry.capture.recordings.recording import RecordingError
 from simfoundry.capture.recordings.unpack import is_recording, open_recording, unpack_recording

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.frame import Frame, Segmentation
-from simfoundry.capture.reconstruct import fit_segments
-from simfoundry.capture.reduced import (
+from simfoundry.capture.frames.reduced import (
     MOST_PIXELS,
     enlarged,
     reduced,
@@ -15,6 +14,7 @@ from simfoundry.capture.reduced import (
     reduced_segmentation,
     reduction,
 )
+from simfoundry.capture.reconstruct import fit_segments
 from simfoundry.capture.segment.any_size import segmentation_of, support_of
 from simfoundry.geometry.shapes import Box
 from tests.capture.depth_camera import see, yaw_pose
@@ -64,7 +64,7 @@ def test_a_large_image_has_the_scene_of_a_small_one(monkeypatch: pytest.MonkeyPa
     K[:2] *= step
     K[:2, 2] += step // 2
     large = Frame(enlarged(frame.color, step, shape), enlarged(frame.depth, step, shape), K)
-    monkeypatch.setattr("simfoundry.capture.reduced.MOST_PIXELS", truth.size)
+    monkeypatch.setattr("simfoundry.capture.frames.reduced.MOST_PIXELS", truth.size)
     assert np.array_equal(reduced_frame(large, step).depth, frame.depth, equal_nan=True)
     support = support_of(large)
     assert support.inliers.shape == shape

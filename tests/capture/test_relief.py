@@ -8,7 +8,7 @@ import pytest
 from simfoundry.assets import mass
 from simfoundry.assets.deviation import surface_samples
 from simfoundry.assets.mesh import open_edges, weld
-from simfoundry.capture.accuracy import surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import surface_distance
 from simfoundry.capture.shapes.evidence import FitCandidate
 from simfoundry.capture.shapes.fit import MOST_FACES, SAME_VOLUME, candidates, choose, lighter_mesh
 from simfoundry.capture.shapes.fit_relief import fit_mirrored_relief, fit_relief

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import ObjectAccuracy, compare
+from simfoundry.capture.accuracy.scene_accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.capture.synthesize import synthesize
 from simfoundry.scene.lower import lower_file

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.fused_depth import DepthView, fused_depth, without_edges
-from simfoundry.capture.fusion import fused_frames, load_fused_frame
+from simfoundry.capture.frames.fused_depth import DepthView, fused_depth, without_edges
+from simfoundry.capture.frames.fusion import fused_frames, load_fused_frame
+from simfoundry.capture.frames.load import load_frame, open_capture
+from simfoundry.capture.frames.sensors import undistorted
 from simfoundry.capture.inputs import load_stage
-from simfoundry.capture.load import load_frame, open_capture
 from simfoundry.capture.recordings.odometry import depth_surface, refined_pose
-from simfoundry.capture.sensors import undistorted
 from simfoundry.capture.stages.runner import StageRunner
 from simfoundry.capture.stages.store import StageStore
 from simfoundry.capture.synthesize import simulate_frame, write_capture

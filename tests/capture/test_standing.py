@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.capture import describe
+from simfoundry.capture.description import describe
+from simfoundry.capture.description.kinds import CAN, SUPPORT, kind_of
 from simfoundry.capture.findings import HELD
 from simfoundry.capture.frame import Segmentation
-from simfoundry.capture.kinds import CAN, SUPPORT, kind_of
 from simfoundry.capture.reconstruct import Reconstruction
 from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.settling.standing import StandingScene, settle_objects
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
-from simfoundry.capture.standing import StandingScene, settle_objects
 from simfoundry.geometry.frames import Pose, frozen_array, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, hull_mesh
 from simfoundry.runtime.files import write_file

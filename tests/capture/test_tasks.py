@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.findings import FEW_TASKS
-from simfoundry.capture.output_folder import PreviousOutput
+from simfoundry.capture.outputs.output_folder import PreviousOutput
 from simfoundry.capture.tasks import SceneTasks, TaskRequest, write_tasks
 from simfoundry.errors import SimfoundryError
 from tests.cli.command import run

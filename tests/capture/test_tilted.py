@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simfoundry.capture.accuracy import surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import surface_distance
 from simfoundry.capture.shapes.fit import candidates, choose, fit_shape
 from simfoundry.capture.shapes.fit_tilted import fit_tilted, fit_tilted_hollow
 from simfoundry.geometry.frames import Pose, quat_from_rpy

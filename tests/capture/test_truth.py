@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.capture.accuracy import compare, surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import compare, surface_distance
 from simfoundry.geometry.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from tests.tabletop import box, one, pose, rgba

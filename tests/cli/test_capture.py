@@ -104,7 +104,7 @@ def test_running_again_replaces_what_a_run_wrote_by_the_same_bytes(folder: Path)
 def test_what_does_not_rest_gives_1_unless_it_is_accepted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same capture, with nothing allowed to move at all."""
     strict = partial(settle, options=SettleOptions(max_drift_m=-1.0))
-    monkeypatch.setattr("simfoundry.capture.standing.settle", strict)
+    monkeypatch.setattr("simfoundry.capture.settling.standing.settle", strict)
     monkeypatch.setenv("SIMFOUNDRY_CACHE", str(folder / "cache"))
     done = run("capture", folder / "capture", "-o", folder / "strict", "--json")
     assert done.code == 1 and done.err == "" and done.json["passed"] is False

@@ -197,7 +197,7 @@ def test_a_full_disk_names_the_file(desk: Path) -> None:
 
 
 def test_arrays_of_captures_are_still_read(tmp_path: Path) -> None:
-    from simfoundry.capture.image_files import read_image
+    from simfoundry.capture.frames.image_files import read_image
 
     stored = np.arange(12, dtype=np.float32).reshape(3, 4)
     np.save(tmp_path / "a.npy", stored)

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import compare
+from simfoundry.capture.accuracy.scene_accuracy import compare
 from simfoundry.capture.findings import HELD, LEFT_OUT, MOVED
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.run import CaptureRun, run_capture

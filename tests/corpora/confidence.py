@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.capture.accuracy import surface, surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import surface, surface_distance
 from simfoundry.capture.frame import CaptureError
 from simfoundry.capture.reconstruct import fit_segments
 from simfoundry.capture.segment.decompose import decompose

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import compare, surface, surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import compare, surface, surface_distance
 from simfoundry.capture.run import CaptureOptions, run_capture
 from simfoundry.capture.synthesize import SENSORS, simulate_frame, write_capture
 from simfoundry.errors import PicklableError

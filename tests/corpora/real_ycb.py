@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.accuracy import surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import surface_distance
 from simfoundry.capture.cad.explain import explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary, open_library
 from simfoundry.capture.cad.match import CadLookup, ModelMatch

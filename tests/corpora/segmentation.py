@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.frames.sensors import register
 from simfoundry.capture.segment import learned_merging
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
-from simfoundry.capture.sensors import register
 from simfoundry.geometry.frames import Array, Pose
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

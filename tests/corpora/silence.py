@@ -26,11 +26,11 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from simfoundry.capture.accuracy import compare, surface_distance
-from simfoundry.capture.doubts import image_doubts
+from simfoundry.capture.accuracy.scene_accuracy import compare, surface_distance
+from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support

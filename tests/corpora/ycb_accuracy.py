@@ -19,7 +19,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import hull
 from simfoundry.assets.deviation import surface_samples
-from simfoundry.capture.accuracy import SAME_OBJECT, surface_distance
+from simfoundry.capture.accuracy.scene_accuracy import SAME_OBJECT, surface_distance
 from simfoundry.capture.cad.explain import explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary, open_library
 from simfoundry.capture.cad.match import CadLookup, ModelMatch
@@ -29,7 +29,7 @@ from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.stated import stated_segmentation
+from simfoundry.capture.statements.stated import stated_segmentation
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, tessellate
 from tests.corpora.synthetic_tables import SyntheticTable

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from simfoundry.capture.overlay import SEGMENTS, segment_image
+from simfoundry.capture.outputs.overlay import SEGMENTS, segment_image
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.geometry.frames import Pose
 from tests.capture.pictures import FOCAL, Box, Setup, photograph

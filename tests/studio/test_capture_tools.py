@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.capture.load import load_frame
-from simfoundry.capture.overlay import CaptureOverlay, object_surface
+from simfoundry.capture.frames.load import load_frame
+from simfoundry.capture.outputs.overlay import CaptureOverlay, object_surface
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.masks import Labels

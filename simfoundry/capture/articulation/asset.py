@@ -15,7 +15,7 @@ import numpy as np
 
 from simfoundry.capture.articulation.estimate import JointEstimate
 from simfoundry.capture.articulation.motions import QUANTILES, TYPICAL_BACK
-from simfoundry.capture.mass_estimates import mass_estimate, rounded_mass
+from simfoundry.capture.description.mass_estimates import mass_estimate, rounded_mass
 from simfoundry.geometry.frames import Array, Pose, cross, quat_from_matrix
 from simfoundry.scene.bodies import open_box_walls
 from simfoundry.scene.model import JointType

@@ -14,7 +14,7 @@ from simfoundry.assets.mesh import MeshPart, merged, open_edges, weld
 from simfoundry.capture.articulation.asset import DAMPING, JOINT_FRICTION, PANELS, WALL, WOOD, numbers
 from simfoundry.capture.articulation.placed_joints import PartJoint
 from simfoundry.capture.articulation.segments import SegmentedMesh, face_areas
-from simfoundry.capture.mass_estimates import mass_estimate, rounded_mass
+from simfoundry.capture.description.mass_estimates import mass_estimate, rounded_mass
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material

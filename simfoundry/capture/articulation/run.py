@@ -16,7 +16,7 @@ from simfoundry.capture.articulation.evidence import FEWEST
 from simfoundry.capture.articulation.ground import find_ground
 from simfoundry.capture.articulation.views import PosedView, Sight
 from simfoundry.capture.frame import CaptureError, Frame
-from simfoundry.capture.load import load_frame, open_capture
+from simfoundry.capture.frames.load import load_frame, open_capture
 from simfoundry.errors import SimfoundryError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose

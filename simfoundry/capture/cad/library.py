@@ -203,7 +203,7 @@ def file_mesh(path: Path, scale: float) -> Mesh:
 
 def asset_mesh(path: Path) -> Mesh:
     """Return the visible surface of an asset, with its joints at zero."""
-    from simfoundry.capture.overlay import object_surface
+    from simfoundry.capture.outputs.overlay import object_surface
     from simfoundry.scene.lower import PASSES, Lowering
     from simfoundry.spec.load import load
 

@@ -10,7 +10,7 @@ from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.model_stages.ask import Makers, ModelResult, StageModels
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.stages.codec import digest_of
-from simfoundry.capture.stated import stated_segmentation
+from simfoundry.capture.statements.stated import stated_segmentation
 from simfoundry.models.open import open_model
 from simfoundry.models.setup import ModelSetup
 from simfoundry.models.tasks.masks import MaskEstimate, SegmentationPrompt, bounding_boxes, mask_overlap

@@ -11,7 +11,7 @@ import numpy as np
 
 from simfoundry.assets.mesh import MeshPart, merged
 from simfoundry.capture.candidates import ShapeChoice
-from simfoundry.capture.describe import mesh_files, object_spec
+from simfoundry.capture.description.describe import mesh_files, object_spec
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.model_stages.ask import Makers, ModelResult, StageModels
 from simfoundry.capture.model_stages.joints import require_lowered

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.foreign import RECORDINGS
 from simfoundry.capture.frame import in_range
+from simfoundry.capture.frames.foreign import RECORDINGS
 from simfoundry.capture.recordings.odometry import DepthOdometry
 from simfoundry.capture.recordings.record3d import Record3DRecording
 from simfoundry.capture.recordings.recording import DepthRecording, RecordedFrame, RecordingError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
-from simfoundry.capture.reduced import enlarged, reduced_frame, reduced_support, reduction
+from simfoundry.capture.frames.reduced import enlarged, reduced_frame, reduced_support, reduction
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 

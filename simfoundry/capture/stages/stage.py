@@ -61,7 +61,7 @@ STAGES = (
     Stage(
         "frames",
         "reads, checks and undistorts the images, and registers, computes or fuses their depth",
-        ("load.py", "fusion.py"),
+        ("frames/load.py", "frames/fusion.py"),
     ),
     Stage(
         "depth",
@@ -123,18 +123,18 @@ STAGES = (
     Stage(
         "name",
         "names each object as stated, or after its color and shape",
-        ("naming.py", "describe.py", "kinds.py"),
+        ("description/naming.py", "description/describe.py", "description/kinds.py"),
     ),
     Stage(
         "pose",
         "places the meshes, and takes the poses, that a person states",
-        ("stated.py",),
+        ("statements/stated.py",),
         per_object=True,
     ),
     Stage(
         "texture",
         "takes the colors of each object and of the support from the image",
-        ("shapes/texture.py", "support_object.py"),
+        ("shapes/texture.py", "description/support_object.py"),
         per_object=True,
     ),
     Stage(
@@ -150,16 +150,16 @@ STAGES = (
         ("model_stages/background.py",),
         is_optional=True,
     ),
-    Stage("doubts", "looks for signs in the image that the scene will be wrong", ("doubts.py",)),
+    Stage("doubts", "looks for signs in the image that the scene will be wrong", ("doubts/image_doubts.py",)),
     Stage(
         "settle",
         "brings all objects to rest in a simulation, and states their masses and materials",
-        ("standing.py", "kinds.py", "../worlds/settle.py", "../worlds/rest.py"),
+        ("settling/standing.py", "description/kinds.py", "../worlds/settle.py", "../worlds/rest.py"),
     ),
     Stage(
         "pictures",
         "draws the scene at rest beside the image",
-        ("pictures.py", "../render"),
+        ("outputs/pictures.py", "../render"),
     ),
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)

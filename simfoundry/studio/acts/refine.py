@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.capture.overlay import object_surface
+from simfoundry.capture.outputs.overlay import object_surface
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.register_mesh import pose_agreement
 from simfoundry.geometry.frames import Array, Pose

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from simfoundry.capture.describe import shape_spec
+from simfoundry.capture.description.describe import shape_spec
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.change.edit_data import DataPath

@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
-from simfoundry.capture.overlay import CaptureOverlay, object_surface
+from simfoundry.capture.outputs.overlay import CaptureOverlay, object_surface
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement
 from simfoundry.capture.shapes.register_mesh import pose_agreement
 from simfoundry.errors import SimfoundryError

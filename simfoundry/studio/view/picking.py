@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.overlay import RAY_RAD, CaptureOverlay, object_surface
+from simfoundry.capture.outputs.overlay import RAY_RAD, CaptureOverlay, object_surface
 from simfoundry.capture.shapes.register_mesh import Surface
 from simfoundry.capture.shapes.solid_casts import cast_mesh
 from simfoundry.geometry.frames import Array

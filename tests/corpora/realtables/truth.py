@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.frames.load import load_frame
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.geometry.frames import Array, Pose

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.assets import convex
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.frames.load import load_frame
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.pages import FOLDER, GROUPS, Page, code_of, findings_page, grouped, pages, titles
 from simfoundry.spec.diagnostics import SpecError

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.overlay import CaptureOverlay, object_surface
+from simfoundry.capture.outputs.overlay import CaptureOverlay, object_surface
 from simfoundry.capture.shapes.register_mesh import Surface
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.render.montage import label_color

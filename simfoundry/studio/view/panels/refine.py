@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.capture.overlay import object_surface
+from simfoundry.capture.outputs.overlay import object_surface
 from simfoundry.capture.shapes.evidence import RayAgreement
 from simfoundry.capture.shapes.register_mesh import registered_pose
 from simfoundry.geometry.frames import Array, Pose

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.reduced import reduced_frame, reduction
+from simfoundry.capture.frames.reduced import reduced_frame, reduction
 from simfoundry.capture.segment.masks import simplified
 from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array

@@ -11,12 +11,12 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.doubts.size_priors import unit_doubt
 from simfoundry.capture.findings import MODEL_FAILED, CaptureFinding
-from simfoundry.capture.foreign import foreign_capture, media_error, scene_folder
 from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame, in_range
-from simfoundry.capture.image_files import read_image
-from simfoundry.capture.sensors import estimated_depth, register, stereo_depth, undistorted
-from simfoundry.capture.size_priors import unit_doubt
+from simfoundry.capture.frames.foreign import foreign_capture, media_error, scene_folder
+from simfoundry.capture.frames.image_files import read_image
+from simfoundry.capture.frames.sensors import estimated_depth, register, stereo_depth, undistorted
 from simfoundry.geometry.frames import Array
 from simfoundry.models.contract import ModelError
 from simfoundry.models.provenance import ModelIdentity, model_use
@@ -53,7 +53,7 @@ T = TypeVar("T")
 def open_capture(path: Path) -> Loaded:
     """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder.
 
-    A folder without this file may have the layout of another data set; see :mod:`simfoundry.capture.foreign`.
+    A folder without this file may have the layout of another data set; see :mod:`simfoundry.capture.frames.foreign`.
 
     Raises:
         SpecError: There is no valid capture. The error contains all findings.

@@ -1,7 +1,7 @@
 """Measure the accuracy of a reconstruction.
 
 The measures of objects are position, size, mass, Chamfer distance, and F1 score at 1 cm. The measures of images are
-those of :mod:`simfoundry.capture.image_metrics`.
+those of :mod:`simfoundry.capture.accuracy.image_metrics`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.image_metrics import ImageAgreement, image_agreement
+from simfoundry.capture.accuracy.image_metrics import ImageAgreement, image_agreement
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import tessellate

@@ -8,10 +8,10 @@ import numpy as np
 
 from simfoundry.capture.findings import MODEL_FAILED, UNUSED_FRAME, CaptureFinding
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.fused_depth import DepthView, fused_depth, same_surface, without_edges
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.frames.fused_depth import DepthView, fused_depth, same_surface, without_edges
+from simfoundry.capture.frames.load import load_frame
+from simfoundry.capture.frames.sensors import register
 from simfoundry.capture.recordings.odometry import depth_surface, refined_pose
-from simfoundry.capture.sensors import register
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.models.setup import ModelSetup
 from simfoundry.scene.lower import pose

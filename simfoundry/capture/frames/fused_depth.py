@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.frame import FARTHEST, NEAREST, Frame, depth_sigma
+from simfoundry.capture.frames.sensors import register
 from simfoundry.capture.segment.masks import Mask
-from simfoundry.capture.sensors import register
 from simfoundry.geometry.frames import Array, Pose
 
 # Maximum difference of two readings of one surface, in standard deviations of a reading; noise exceeds it in 0.3 %.

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from simfoundry.capture.color_match import color_doubts
-from simfoundry.capture.depth_faults import depth_doubts
+from simfoundry.capture.doubts.color_match import color_doubts
+from simfoundry.capture.doubts.depth_faults import depth_doubts
+from simfoundry.capture.doubts.intrinsics import intrinsics_doubt
+from simfoundry.capture.doubts.size_priors import scale_doubt
 from simfoundry.capture.findings import BORDER, HOLE, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
-from simfoundry.capture.intrinsics import intrinsics_doubt
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
 from simfoundry.capture.segment.regions import pixel_area
-from simfoundry.capture.size_priors import scale_doubt
 from simfoundry.geometry.frames import Array
 
 RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture import describe
-from simfoundry.capture.describe import mesh_files
+from simfoundry.capture.description import describe
+from simfoundry.capture.description.describe import mesh_files
+from simfoundry.capture.description.kinds import kind_of
 from simfoundry.capture.findings import HELD, CaptureFinding
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.kinds import kind_of
 from simfoundry.capture.model_stages.joints import ARTICULATED
 from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports
 from simfoundry.capture.shapes.fit import FittedShape

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.reduced import reduced, reduction
+from simfoundry.capture.frames.reduced import reduced, reduction
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.render.montage import overlay, png_bytes, side_by_side
 from simfoundry.render.raycast import Raycast, raycast

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.capture.findings import CaptureFinding
-from simfoundry.capture.mask_files import MASK_NAMES, MASKS, mask_image, names_text
-from simfoundry.capture.output_folder import LAST_SCENE, STAGES_FOLDER, PreviousOutput
-from simfoundry.capture.overlay import SEGMENTS, segment_image
+from simfoundry.capture.outputs.mask_files import MASK_NAMES, MASKS, mask_image, names_text
+from simfoundry.capture.outputs.output_folder import LAST_SCENE, STAGES_FOLDER, PreviousOutput
+from simfoundry.capture.outputs.overlay import SEGMENTS, segment_image
+from simfoundry.capture.outputs.scene_merge import merge_scene
 from simfoundry.capture.pipeline import Statements
-from simfoundry.capture.scene_merge import merge_scene
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.runtime.files import write_file
 from simfoundry.spec.load import load

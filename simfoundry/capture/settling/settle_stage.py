@@ -11,12 +11,12 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.model_stages.joints import ARTICULATED
-from simfoundry.capture.pictures import RenderedScene
+from simfoundry.capture.outputs.pictures import RenderedScene
 from simfoundry.capture.reconstruct import Progress, Reconstruction
+from simfoundry.capture.settling.standing import StandingScene, settle_objects
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageRunner
-from simfoundry.capture.standing import StandingScene, settle_objects
 from simfoundry.runtime.files import write_file, write_files
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene

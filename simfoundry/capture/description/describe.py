@@ -9,12 +9,12 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
+from simfoundry.capture.description.kinds import SUPPORT, MaterialPrior, kind_of, material_of
+from simfoundry.capture.description.mass_estimates import mass_estimate
+from simfoundry.capture.description.support_object import DEFAULT_THICKNESS
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.kinds import SUPPORT, MaterialPrior, kind_of, material_of
-from simfoundry.capture.mass_estimates import mass_estimate
 from simfoundry.capture.scene_reading import MatchedReading
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.capture.support_object import DEFAULT_THICKNESS
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, tessellate

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.load import load_frame
+from simfoundry.capture.frames.load import load_frame
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.evidence import Evidence, gather, surface_distances
 from simfoundry.capture.shapes.fit import MIN_POINTS

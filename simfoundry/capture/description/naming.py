@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.capture.describe import color_word, unique_names
+from simfoundry.capture.description.describe import color_word, unique_names
+from simfoundry.capture.description.kinds import kind_of
 from simfoundry.capture.frame import Frame, Segmentation
-from simfoundry.capture.kinds import kind_of
-from simfoundry.capture.overrides import Overrides
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import dominant_color
+from simfoundry.capture.statements.overrides import Overrides
 
 # Least ratio of intersection and union at which two masks show the same object; two objects cannot both exceed it.
 SAME_MASK = 0.5

@@ -13,8 +13,8 @@ from pydantic import Field, StringConstraints
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import merged, read_mesh
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
-from simfoundry.capture.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks, read_model
-from simfoundry.capture.output_folder import PreviousOutput
+from simfoundry.capture.outputs.mask_files import MASK_NAMES, MASKS, read_mask_names, read_masks, read_model
+from simfoundry.capture.outputs.output_folder import PreviousOutput
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import frozen_array

@@ -1,0 +1,1 @@
+"""Measures of a reconstruction against the truth."""

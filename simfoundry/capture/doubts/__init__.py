@@ -1,0 +1,1 @@
+"""Faults of images and of their segmentation that make a reconstruction doubtful."""

@@ -1,0 +1,1 @@
+"""The files that a reconstruction writes, and the edits that people make in them."""

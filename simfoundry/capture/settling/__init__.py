@@ -1,0 +1,1 @@
+"""Bringing a reconstruction to rest."""

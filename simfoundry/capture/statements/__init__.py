@@ -1,0 +1,1 @@
+"""Names, masks, meshes and poses that people state."""
