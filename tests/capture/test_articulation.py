@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,30 @@ def test_captures_in_the_wrong_order_are_doubtful(kind: str, seed: int, tmp_path
     wrong = run("articulate", truth.opened, truth.shut, "-o", tmp_path / "b.asset.yaml")
     assert right.code == 0 and wrong.code == 1
     assert "the part stands out most in the first capture" in wrong.out
+
+
+@pytest.mark.slow  # 2 s
+def test_the_part_of_a_slide_faces_along_it(tmp_path: Path) -> None:
+    truth = captured(
+        tmp_path, "drawer", 84004, 640, moves=True
+    )  # the cabinet's side also stays on surface when it slides
+    found = run("articulate", truth.shut, truth.opened, "-o", tmp_path / "a.asset.yaml")
+    assert found.code == 0, found.out
+
+
+@pytest.mark.slow  # 1 s
+def test_a_second_drawer_that_moved_is_a_doubt(tmp_path: Path) -> None:
+    truth = captured(tmp_path, "drawer", 5000, WIDTH)
+    asset, scene = tmp_path / "furniture.asset.yaml", tmp_path / "drawer_1.scene.yaml"
+    other = next(name for name in truth.furniture.body if name.startswith("front_"))
+    size, at = truth.furniture.body[other]
+    moved = replace(truth.furniture, body={**truth.furniture.body, other: (size, at + [0.06, 0, 0])})
+    asset.write_text(moved.text())
+    f, c = 600 * WIDTH / 640, ((WIDTH - 1) / 2, (WIDTH * 3 // 4 - 1) / 2)
+    camera = Camera("front", WIDTH, WIDTH * 3 // 4, f, f, *c, truth.X_WC[0])
+    both = synthesize(sf.load(scene).lower(), camera, tmp_path / "both", 7).parent
+    found = run("articulate", truth.shut, both, "-o", tmp_path / "a.asset.yaml")
+    assert found.code == 1 and "of what changed is not due to this part" in found.out
 
 
 @pytest.mark.slow  # 2 s

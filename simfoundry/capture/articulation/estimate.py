@@ -18,6 +18,7 @@ import numpy as np
 
 from simfoundry.capture.articulation.evidence import FEWEST, MotionEvidence, pixels_of, surface
 from simfoundry.capture.articulation.motions import (
+    ALIGNED,
     QUANTILES,
     SLIDES,
     THICKNESS,
@@ -198,7 +199,7 @@ def _estimate(
 ) -> JointEstimate:
     """Return the estimate for a motion; ``refined`` are the motions that compete with it."""
     judged = evidence.judge(final)
-    front = max(fronts, key=lambda patch: _kept(final, patch, second))
+    front = _front_of(final, fronts, second)
     part = _part(final, front, first, second)
     others = [evidence.score(motion) for motion in refined if _differs(motion, final)]
     return JointEstimate(
@@ -294,6 +295,13 @@ def _is_reversed(evidence: MotionEvidence, fronts: Sequence[Patch]) -> bool:
 
     gone = evidence.moved.points[evidence.moved.is_gone]
     return bool(len(gone) and len(evidence.new.points)) and outside(gone) > outside(evidence.new.points) + FARTHER
+
+
+def _front_of(motion: Motion, fronts: Sequence[Patch], second: PosedView) -> Patch:
+    """Return the front that a motion moves: the one that it keeps best, for a slide among those that face along it."""
+    facing = [front for front in fronts if abs(float(front.normal @ motion.axis)) > ALIGNED]
+    is_slide = motion.kind is JointType.PRISMATIC
+    return max(facing if is_slide and facing else fronts, key=lambda patch: _kept(motion, patch, second))
 
 
 def _kept(motion: Motion, front: Patch, second: PosedView) -> int:
