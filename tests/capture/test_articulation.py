@@ -36,6 +36,7 @@ def errors(found: Articulated, truth: Captured) -> tuple[float, float]:
     return angle, 0.0 if motion.kind is JointType.PRISMATIC else float(np.linalg.norm(np.cross(off, axis)))
 
 
+@pytest.mark.slow  # 4 s
 def test_a_drawer_becomes_an_asset(tmp_path: Path) -> None:
     truth = captured(tmp_path, "drawer", 5000, WIDTH)
     result = run("articulate", truth.shut, truth.opened, "-o", tmp_path / "chest.asset.yaml", "--json")

@@ -67,6 +67,7 @@ def answering(folder: Path, objects: Sequence[Mapping[str, object]], commercial:
     return f"command:{sys.executable} {server}"
 
 
+@pytest.mark.slow  # 2 s
 def test_a_model_names_objects_in_the_scene(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     labels = np.array(Image.open(folder / "out" / "segments.png"))
     rows, columns = np.nonzero(labels == 1)

@@ -149,6 +149,7 @@ def test_pitcher_height() -> None:
     assert size_of(shape.geometry)[2] == pytest.approx(0.235, abs=0.015)
 
 
+@pytest.mark.slow  # 2 s
 @pytest.mark.parametrize(
     ("index", "u", "v", "truth"),
     [
@@ -240,6 +241,7 @@ def silhouette(frame: Frame, vertices_C: Array, faces: NDArray[np.int32]) -> NDA
     return np.isfinite(hits.depth).reshape(h, w)
 
 
+@pytest.mark.slow  # 2 s
 def test_shampoo_bottle_where_its_pose_says() -> None:
     entry = json.loads((DATA / "m3t_desk" / "capture.json").read_text())["frames"][0]
     frame = warped(entry)

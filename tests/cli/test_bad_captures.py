@@ -99,6 +99,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.slow  # 2 s
 @pytest.mark.parametrize(("spoil", "code", "place", "message"), BAD.values(), ids=BAD)
 def test_a_bad_capture_ends_in_a_finding(
     tmp_path: Path, earlier: Path, spoil: Callable[[Path], None], code: str, place: str, message: str

@@ -53,6 +53,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
+@pytest.mark.slow  # 3 s
 def test_capture_works_without_pybullet(folder: Path, first: Done) -> None:
     assert first.code == 0 and first.err == ""
     assert first.json["passed"] is True and list(first.json["objects"]) == ["green_box"]

@@ -79,6 +79,7 @@ def test_what_several_scenes_use_is_read_once_and_anew_by_each_command(
 # -- many documents -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 2 s
 def test_a_large_tree_is_checked_by_processes_as_by_one(tree: Path) -> None:
     for k in range(SERIAL_TRIAL + 40):
         (tree / f"scene_{k:03}.scene.yaml").write_text(BAD if k % 7 == 3 else GOOD)
@@ -106,6 +107,7 @@ def test_checking_one_document_loads_what_it_needs() -> None:
     assert done.out == "no findings in 1 document\n[]\n"
 
 
+@pytest.mark.slow  # 3 s
 @pytest.mark.usefixtures("tree")
 def test_a_terminal_shows_color_unless_it_is_asked_not_to() -> None:
     shown = terminal("check", "bad.scene.yaml")

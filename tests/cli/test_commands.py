@@ -277,6 +277,7 @@ def test_doctor_finds_everything_here() -> None:
     assert [p["name"] for p in done.json["parts"] if p["required"] and not p["version"]] == []
 
 
+@pytest.mark.slow  # 2 s
 def test_doctor_names_what_is_missing() -> None:
     done, plain = several(absent("shapely", "pybullet"), ["doctor", "--json"], ["doctor"])
     assert done.code == 1 and done.err == ""

@@ -204,6 +204,7 @@ def test_a_crash_or_a_hang_fails_one_scene(function: str, seconds: float, why: s
     assert outcomes[0].error == f"its process {why}, while processing object `one` (one.obj)"
 
 
+@pytest.mark.slow  # 3 s
 def test_a_failed_scene_stops_no_other(project: Path) -> None:
     (project / "one.obj").write_text("o nothing\n")
     (project / "b.scene.yaml").write_text(SCENE.replace("fixed", "fxed"))
@@ -235,6 +236,7 @@ def test_two_scenes_for_one_folder_are_refused(project: Path) -> None:
     assert "could not find any *.scene.yaml file below empty" in run("compile", "empty").err
 
 
+@pytest.mark.slow  # 2 s
 def test_files_of_others_are_kept_in_each_folder(project: Path) -> None:
     states("a.scene.yaml", "b.scene.yaml")
     (project / "build/b/mjcf/thesis.tex").write_text("mine")

@@ -51,6 +51,7 @@ def test_a_base_that_changed_later_is_not_taken_for_that_of_then(repository: Rep
     assert "1 changed" not in "\n".join(_shown(repository, "HEAD~1"))
 
 
+@pytest.mark.slow  # 2 s
 def test_an_overlay_that_changed_with_its_base_is_shown_whole_each_time(repository: Repository) -> None:
     """Each of its blobs lay beside one base only, none of them today's."""
     repository.write("table.scene.yaml", BASE.replace("[0.3, 0.1, 0.05]", "[0.33, 0.1, 0.05]"))
@@ -72,6 +73,7 @@ def test_an_amended_commit_counts_as_long_as_git_knows_it(repository: Repository
     assert _shown(repository) == _shown(repository, "HEAD@{1}") == OWN
 
 
+@pytest.mark.slow  # 2 s
 def test_the_working_tree_and_the_index_count(repository: Repository) -> None:
     repository.write("table.scene.yaml", ROUGHER)
     assert _shown(repository) == WHOLE

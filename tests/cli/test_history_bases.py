@@ -268,6 +268,7 @@ def test_a_shallow_clone_says_what_it_lacks(
 # -- merges ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 2 s
 def test_a_merge_that_brings_both_together(repository: Repository) -> None:
     """One side moves the base's mug, the other pins the overlay's: in the merge, the overlay's is where it was."""
     repository.git("switch", "--quiet", "-c", "side")
@@ -371,6 +372,7 @@ def test_a_repository_without_commits(tmp_path: Path, monkeypatch: pytest.Monkey
     assert told("table.scene.yaml") == [("uncommitted changes", PLACED)]
 
 
+@pytest.mark.slow  # 2 s
 def test_included_scenes_are_bases(repository: Repository) -> None:
     cell = "simfoundry: scene/1\nname: cell\ninclude: {left: {scene: table.scene.yaml, pose: {xyz: [0, 1, 0]}}}\n"
     commit(repository, "cell", cell=cell)

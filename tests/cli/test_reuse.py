@@ -86,6 +86,7 @@ def test_python_edits_single_copies(scene: Path) -> None:
     assert "repeat:" in scene.read_text() and "# four cups" in scene.read_text()
 
 
+@pytest.mark.slow  # 2 s
 @pytest.mark.usefixtures("scene")
 def test_recipes_set_parameters_and_address_copies(tmp_path: Path) -> None:
     recipe = "simfoundry: cousins/1\nname: r\ntwin: cups.scene.yaml\nparameters: {gap: 0.2}\n"

@@ -46,6 +46,7 @@ vary:
 """
 
 
+@pytest.mark.slow  # 2 s
 def test_a_dataset_contains_the_demonstrations(demos: Path, built: Path) -> None:
     found, stored = sf.demonstrations(demos), sf.dataset(built)
     assert stored.info.episodes == len(stored) == 4 and stored.info.fps == 15.0
@@ -69,6 +70,7 @@ def test_a_dataset_contains_the_demonstrations(demos: Path, built: Path) -> None
         first += demo.steps
 
 
+@pytest.mark.slow  # 2 s
 def test_images_are_those_of_the_replay_at_every_size(demos: Path, built: Path, tmp_path: Path) -> None:
     """The images of a dataset equal, pixel for pixel, those that are rendered while the physics is replayed."""
     small = {"small": {"camera": "front", "size": (32, 24)}, "large": {"camera": "front", "size": (64, 48)}}
@@ -284,6 +286,7 @@ def test_folders_of_others_are_refused(demos: Path, built: Path, tmp_path: Path)
 # -- show and check ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 3 s
 def test_a_dataset_is_shown_in_text_and_on_a_page(built: Path, tmp_path: Path) -> None:
     shown = run("dataset", "show", built, "--page", tmp_path / "page.html", "--episodes", "2")
     assert shown.code == 0 and "push: 4 episodes" in shown.out and "train 3, held_out 1" in shown.out

@@ -203,6 +203,7 @@ def test_a_policy_that_never_wins_comes_to_an_end(here: Path) -> None:
         sf.record("push.task.yaml", "random", out="never", count=0)
 
 
+@pytest.mark.slow  # 2 s
 def test_a_policy_that_ends_its_process_ends_the_recording_with_a_sentence(
     bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,6 +352,7 @@ def test_other_tasks_are_refused(tasks: Path, here: Path) -> None:
     assert done.code == 2 and "does not contain any tasks" in done.err
 
 
+@pytest.mark.slow  # 2 s
 def test_noise_and_latency_replay_to_the_bit(here: Path) -> None:
     document = here / "push.task.yaml"
     text = document.read_text()

@@ -136,6 +136,7 @@ def test_the_readme_is_a_screen_and_a_half() -> None:
     assert len((REPOSITORY / "README.md").read_text().splitlines()) <= 100
 
 
+@pytest.mark.slow  # 7 s
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the pages are built with the extra `docs`")
     pytest.importorskip("mkdocstrings", reason="the pages are built with the extra `docs`")

@@ -104,6 +104,7 @@ def test_shards_and_processes_give_what_one_run_gives(bench: Path, done: Path, t
     assert ours == theirs
 
 
+@pytest.mark.slow  # 2 s
 def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: Path) -> None:
     command: tuple[str | Path, ...] = (
         "eval",

@@ -15,6 +15,7 @@ def test_corruptions_are_found_where_they_are(count: int) -> None:
     _judge(corrupt(count, seed=1)[0], count)
 
 
+@pytest.mark.slow  # 3 s
 @counts
 def test_corruptions_of_reuse_are_found_where_a_person_wrote_them(count: int) -> None:
     tallies = corrupt_reuse(count, seed=1)[0]

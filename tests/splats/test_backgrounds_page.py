@@ -23,6 +23,7 @@ from tests.splats.test_background_commands import surroundings
 PAGE = REPOSITORY / "docs" / "backgrounds.md"
 
 
+@pytest.mark.slow  # 2 s
 def test_the_page_is_what_happens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     here = [block for block in blocks(PAGE) if "test_backgrounds_page.py" in block.note]

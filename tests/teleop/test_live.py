@@ -34,6 +34,7 @@ pytest.importorskip("viser")
 MAX_REACTION_MS = 50.0
 
 
+@pytest.mark.slow  # 3 s
 def test_keys_drive_a_rollout_in_real_time_and_its_stream_repeats_it(touch: Path, tmp_path: Path) -> None:
     stream = tmp_path / "s.jsonl"
     with running(touch, tmp_path / "demos", "keyboard", stream=stream) as session:

@@ -93,6 +93,7 @@ def test_what_is_missing_is_one_sentence(project: Path) -> None:
     assert told.code == 1 and "--vlm" not in told.err and "SIMFOUNDRY_MESHES_URL" in told.err
 
 
+@pytest.mark.slow  # 3 s
 @pytest.mark.parametrize(
     ("down", "said"),
     [

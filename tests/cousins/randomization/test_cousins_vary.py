@@ -211,6 +211,7 @@ def test_the_command(room: Path) -> None:
     assert other.code != 0 and "different run" in other.err
 
 
+@pytest.mark.slow  # 2 s
 def test_the_axes_of_a_cousin(room: Path, sampler: Sampler) -> None:
     """Evaluations pool the results of cousins by the axes along which they differ."""
     other = "object: {objects: {cabinet: {count: 1, changes: [appearance]}}}"

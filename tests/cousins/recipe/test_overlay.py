@@ -125,6 +125,7 @@ def test_a_task_comes_along_without_what_was_said_of_moved_things(project: Path)
     assert run("check", project / "out").code == 0
 
 
+@pytest.mark.slow  # 2 s
 def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     asked = setup(project, "scenes")
     one, other = CandidateSampler.load(*asked), CandidateSampler.load(*asked)

@@ -111,6 +111,7 @@ def _check(a: Any, b: Any) -> None:
     assert same(apply(again, a), b)
 
 
+@pytest.mark.slow  # 2 s
 def test_changes_make_the_one_document_the_other() -> None:
     """1,200 pairs: unrelated documents, and documents of which one was made from the other."""
     rng = random.Random(7)
