@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from simfoundry.capture.cad.explain import CadSegmentation, explained_segmentation
+from simfoundry.capture.cad.explain import explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import CadLookup, ModelMatch
 from simfoundry.capture.description.describe import SUPPORT_NAME
@@ -69,6 +69,21 @@ class TexturedObjects:
     top: Mesh
 
 
+@dataclass(frozen=True, eq=False)
+class FoundSegments:
+    """The segmentation of an image.
+
+    Attributes:
+        value: The objects.
+        models: The models that found their masks, if any did.
+        matches: The models of a CAD library that were registered with them, by number.
+    """
+
+    value: Segmentation
+    models: tuple[ModelUse, ...] = ()
+    matches: Mapping[int, ModelMatch] = field(default_factory=dict)
+
+
 def segmented_frame(
     measured: Frame,
     completed: Frame,
@@ -77,46 +92,38 @@ def segmented_frame(
     overrides: Overrides,
     models: StageModels,
     reading: SceneEstimate | None,
-) -> tuple[StageResult[Segmentation], tuple[ModelUse, ...]]:
+    cad: CadLibrary | None,
+) -> FoundSegments:
     """Segment an image by geometry or by a model, or take the masks of a person or of the capture.
 
     Geometry looks at the depth that was measured, because filled holes have surfaces that belong to no object. Masks of
-    a model may show objects in the holes, such as glass, whose depth is in ``completed``.
-
-    Returns:
-        The objects, and the model that found them, if one did.
+    a model may show objects in the holes, such as glass, whose depth is in ``completed``. What geometry found without a
+    person is corrected by the models of a CAD library.
     """
-    stages = models.stages
+    stages, inputs = models.stages, {**seen, "support": support.digest}
     if overrides.masks is not None:
         masks = overrides.masks
-        inputs = {**seen, "support": support.digest, "override": digest_of(masks)}
+        inputs["override"] = digest_of(masks)
         stages.overridden.add(("segment", ""))
-        return stages.run(
-            "segment", inputs, lambda: stated_segmentation(measured, support.value, masks), quick=True
-        ), ()
-    stated = "" if measured.decomposition is None else measured.decomposition.model_dump_json()
-    inputs = {**seen, "support": support.digest, "masks": digest_of(measured.instances), "decomposition": stated}
-    is_given = measured.instances is not None
-    found = stages.run("segment", inputs, lambda: segmentation_of(measured, support.value), quick=is_given)
-    if is_given or measured.decomposition is not None:
-        return found, ()
+        take = partial(stated_segmentation, measured, support.value, masks)
+        return FoundSegments(stages.run("segment", inputs, take, quick=True).value)
+    is_given, stated = measured.instances is not None, measured.decomposition
+    inputs["masks"] = digest_of(measured.instances)
+    inputs["decomposition"] = "" if stated is None else stated.model_dump_json()
+    found = stages.run("segment", inputs, partial(segmentation_of, measured, support.value), quick=is_given)
+    if is_given or stated is not None:
+        return FoundSegments(found.value)
     phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)
     masked = model_segmentation(completed, support.value, found.value, phrases, models)
-    return (found, ()) if masked is None else (StageResult(masked.value, masked.digest), masked.models)
-
-
-def explained_objects(
-    measured: Frame,
-    support: StageResult[SupportSurface],
-    segmentation: StageResult[Segmentation],
-    seen: Mapping[str, str],
-    cad: CadLibrary,
-    stages: StageRunner,
-) -> StageResult[CadSegmentation]:
-    """Correct a segmentation by the models of a CAD library, and find the model of each object."""
-    inputs = {**seen, "support": support.digest, "segments": segmentation.digest, "cad": cad.digest}
-    compute = partial(explained_segmentation, measured, support.value, segmentation.value, cad)
-    return stages.run("register", inputs, compute)
+    if masked is not None:
+        return FoundSegments(masked.value, masked.models)
+    if cad is None:
+        return FoundSegments(found.value)
+    inputs = {**seen, "support": support.digest, "segments": found.digest, "cad": cad.digest}
+    explained = stages.run(
+        "register", inputs, partial(explained_segmentation, measured, support.value, found.value, cad)
+    ).value
+    return FoundSegments(explained.segmentation, matches=explained.matches)
 
 
 def cleared_images_of(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 from simfoundry.capture.cad.library import CadLibrary
-from simfoundry.capture.cad.match import ModelMatch
 from simfoundry.capture.description import describe
 from simfoundry.capture.description.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.description.kinds import SUPPORT
@@ -24,7 +23,6 @@ from simfoundry.capture.object_stages import (
     SegmentedView,
     TexturedObjects,
     cleared_images_of,
-    explained_objects,
     fitted_shapes,
     placed_by_person,
     segmented_frame,
@@ -85,8 +83,7 @@ def reconstruct(
     Raises:
         CaptureError: No support or no object is found in the image.
     """
-    overrides, models = known.overrides, StageModels(known.setup, stages)
-    measured = source.value
+    overrides, models, measured = known.overrides, StageModels(known.setup, stages), source.value
     frame, completed = completed_frame(measured, models)
     seen = {"image": digest_of([measured.color, measured.depth, measured.K])}
     progress("support", 0.0)
@@ -94,20 +91,15 @@ def reconstruct(
     support = stages.run("support", seen | {"chosen": chosen}, lambda: support_of(measured))
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
-    segmentation, masked = segmented_frame(measured, frame, support, seen, overrides, models, reading)
-    matches: Mapping[int, ModelMatch] = {}
-    stated = overrides.masks is not None or measured.instances is not None or measured.decomposition is not None
-    if known.cad is not None and not stated and not masked:
-        explained = explained_objects(measured, support, segmentation, seen, known.cad, stages)
-        segmentation, matches = replace(segmentation, value=explained.value.segmentation), explained.value.matches
+    found = segmented_frame(measured, frame, support, seen, overrides, models, reading, known.cad)
     seen |= {} if completed is None else {"completed": completed.digest}
-    view = SegmentedView(frame, support.value, segmentation.value, seen | {"support": support.digest}, stages)
-    shapes, carriers, findings = fitted_shapes(view, progress, known.cad, matches)
+    view = SegmentedView(frame, support.value, found.value, seen | {"support": support.digest}, stages)
+    shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
     cleared, painters = cleared_images_of(view, shapes, models)
     modelled = model_shapes(view, shapes, cleared, models)
-    read = None if reading is None else match_objects(reading, segmentation.value.labels)
-    found, names = _named(view, modelled.shapes, known, read)
-    keys = {k: overrides.of((names[k], found[k]))[0] for k in shapes}
+    read = None if reading is None else match_objects(reading, found.value.labels)
+    first_names, names = _named(view, modelled.shapes, known, read)
+    keys = {k: overrides.of((names[k], first_names[k]))[0] for k in shapes}
     placed = {k: placed_by_person(view, shape, overrides, keys[k], k) for k, shape in modelled.shapes.items()}
     given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
     objects = textured_objects(view, placed, carriers, given, progress)
@@ -115,33 +107,30 @@ def reconstruct(
     jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
     splat = model_background(frame, objects.support, shapes, cleared[-1], known.views, models) if cleared else None
     sensed = tuple(ModelUse.model_validate(dict(use)) for use in measured.models)
-    everywhere = (*sensed, *(completed.models if completed else ()), *masked)
+    everywhere = (*sensed, *(completed.models if completed else ()), *found.models)
     uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
     spec = scene_spec(name, frame, support.value, objects, names, read, uses)
     jointed = weighed(jointed, {k: spec.objects[names[k]].mass for k in jointed.objects})
     spec = _with_joints(spec, jointed, objects, names)
     files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
     spec = _with_origin(spec, (*everywhere, *(() if splat is None else (*painters, *splat.models))), splat is not None)
-    inputs = {**view.seen, "segments": digest_of(segmentation.value)}
-    doubt = partial(image_doubts, measured, support.value, segmentation.value)
-    doubts = stages.run("doubts", inputs, doubt, quick=True)
     findings = (
         *frame.findings,
-        *_other_names(names, found, overrides),
-        *(CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in segmentation.value.unmet),
+        *_other_names(names, first_names, overrides),
+        *(CaptureFinding(NOT_FOLLOWED, text, CONSTRAINT_HINT) for text in found.value.unmet),
         *unmatched_findings(read),
         *models.findings({str(k): name for k, name in names.items()}),
         *jointed.findings,
         *findings,
         *(() if known.cad is None else known.cad.findings()),
-        *overrides.unused({*found.values(), *names.values()}),
-        *doubts.value,
+        *overrides.unused({*first_names.values(), *names.values()}),
+        *_image_doubts(view, measured),
     )
     return Reconstruction(
         spec,
         files,
         objects.support,
-        segmentation.value,
+        found.value,
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
         findings,
@@ -149,6 +138,13 @@ def reconstruct(
         modelled.files(names),
         modelled.report(names),
     )
+
+
+def _image_doubts(view: SegmentedView, measured: Frame) -> tuple[CaptureFinding, ...]:
+    """Return what is doubtful about an image as it was measured."""
+    inputs = {**view.seen, "segments": digest_of(view.segmentation)}
+    look = partial(image_doubts, measured, view.support, view.segmentation)
+    return view.stages.run("doubts", inputs, look, quick=True).value
 
 
 def _with_joints(

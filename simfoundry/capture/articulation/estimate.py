@@ -104,7 +104,7 @@ class JointEstimate:
         runner_up: The score of the best motion of another type, or about another hinge, relative to this one.
         is_cut: True if the border of the second image cuts off the part.
         is_out_of_sight: True if its front has left the second image, so that it may have moved farther.
-        unclaimed: The share of the surface that changed that is not due to the motion of this part, from 0 to 1.
+        unclaimed: The share of the changed surface that the motion of this part does not account for, from 0 to 1.
         is_reversed: True if the part stands out from the object in the first view more than in the second.
     """
 
@@ -298,7 +298,7 @@ def _is_reversed(evidence: MotionEvidence, fronts: Sequence[Patch]) -> bool:
 
 
 def _front_of(motion: Motion, fronts: Sequence[Patch], second: PosedView) -> Patch:
-    """Return the front that a motion moves: the one that it keeps best, for a slide among those that face along it."""
+    """Return the front that a motion moves: the one that it keeps best. For a slide, a front must face along it."""
     facing = [front for front in fronts if abs(float(front.normal @ motion.axis)) > ALIGNED]
     is_slide = motion.kind is JointType.PRISMATIC
     return max(facing if is_slide and facing else fronts, key=lambda patch: _kept(motion, patch, second))

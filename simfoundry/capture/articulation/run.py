@@ -61,8 +61,9 @@ LEAST = 0.05
 # Confidence is doubtful below this share of explained surface, or if another type of joint explains nearly as much.
 DOUBTFUL, CLOSE = 0.25, 0.8
 
-# Share of the surface that changed that need not be due to the part. Single parts left at most 0.22 (the drawer of a
-# real cabinet; 0.16 among 20 random pieces of furniture), while a second part or a cabinet that moved leaves more.
+# Largest share of the changed surface that may have another cause than the part. Single parts left at most 0.22 (the
+# drawer of a real cabinet; 0.16 among 20 random pieces of furniture); a second part, or a cabinet that moved, leaves
+# more.
 UNCLAIMED = 0.3
 
 

@@ -49,8 +49,8 @@ PRECISE, OWN_SHARE, MAX_COST = 0.85, 0.4, 0.25
 # right models have at least 0.89, 0.52 and at most 0.32, wrong ones a share of at most 0.4 or a cost of at least 0.39.
 PRECISE_REST, MAX_COST_REST, VISIBLE = 0.88, 0.33, 0.45
 
-# For pixels that were in no region at all, which may show the room behind the table: the same, and the share of its
-# pixels that it must explain, and the share of them that is above the support and not at its edge.
+# For pixels that are in no region at all, and may show the room behind the table: least precision, largest cost, least
+# share of these pixels that the model must explain, and least share of them above the support and away from its edge.
 PRECISE_ALONE, MAX_COST_ALONE, OWN_ALONE, WITHIN = 0.95, 0.25, 0.9, 0.9
 
 # Least share of the pixels that a model explains that no other chosen model explains.
@@ -77,11 +77,10 @@ MAX_REMAINDERS = 5
 # Least area of a remainder that is an object without a model [m²]: behind a mug, mixed pixels cover 11 cm².
 LARGE = 2e-3
 
-# Largest share of a remainder that a part of it may be to be tried, too.
+# Smooth parts of a remainder are tried as well, unless a part is this share of it or more.
 MOST_OF_IT = 0.85
 
-
-# Least overlap (IoU) of an object with the pixels for which a model was registered, to be a candidate for it.
+# A model is a candidate for an object that overlaps the pixels with which it was registered by more than this (IoU).
 SAME = 0.7
 
 
@@ -167,7 +166,7 @@ def explained_segmentation(
         chosen = _chosen(scene, tried)
         if chosen == before:
             break
-    chosen = _complete(scene, chosen)
+    chosen = _of_explained_regions(scene, chosen)
     return _corrected(scene, segmentation, chosen, [one for one in tried.values() if one is not None])
 
 
@@ -311,7 +310,7 @@ def _chosen(scene: _Scene, tried: dict[bytes, _Instance | None]) -> list[_Instan
     return out
 
 
-def _complete(scene: _Scene, chosen: list[_Instance]) -> list[_Instance]:
+def _of_explained_regions(scene: _Scene, chosen: list[_Instance]) -> list[_Instance]:
     """Return the models whose regions are explained, together with the other models.
 
     A model that explains only a part of a region is right if something else is there, or a lookalike of the object.
@@ -319,7 +318,7 @@ def _complete(scene: _Scene, chosen: list[_Instance]) -> list[_Instance]:
     explained = grown(_explained(scene, chosen), disk(NARROW)) | (scene.points_W[..., 2] < FLAT)
     left = [float((one.whole & ~explained).sum()) / max(1, int(one.whole.sum())) for one in chosen]
     kept = [one for one, share in zip(chosen, left, strict=True) if share <= LEFT_SHARE]
-    return kept if len(kept) == len(chosen) else _complete(scene, kept)
+    return kept if len(kept) == len(chosen) else _of_explained_regions(scene, kept)
 
 
 def _pairs(scene: _Scene, seeds: list[Mask]) -> Iterator[Mask]:

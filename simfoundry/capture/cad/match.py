@@ -27,10 +27,10 @@ FINALISTS = 3
 # thoroughly. The cost of the right model decreases by 0.05 on average.
 STILL_LIKELY = 0.15
 
-# Least share of the points of an object that a model explains, and largest intrusion, with which it is preferred to a
-# solid of which it costs this much more: its sizes do not follow the errors of the depth, those of a solid do. Of 42
-# isolated YCB objects all but one are explained so by their model, of 21 without it none; in real pictures the right
-# model of a carton costs 0.04 more than a box.
+# A model that explains at least this share of the points of an object, and intrudes no more than this, is preferred to
+# a solid whose cost is less by up to the third number: the sizes of a solid follow the errors of the depth, and those
+# of a model do not. All but one of 42 isolated YCB objects are explained so well by their own model, and none of 21 by
+# another one. In real pictures, the right model of a carton costs 0.04 more than a box.
 EXPLAINS_ALL, INTRUDES_NOWHERE, WORTH = 0.95, 0.02, 0.06
 
 # A model is not larger than its visible part requires: tolerances of its diameter, and of its silhouette if all of it
@@ -62,7 +62,7 @@ class ModelMatch:
 class CadLookup:
     """Candidates for the fit of an object, from a CAD library.
 
-    If ``known`` is the model that an object is, at about its pose, no other model is registered.
+    If ``known`` states which model the object is and about where, no other model is registered.
     """
 
     library: CadLibrary

@@ -25,7 +25,7 @@ def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFindi
     """Yield a finding for each fault of a depth image."""
     expected = float(np.nanmedian(depth_sigma(frame.depth[support.inliers])))
     noise = depth_noise(frame, support) / expected
-    bend = support.residual / (0.67 * expected)
+    bend = support.residual / (0.67 * expected)  # half of normal errors are within 0.67 standard deviations
     if noise > NOISE:
         message = f"the depth of the support is {noise:.1f} times as noisy as that of common depth cameras"
         yield CaptureFinding(NOISY, message, "average several images, or move the camera closer")

@@ -78,7 +78,7 @@ def _little_support(frame: Frame, support: SupportSurface) -> Iterator[CaptureFi
     """Yield a finding if so little of the support is visible that it may be the top of an object."""
     area = float(np.nansum(pixel_area(frame)[support.inliers]))
     if area < LITTLE:
-        message = f"only {area * 1e4:.0f} cm² of the support are visible, so it may be a part of an object"
+        message = f"only {area * 1e4:.0f} cm² of the support is visible, so it may be part of an object"
         hint = "show more of the table, and make sure that it has depth: glass and dark glossy tables often have none"
         yield CaptureFinding(SUPPORT_DOUBT, message, hint)
 

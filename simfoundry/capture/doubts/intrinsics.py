@@ -33,9 +33,7 @@ SLOPING = 0.25  # minimum horizontal part of a unit normal that points to an axi
 FEWEST = 60  # minimum number of such pixels of an object
 RELATED = 30  # number of pixels that are as good as one independent measurement
 WRONG = 0.17  # minimum absolute logarithm of the factor that is reported: two steps
-CERTAIN = (
-    12.0  # minimum gain of such a factor that is reported: 8 for a single bowl on one of 60 tables, 37 if it is wrong
-)
+CERTAIN = 12.0  # minimum gain of such a factor that is reported: at most 8 on right tables, at least 37 on wrong ones
 HINT = "check `camera` in the capture"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -51,35 +52,18 @@ def load_fused_frame(loaded: Loaded, name: str, setup: ModelSetup | None = None)
     Raises:
         SpecError: A frame cannot be used.
     """
-    assert isinstance(loaded.spec, CaptureSpec)
-    shots = loaded.spec.frames
-    frame, own = load_frame(loaded, name, setup), shots[name].pose
-    others = fused_frames(loaded.spec, name)
-    if own is None or not others:
-        return frame
-    setup = _answering(setup, frame)
-    reference = depth_surface(frame.depth, frame.K)
+    frame = load_frame(loaded, name, setup)
     views: list[DepthView] = []
-    findings: list[CaptureFinding] = []
-    for other in others:
-        stated = shots[other].pose
-        assert stated is not None
-        shown = load_frame(loaded, other, setup)
-        setup = _answering(setup, shown)
+    findings = [*frame.findings]
+    for other, shown, X_CV, share in _other_frames(loaded, name, frame, setup):
         findings += shown.findings
-        X_CV = refined_pose(reference, depth_surface(shown.depth, shown.K), pose(own).inverse() @ pose(stated))
-        share = agreement_of(frame.depth, seen_from(shown, X_CV, frame))
-        if share is None:  # it shows something else
-            continue
-        if share < AGREEING:
-            percent = f"{100 * share:.0f} %"
-            message = (
-                f"the frame `{other}` was not used: its depth agrees with that of `{name}` at {percent} of the pixels"
-            )
-            findings.append(CaptureFinding(UNUSED_FRAME, message, HINT))
-        else:
+        if share >= AGREEING:
             views.append(DepthView(without_edges(shown.depth).astype(np.float32), shown.K, X_CV))
-    return replace(frame, depth=fused_depth(frame, views), findings=(*frame.findings, *findings))
+            continue
+        percent = f"{100 * share:.0f} %"
+        message = f"the frame `{other}` was not used: its depth agrees with that of `{name}` at {percent} of the pixels"
+        findings.append(CaptureFinding(UNUSED_FRAME, message, HINT))
+    return replace(frame, depth=fused_depth(frame, views), findings=tuple(findings))
 
 
 def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> tuple[tuple[Frame, Pose], ...]:
@@ -91,20 +75,40 @@ def posed_views(loaded: Loaded, name: str, setup: ModelSetup | None = None) -> t
         SpecError: A frame cannot be used.
     """
     assert isinstance(loaded.spec, CaptureSpec)
-    shots, found = loaded.spec.frames, []
-    own, others = shots[name].pose, fused_frames(loaded.spec, name)
-    if own is None or not others:
+    if not fused_frames(loaded.spec, name):
         return ()
     view = load_frame(loaded, name, setup)
+    return tuple(
+        (frame, X_VF)
+        for _, frame, X_VF, share in _other_frames(loaded, name, view, setup)
+        if share >= AGREEING and frame.color.shape == view.color.shape
+    )
+
+
+def _other_frames(
+    loaded: Loaded, name: str, view: Frame, setup: ModelSetup | None
+) -> Iterator[tuple[str, Frame, Pose, float]]:
+    """Yield the other posed frames that show what the frame ``name``, loaded as ``view``, shows.
+
+    Each comes with its name, the pose of its camera in that of the view, refined by the depth, and the share of common
+    pixels at which the depth agrees.
+    """
+    assert isinstance(loaded.spec, CaptureSpec)
+    shots = loaded.spec.frames
+    own, others = shots[name].pose, fused_frames(loaded.spec, name)
+    if own is None or not others:
+        return
     setup = _answering(setup, view)
+    reference = depth_surface(view.depth, view.K)
     for other in others:
         stated = shots[other].pose
         assert stated is not None
-        frame, X_VF = load_frame(loaded, other, setup), pose(own).inverse() @ pose(stated)
+        frame = load_frame(loaded, other, setup)
+        setup = _answering(setup, frame)
+        X_VF = refined_pose(reference, depth_surface(frame.depth, frame.K), pose(own).inverse() @ pose(stated))
         share = agreement_of(view.depth, seen_from(frame, X_VF, view))
-        if frame.color.shape == view.color.shape and share is not None and share >= AGREEING:
-            found.append((frame, X_VF))
-    return tuple(found)
+        if share is not None:  # otherwise, it shows something else
+            yield other, frame, X_VF, share
 
 
 def _answering(setup: ModelSetup | None, frame: Frame) -> ModelSetup | None:

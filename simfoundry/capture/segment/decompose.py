@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface, depth_sigma
+from simfoundry.capture.frames.reduced import enlarged
 from simfoundry.capture.segment import merge_by_color, merge_regions
 from simfoundry.capture.segment.constraints import constrained
 from simfoundry.capture.segment.learned_merging import divide_regions, join_regions
@@ -87,15 +88,9 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     regions = divide_regions(survey.regions, survey.initial, crop)
     regions = _without_specks(join_regions(merged_by_rules(regions, crop), crop), crop)
     coarse[crop.window] = _without_foreign_regions(regions, crop, support)
-    labels = _enlarged(coarse, step, depth.shape)
+    labels = enlarged(coarse, step, depth.shape)
     labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
     return close_silhouettes(labels, depth, points_W, step + 1)
-
-
-def _enlarged(coarse: Labels, step: int, shape: tuple[int, ...]) -> Labels:
-    """Return labels of every ``step``-th pixel for an image of the given shape."""
-    labels = np.kron(coarse, np.ones((step, step), np.int32))[: shape[0], : shape[1]]
-    return np.asarray(np.pad(labels, [(0, n - m) for n, m in zip(shape, labels.shape, strict=True)]))
 
 
 def initial_regions(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
@@ -105,7 +100,7 @@ def initial_regions(frame: Frame, points_W: Array, support: SupportSurface) -> L
         return np.zeros(frame.depth.shape, np.int32)
     coarse = np.zeros(frame.depth[:: survey.step, :: survey.step].shape, np.int32)
     coarse[survey.crop.window] = survey.initial
-    return _enlarged(coarse, survey.step, frame.depth.shape)
+    return enlarged(coarse, survey.step, frame.depth.shape)
 
 
 def merged_by_rules(regions: Labels, crop: Crop) -> Labels:

@@ -18,8 +18,8 @@ from simfoundry.geometry.frames import Array
 CONTACT = 0.015  # [m] maximum gap between an object and its support
 OVERLAP = 0.05  # minimum overlap between an object and its support, as a fraction of the smaller visible footprint
 
-# Directions around a part, and in how many of them another part must be visible to surround it: the part hides what is
-# behind it, which is at most half of them, and a neighbor may hide one more.
+# Number of directions around a part, and of those in which another part must be visible to surround it. A part hides
+# what is behind it, which is at most half of the directions.
 SECTORS, AROUND = 12, 7
 SECTOR_POINTS = 5  # minimum number of points in a direction; fewer are noise at an edge
 SURROUNDED = 0.85  # minimum share of a part inside the outline of the part that surrounds it, which it hides in part

@@ -124,8 +124,14 @@ class Evidence:
 
 
 class _RayGroups(NamedTuple):
-    """Indices of rays: through pixels of the object with and without depth, beside it with depth, and beside it without
-    depth where no other object is. ``inside`` is the number of rays through the object, at least 1.
+    """Indices of rays by what they tell about an object.
+
+    Attributes:
+        own: Rays through pixels of the object with depth.
+        blind: Rays through pixels of the object without depth.
+        open: Rays beside the object, with depth.
+        unlit: Rays beside the object, without depth, where no other object is.
+        inside: Number of rays through the object, at least 1.
     """
 
     own: NDArray[np.intp]

@@ -139,12 +139,12 @@ def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> Mask:
     The opening has the given ``radius`` [m].
     """
     below = evidence.top - evidence.points[:, 2]
+    if evidence.eye[2] <= evidence.top:  # the camera is not above the rim, as if the container lies and faces away
+        return np.zeros(len(below), dtype=bool)
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
     crossing = evidence.points[:, :2] + share[:, None] * (evidence.eye[:2] - evidence.points[:, :2])
     distance = np.hypot(*(crossing - axis).T)
-    if evidence.eye[2] <= evidence.top:  # as if a container lies whose opening faces away
-        return np.zeros(len(below), dtype=bool)
     deep = below > max(evidence.scale, 0.1 * (evidence.top - evidence.base_z))
     return np.asarray(deep & (distance < radius - WALL))
 

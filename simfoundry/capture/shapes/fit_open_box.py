@@ -6,9 +6,9 @@ import numpy as np
 
 from simfoundry.capture.segment.masks import Mask
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement
-from simfoundry.capture.shapes.fit_primitives import SMALLEST, search, walk
+from simfoundry.capture.shapes.fit_primitives import SMALLEST, box_around, search, upright_box, walk
 from simfoundry.capture.shapes.solid_casts import cast_open_box
-from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
 
 WALL = 0.006  # [m] wall at which the fit starts; those of trays and bins are 2 to 8 mm thick, of wooden ones 12 mm
@@ -27,7 +27,7 @@ def fit_open_box(evidence: Evidence) -> FitCandidate | None:
         small = np.maximum(SMALLEST - x[3:6], 0).sum()
         return evidence.cost(cast_open_box, *_solid(evidence, x)) + float(outside + small) / evidence.scale
 
-    starts = [_start(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, YAW_STEP_DEG))]
+    starts = [np.append(box_around(evidence, yaw), WALL) for yaw in np.deg2rad(np.arange(0.0, 90.0, YAW_STEP_DEG))]
     start = min(starts, key=cost)
     if _inside(evidence, start).mean() < SEEN_INSIDE:
         return None
@@ -60,26 +60,10 @@ def _corners(half: Array, low: float, high: float) -> Array:
     return np.array([(a, b, z) for z in (low, high) for a, b in ((-x, -y), (x, -y), (x, y), (-x, y))])
 
 
-def _start(evidence: Evidence, yaw: float) -> Array:
-    """Return the parameters (x, y, yaw, three extents, wall) of the open box around the points."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[c, -s], [s, c]])
-    local = evidence.points[:, :2] @ turn
-    low, high = np.percentile(local, [0.5, 99.5], axis=0)
-    extents = np.maximum(high - low, SMALLEST)
-    return np.array([*(turn @ ((low + high) / 2)), yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST), WALL])
-
-
 def _solid(evidence: Evidence, x: Array) -> tuple[Array, float, Pose]:
-    """Return the extents [m], the wall [m] and the pose of the open box with the parameters ``x``."""
-    size = np.maximum(x[3:6], SMALLEST)
-    wall = float(np.clip(x[6], WALL_LIMITS[0], min(WALL_LIMITS[1], 0.3 * size.min())))
-    yaw = float(x[2]) / 2
-    return (
-        frozen_array(size),
-        wall,
-        Pose.of((x[0], x[1], evidence.base_z + size[2] / 2), (np.cos(yaw), 0, 0, np.sin(yaw))),
-    )
+    """Return the extents [m], the wall [m] and the pose of the open box with parameters (x, y, yaw, extents, wall)."""
+    size, X_WO = upright_box(x, evidence.base_z)
+    return size, float(np.clip(x[6], WALL_LIMITS[0], min(WALL_LIMITS[1], 0.3 * size.min()))), X_WO
 
 
 def _agreement(evidence: Evidence, x: Array) -> RayAgreement:

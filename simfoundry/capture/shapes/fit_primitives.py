@@ -139,19 +139,19 @@ def fit_box(evidence: Evidence) -> FitCandidate:
 
     def cost(x: Array) -> float:
         small = float(np.maximum(SMALLEST - x[3:6], 0).sum()) / evidence.scale
-        return evidence.cost(cast_box, *_unpack(x, evidence.base_z)) + small
+        return evidence.cost(cast_box, *upright_box(x, evidence.base_z)) + small
 
-    yaws = (_box_around(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0)))
+    yaws = (box_around(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0)))
     starts = sorted(((cost(x), x) for x in yaws), key=lambda start: start[0])
     steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
     tried = [search(cost, start, steps, 260) for start in _distinct([x for _, x in starts])]
     best = walk(cost, *min(tried, key=lambda found: found[0]))
     guessed, best = _supply_depth(evidence, best)
-    size, X_WO = _unpack(best, evidence.base_z)
+    size, X_WO = upright_box(best, evidence.base_z)
     return FitCandidate("box", Box(size), X_WO, _box_agreement(evidence, best), guessed)
 
 
-def _box_around(evidence: Evidence, yaw: float) -> Array:
+def box_around(evidence: Evidence, yaw: float) -> Array:
     """Return the parameters (x, y, yaw, three extents) of the box around the points for a given yaw."""
     c, s = math.cos(yaw), math.sin(yaw)
     local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
@@ -174,7 +174,7 @@ def _distinct(starts: list[Array], count: int = 2) -> list[Array]:
     return chosen
 
 
-def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
+def upright_box(x: Array, base_z: float) -> tuple[Array, Pose]:
     """Convert parameters (x, y, yaw, three extents) to the full extents of a box [m] and its pose."""
     size = np.maximum(x[3:6], SMALLEST)
     yaw = float(x[2])
@@ -182,7 +182,7 @@ def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
 
 
 def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
-    return evidence.judge(cast_box, *_unpack(x, evidence.base_z))
+    return evidence.judge(cast_box, *upright_box(x, evidence.base_z))
 
 
 def walk(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
@@ -229,7 +229,7 @@ def _supply_depth(evidence: Evidence, x: Array) -> tuple[bool, Array]:
     Returns:
         A flag that is True if an extent was guessed, and the parameters of the box.
     """
-    size, X_WO = _unpack(x, evidence.base_z)
+    size, X_WO = upright_box(x, evidence.base_z)
     local = X_WO.inverse().apply(evidence.points)
     face = np.argmin(np.abs(np.abs(local) - size / 2), axis=1)
     for axis in (0, 1):
