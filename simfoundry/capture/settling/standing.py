@@ -14,6 +14,7 @@ from simfoundry.capture.findings import HELD, CaptureFinding
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.model_stages.joints import ARTICULATED
 from simfoundry.capture.reconstruct import Progress, Reconstruction, with_supports
+from simfoundry.capture.settling.containment import with_containers
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.runtime.files import write_file
@@ -48,6 +49,8 @@ def settle_objects(
 ) -> StandingScene:
     """Settle a scene, and write it with its meshes and the poses and relations at rest to ``scene_file``.
 
+    Relations state what supports each object, and which container holds it.
+
     An object whose solid does not come to rest, topples, or moves away from the pose that was written, gets its next
     best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. One
     that topples with all of them lies where it fell. One that does not rest with any of them is held in place by
@@ -71,7 +74,7 @@ def settle_objects(
         for folder in ("meshes", ARTICULATED):
             shutil.rmtree(scene_file.parent / folder, ignore_errors=True)
     supports = {o.name: o.supports for o in settled.objects}
-    spec = with_supports(spec, supports)
+    spec = with_containers(with_supports(spec, supports), scene)
     write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
 
