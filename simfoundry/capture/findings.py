@@ -67,6 +67,9 @@ REPEATED = "SF629"
 # A unit of depth, or intrinsics of a camera, that are probably wrong.
 IMPLAUSIBLE = "SF628"
 
+# An image that consists of parts which do not belong together, or that is rolled.
+PARTS = "SF630"
+
 
 @dataclass(frozen=True)
 class CaptureFinding:

@@ -55,7 +55,7 @@ def _cropped(table: SyntheticTable, rng: Rng) -> Damaged:
     part = np.s_[top : top + height, left : left + width]
     K = table.frame.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
     frame = Frame(np.ascontiguousarray(table.frame.color[part]), table.frame.depth[part].copy(), K)
-    return Damaged(frame, _visible(table.truth[part]))
+    return Damaged(frame, visible_count(table.truth[part]))
 
 
 def _glass(table: SyntheticTable, rng: Rng) -> Damaged:
@@ -130,7 +130,7 @@ def _distorted(table: SyntheticTable, rng: Rng) -> Damaged:
     color = cv2.remap(table.frame.color, to[0], to[1], cv2.INTER_LINEAR)
     depth = cv2.remap(table.frame.depth, to[0], to[1], nearest, borderValue=float("nan"))
     truth = cv2.remap(table.truth.astype(np.float32), to[0], to[1], nearest).astype(np.int32)
-    return Damaged(Frame(np.asarray(color, np.uint8), np.asarray(depth, np.float64), K), _visible(truth))
+    return Damaged(Frame(np.asarray(color, np.uint8), np.asarray(depth, np.float64), K), visible_count(truth))
 
 
 def _exposed_twice(table: SyntheticTable, rng: Rng) -> Damaged:
@@ -159,7 +159,8 @@ def _empty(table: SyntheticTable, _: Rng) -> Damaged:
     return Damaged(replace(frame, depth=np.where(table.truth > 0, bare + noise, frame.depth)), 0)
 
 
-def _visible(truth: NDArray[np.int32]) -> int:
+def visible_count(truth: NDArray[np.int32]) -> int:
+    """Return the number of objects of which enough pixels are visible to be counted."""
     return int((np.bincount(truth[truth > 0], minlength=1) >= PIXELS).sum())
 
 

@@ -44,9 +44,10 @@ from simfoundry.spec.models.capture import CaptureSpec, Shot
 from simfoundry.spec.yaml.write import to_yaml
 from tests.corpora.attacks import ATTACKS
 from tests.corpora.damages import DAMAGES, UNSEEN, Damaged
+from tests.corpora.odd_damages import ODD
 from tests.corpora.synthetic_tables import SyntheticTable, synthetic_table
 
-ALL = DAMAGES | UNSEEN | ATTACKS
+ALL = DAMAGES | UNSEEN | ATTACKS | ODD
 MIN_F1 = 0.5
 MAX_OFF = 1
 MAX_SUPPORT_HEIGHT, MAX_SUPPORT_TILT_DEG = 0.02, 3.0
@@ -170,7 +171,7 @@ def main() -> int:
     parser.add_argument("--unseen", action="store_true", help="kinds of damage that most checks were not made for")
     parser.add_argument("--light", action="store_true", help="segment without fitting solids")
     options = parser.parse_args()
-    kinds = [options.only] if options.only else list(UNSEEN | ATTACKS if options.unseen else DAMAGES)
+    kinds = [options.only] if options.only else list(UNSEEN | ATTACKS | ODD if options.unseen else DAMAGES)
     outcomes = []
     for k in range(options.count):
         with tempfile.TemporaryDirectory(prefix="simfoundry-silence-") as folder:

@@ -14,6 +14,11 @@ WIDTH = 640  # [px] width to which larger images are reduced
 SPAN = 4  # [px] distance of the readings that are compared; matching windows correlate the noise of nearer ones
 NOISE = 1.15  # maximum noise, in units of the expected one; on real and simulated tables it stays below 0.95
 BENT = 2.0  # maximum distance of the support's points from its plane, in the same unit; on real tables below 1.96
+BLOCK = 16  # [px] size of the blocks over which the noise is averaged, on an image of WIDTH
+# Maximum standard deviation of the means of blocks of the support, in units of the expected noise: on real tables at
+# most 0.64, and 1.0 and more if depth grows too fast to one side, or is measured along the rays.
+CURVED = 0.8
+FILLED, FEWEST_BLOCKS = 0.6, 20  # minimum share of a block on the support, and minimum number of such blocks
 EDGE = 0.012  # [1/m] minimum difference of inverse depths at an edge: 1 cm at 0.9 m
 STEEP = 0.08  # [1/m] difference of inverse depths to which edges are limited, so that no single one dominates
 NEAREST_ECHO, FARTHEST_ECHO = 6, 40  # [px] distances at which edges may repeat; sensors smear an edge over fewer
@@ -25,6 +30,7 @@ def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFindi
     """Yield a finding for each fault of a depth image."""
     expected = float(np.nanmedian(depth_sigma(frame.depth[support.inliers])))
     noise = depth_noise(frame, support) / expected
+    curve = support_curve(frame, support)
     bend = support.residual / (0.67 * expected)  # half of normal errors are within 0.67 standard deviations
     if noise > NOISE:
         message = f"the depth of the support is {noise:.1f} times as noisy as that of common depth cameras"
@@ -36,12 +42,33 @@ def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFindi
         yield CaptureFinding(
             NOISY, message, "check that the depth and the intrinsics are right, or flatten the support"
         )
+    elif curve / expected > CURVED:
+        message = f"the support seems to be warped by {curve * 1000:.1f} mm (standard deviation)"
+        hint = "check that the depth is measured along the optical axis, and that the intrinsics and the lens are right"
+        yield CaptureFinding(NOISY, message, hint)
     shift, share = repeated_edges(frame.depth)
     if share > REPEATING:
         message = f"edges in the depth image are smeared or appear again {shift} px (columns, rows) beside them"
         yield CaptureFinding(
             REPEATED, message, "keep camera and objects still, and check that the image is a single one"
         )
+
+
+def support_curve(frame: Frame, support: SupportSurface) -> float:
+    """Return the standard deviation [m] of the support's points from its plane without their noise.
+
+    Means of blocks are compared, in which the noise cancels. Only blocks that are mostly on the support count.
+    """
+    step = max(1, frame.depth.shape[1] // WIDTH)
+    small = Frame(frame.color[::step, ::step], frame.depth[::step, ::step], frame.K / [[step], [step], [1.0]])
+    height = np.where(support.inliers[::step, ::step], support.X_WC.apply(small.points)[..., 2], np.nan)
+    rows, columns = (n // BLOCK for n in height.shape)
+    tiles = height[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK)
+    blocks = tiles.transpose(0, 2, 1, 3).reshape(-1, BLOCK * BLOCK)
+    known = np.isfinite(blocks)
+    full = known.mean(axis=1) > FILLED
+    means = np.where(known, blocks, 0.0)[full].sum(axis=1) / known[full].sum(axis=1)
+    return float(np.sqrt((means**2).mean())) if full.sum() >= FEWEST_BLOCKS else 0.0
 
 
 def depth_noise(frame: Frame, support: SupportSurface) -> float:

@@ -13,25 +13,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals, unit
 from simfoundry.capture.findings import IMPLAUSIBLE, CaptureFinding
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.segment.masks import Labels
-from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.geometry.frames import Array
 
 NARROWEST, WIDEST = 30.0, 100.0  # [deg] horizontal fields of view: a crop of YCB-Video has 33, a D455 90
 OFF_CENTER = 0.12  # maximum distance of the principal point from the center, as a fraction of the image's width
-WIDTH = 320  # [px] width of the image in which normals are estimated, over a radius of RADIUS pixels
-RADIUS = 4
 STEP = 0.09  # step of the natural logarithm of the focal length in the search; on real tables, the best one is 0 or 1
 FACTORS = np.exp(np.arange(-8, 9) * STEP)  # factors of the focal length that are tried, from 0.49 to 2.05
 UPRIGHT = 2.5  # [deg] standard deviation of the tilt of upright sides, as normals are measured
 ROUND = 0.004  # [m] standard deviation of the distance between a normal and the axis of a round object
-TYPICAL = 0.5  # expected fraction of the pixels that are on upright sides, or on round objects
 FARTHEST = 0.1  # [m] range of the distances between normals and an axis on objects that are not round
 SLOPING = 0.25  # minimum horizontal part of a unit normal that points to an axis; flatter surfaces point anywhere
 FEWEST = 60  # minimum number of such pixels of an object
-RELATED = 30  # number of pixels that are as good as one independent measurement
 WRONG = 0.17  # minimum absolute logarithm of the factor that is reported: two steps
 CERTAIN = 12.0  # minimum gain of such a factor that is reported: at most 8 on right tables, at least 37 on wrong ones
 HINT = "check `camera` in the capture"
@@ -74,37 +70,27 @@ def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> I
 
 def focal_fit(frame: Frame, support: SupportSurface, labels: Labels) -> FocalFit:
     """Return the factor of the focal length with which objects are most upright and round."""
-    step = max(1, round(frame.depth.shape[1] / WIDTH))
-    small = labels[::step, ::step]
-    K = np.array(frame.K, dtype=np.float64)
-    K[:2] /= step
-    depth = np.where(small > 0, frame.depth[::step, ::step], np.nan)
-    normals = normals_of(tangents(depth, RADIUS, 1, small), K)
-    known = np.isfinite(normals[..., 2])
-    points = Frame(frame.color[::step, ::step], depth, K).points[known]
-    likelihood = [
-        _log_likelihood(points, normals[known], small[known], support.X_WC.rotation[2], factor) for factor in FACTORS
-    ]
+    seen, up = object_normals(frame, labels), support.X_WC.rotation[2]
+    likelihood = [_log_likelihood(seen, up, factor) for factor in FACTORS]
     stated = len(FACTORS) // 2
     best = max(range(len(FACTORS)), key=lambda k: (likelihood[k], -abs(k - stated)))  # the stated one without objects
     return FocalFit(float(FACTORS[best]), float(likelihood[best] - likelihood[stated]))
 
 
-def _log_likelihood(points: Array, normals: Array, labels: Labels, up: Array, factor: float) -> float:
+def _log_likelihood(seen: ObjectNormals, up: Array, factor: float) -> float:
     """Return the log-likelihood of a focal length, up to a constant.
 
     Args:
-        points: Points of objects as measured with the stated focal length, in the camera frame [m], shape (n, 3).
-        normals: Unit normals there, shape (n, 3).
-        labels: Number of the object at each point, shape (n,).
+        seen: Points and normals as measured with the stated focal length.
         up: Normal of the support in the camera frame, shape (3,).
         factor: Factor of the focal length.
     """
+    points, labels = seen.points, seen.labels
     stretch = np.array([factor, factor, 1.0])  # of normals; points are stretched by its inverse
-    up, normals = _unit(up * stretch), _unit(normals * stretch)
+    up, normals = unit(up * stretch), unit(seen.normals * stretch)
     tilt = np.degrees(np.arcsin(np.clip(normals @ up, -1, 1)))
     total = _log_mixture(tilt, UPRIGHT, 180.0).sum()
-    right = _unit(np.cross(up, [0.0, 0.0, 1.0]))
+    right = unit(np.cross(up, [0.0, 0.0, 1.0]))
     plan = np.stack([right, np.cross(up, right)], axis=1)
     # Distances in a plan that is stretched are compared in units of the plan of the stated focal length.
     scale = math.sqrt(float(np.prod(np.linalg.norm(plan / stretch[:, None], axis=0))))
@@ -139,7 +125,3 @@ def _log_mixture(error: Array, spread: float, span: float) -> Array:
     """Return the log-density of errors that are normal with a standard deviation, or else uniform over a span."""
     normal = np.exp(-0.5 * (error / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
     return np.asarray(np.log(TYPICAL * normal + (1 - TYPICAL) / span))
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
