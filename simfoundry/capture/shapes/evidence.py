@@ -75,19 +75,19 @@ class Evidence:
         """The camera center in the world [m], as an array of shape (3,)."""
         return self.support.X_WC.p
 
-    @property
+    @cached_property
     def view(self) -> Array:
         """The horizontal unit direction from the camera to the object, as an array of shape (2,)."""
         away = np.median(self.points[:, :2], axis=0) - self.eye[:2]
         norm = float(np.linalg.norm(away))
         return away / norm if norm > 1e-6 else np.array([1.0, 0.0])
 
-    @property
+    @cached_property
     def across(self) -> Array:
         """The horizontal unit direction to the left as seen by the camera, as an array of shape (2,)."""
         return np.array([-self.view[1], self.view[0]])
 
-    @property
+    @cached_property
     def top(self) -> float:
         """A noise-robust estimate of the height of the object [m].
 
@@ -114,12 +114,15 @@ class Evidence:
         """The rays by the evidence that they provide."""
         measured = np.isfinite(self.depth)
         beside = ~self.inside
+        own, open_rays = np.flatnonzero(self.inside & measured), np.flatnonzero(beside & measured)
         return _RayGroups(
-            own=np.flatnonzero(self.inside & measured),
+            own=own,
             blind=np.flatnonzero(self.inside & ~measured),
-            open=np.flatnonzero(beside & measured),
+            open=open_rays,
             unlit=np.flatnonzero(beside & ~measured & ~self.hidden),
             inside=max(1, int(self.inside.sum())),
+            own_depth=self.depth[own],
+            open_depth=self.depth[open_rays],
         )
 
 
@@ -132,6 +135,8 @@ class _RayGroups(NamedTuple):
         open: Rays beside the object, with depth.
         unlit: Rays beside the object, without depth, where no other object is.
         inside: Number of rays through the object, at least 1.
+        own_depth: Observed depth along the rays ``own`` [m].
+        open_depth: Observed depth along the rays ``open`` [m].
     """
 
     own: NDArray[np.intp]
@@ -139,6 +144,8 @@ class _RayGroups(NamedTuple):
     open: NDArray[np.intp]
     unlit: NDArray[np.intp]
     inside: int
+    own_depth: Array
+    open_depth: Array
 
 
 def gather(frame: Frame, support: SupportSurface, mask: Mask, base_z: float, labels: Labels | None = None) -> Evidence:
@@ -318,8 +325,8 @@ class _Comparison(NamedTuple):
 
 def _compared(evidence: Evidence, hits: SolidHits) -> _Comparison:
     groups, scale = evidence.groups, evidence.scale
-    distance = surface_distances(evidence.depth[groups.own], SolidHits(hits.depth[groups.own], hits.slant[groups.own]))
-    blocked = int(np.count_nonzero(evidence.depth[groups.open] - hits.depth[groups.open] > 2.0 * scale))
+    distance = surface_distances(groups.own_depth, SolidHits(hits.depth[groups.own], hits.slant[groups.own]))
+    blocked = int(np.count_nonzero(groups.open_depth - hits.depth[groups.open] > 2.0 * scale))
     missed = len(groups.blind) - np.count_nonzero(np.isfinite(hits.depth[groups.blind]))
     covered = np.count_nonzero(np.isfinite(hits.depth[groups.unlit]))
     cost = np.minimum(distance / scale, 1.0).sum() + _BLIND_MISS * missed + _BLIND_HIT * covered
