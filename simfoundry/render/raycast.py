@@ -76,16 +76,20 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     h, w = camera.height, camera.width
     rays = _pixels(camera, 1)
     hits = _seen(surface, camera, rays)
+    directions = _directions(rays, camera)
     depth = np.full(h * w, np.nan)
     objects = np.zeros(h * w, dtype=np.int32)
     normals = np.full((h * w, 3), np.nan)
     met = np.flatnonzero(hits.triangle >= 0)
     depth[met] = 1.0 / hits.inverse_depth[met]
     objects[met] = surface.object[hits.triangle[met]] + 1
-    normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
+    normals[met] = _normals(surface, hits.at(met), directions[met])
     rows = max(1, BAND // (w * samples**2))
     sky = _splat_sky(scene, camera, rays)
-    color = np.concatenate([_band(scene, surface, camera, sky, top, rows, samples) for top in range(0, h, rows)])
+    if samples == 1 and rows >= h:  # then the same rays are shaded
+        color = encode_srgb(_colors(scene, surface, camera, rays, hits, sky, samples)).reshape(h, w, 3)
+    else:
+        color = np.concatenate([_band(scene, surface, camera, sky, top, rows, samples) for top in range(0, h, rows)])
     seen = Raycast(color, depth.reshape(h, w), objects.reshape(h, w), normals.reshape(h, w, 3), camera)
     return seen if sky is None else _behind_splat(scene, seen)
 
@@ -185,8 +189,12 @@ def _colors(
     of rays that hit nothing, which is a gradient by default.
     """
     directions = _directions(rays, camera)
-    color = background(directions) if sky is None else sky.copy()
-    met = np.flatnonzero(hits.triangle >= 0)
+    met, missed = np.flatnonzero(hits.triangle >= 0), np.flatnonzero(hits.triangle < 0)
+    if sky is None:
+        color = np.zeros_like(directions)
+        color[missed] = background(directions[missed])
+    else:
+        color = sky.copy()
     if not len(met):
         return color
     some, along = hits.at(met), directions[met]

@@ -254,15 +254,16 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
     The mipmap level is the one whose texels match the pixel size.
     """
     levels = _pyramid(texture)
-    uv = surface.uv[hits.triangle]
-    at = blend(uv, hits.weights)
+    at = blend(surface.uv[hits.triangle], hits.weights)
     height, width = levels[0].shape[:2]
+    density = np.zeros(len(surface.corners))  # of texels [1/m²], where it is needed
+    met = np.flatnonzero(np.bincount(hits.triangle, minlength=len(density)))
+    uv, normals = surface.uv[met], area_normals(surface.corners[met])
     (du1, dv1), (du2, dv2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
     texels = np.abs(du1 * dv2 - dv1 * du2) * width * height
-    normals = area_normals(surface.corners[hits.triangle])
-    area = np.sqrt(dot(normals, normals))
+    density[met] = texels / np.maximum(np.sqrt(dot(normals, normals)), 1e-30)
     footprint = 1.0 / (hits.inverse_depth**2 * focal_squared * np.maximum(facing, 0.1))
-    scale = texels / np.maximum(area, 1e-30) * footprint  # texels of the finest level under one pixel
+    scale = density[hits.triangle] * footprint  # texels of the finest level under one pixel
     level = np.clip(np.floor(0.5 * np.log2(np.maximum(scale, 1e-30)) + 0.5), 0, len(levels) - 1).astype(np.int64)
     color = np.zeros((len(at), 3))
     for k in np.unique(level):
