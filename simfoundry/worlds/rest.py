@@ -28,6 +28,10 @@ NUDGE_DEG = 0.5
 # Time for a nudged object to fall [s], which is longer than a pencil balanced on its tip needs.
 NUDGE_S = 1.5
 
+# Time window in which an object that is tilted as much moves by more than the creep of an object at rest, unless it
+# stands [s]: a pencil turns by 6e-3 rad. It first falls onto its base, which takes less than NUDGE_LEAST_S [s].
+NUDGE_WINDOW_S, NUDGE_LEAST_S = 0.1, 0.2
+
 # An object topples if its center of mass drops by this fraction of the center's height above the object's lowest point.
 TOPPLED = 0.1
 
@@ -71,20 +75,25 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Return True if an object falls over when released with a slight tilt about either axis. Rolling is ignored."""
+    """Return True if an object falls over when released with a slight tilt about either axis. Rolling is ignored.
+
+    The simulation ends early if the object is at rest again, which takes a tenth of the time that a fall may take.
+    """
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
     angle = math.radians(NUDGE_DEG)
     lift = float(np.linalg.norm((high - low)[:2])) / 2 * math.sin(angle)
-    fell = False
+    fell, others = False, {other.name for other in world.scene.objects} - {item.name}
     for roll, pitch in ((angle, 0.0), (0.0, angle)):
+        if fell:
+            break
         turned = Pose.of(q=quat_from_rpy(roll, pitch, 0.0)) @ Pose.of(q=X_WO.q)
         tilted = Pose.of(X_WO.p + np.array([0.0, 0.0, lift]), turned.q)
         world.reset(SceneState.of({**state.poses, item.name: tilted}, state.joints))
-        world.step(round(NUDGE_S / world.timestep))
+        run_to_rest(world, NUDGE_WINDOW_S, NUDGE_LEAST_S, NUDGE_S, lambda _: others)
         after = float(center_of_mass(item, world.state().poses[item.name])[2])
-        fell = fell or height - after > TOPPLED * (height - float(low[2]))
+        fell = height - after > TOPPLED * (height - float(low[2]))
     world.reset(state)
     return fell
 
