@@ -28,6 +28,8 @@ TEXTURE_LIMIT = 1024
 
 IN_FRONT = 0.02  # Minimum distance [m] in front of the top of a reading that hides it, even if it is not on an object
 
+BLUR_PX = 4.0  # Standard deviation of the blur of hidden colors [px], which is doubled until all of them are filled in
+
 MARGIN = 0.01  # Distance [m] by which a support extends past the objects on it if its own edge is not visible there
 
 
@@ -105,20 +107,28 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
 
 
 def filled_colors(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Fill pixels that were not visible with a blurred copy of nearby visible pixels."""
+    """Fill pixels that were not visible with a blurred copy of nearby visible pixels.
+
+    Each pixel gets the colors within the smallest of the distances 4, 8, 16 ... px at which there are any. They are
+    blurred in images of half the size of the one before, which takes a tenth of the time for the largest distances.
+    """
     import cv2
 
     weight = seen.astype(np.float32)
     values = color.astype(np.float32) * weight[..., None]
-    out = color.copy()
-    missing = ~seen
-    sigma = 4.0
-    while missing.any() and sigma < 2 * max(seen.shape):
-        blurred, mass = cv2.GaussianBlur(values, (0, 0), sigma), cv2.GaussianBlur(weight, (0, 0), sigma)
+    mean = values.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0)
+    out, missing, size = color.copy(), ~seen, seen.shape[::-1]
+    while missing.any() and max(weight.shape) > BLUR_PX / 2:
+        blurred, mass = cv2.GaussianBlur(values, (0, 0), BLUR_PX), cv2.GaussianBlur(weight, (0, 0), BLUR_PX)
+        if mass.shape != seen.shape:
+            blurred = cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR)
+            mass = cv2.resize(mass, size, interpolation=cv2.INTER_LINEAR)
         fill = missing & (mass > 1e-2)
         out[fill] = np.clip(blurred[fill] / mass[fill][:, None] + 0.5, 0, 255).astype(np.uint8)
         missing = missing & ~fill
-        sigma *= 2
+        half = max(1, weight.shape[1] // 2), max(1, weight.shape[0] // 2)
+        values = cv2.resize(values, half, interpolation=cv2.INTER_AREA)
+        weight = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
     if missing.any():
-        out[missing] = (values.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0)).astype(np.uint8)
+        out[missing] = mean.astype(np.uint8)
     return out

@@ -77,8 +77,8 @@ def color_match(frame: Frame, labels: Labels) -> ColorMatch | None:
     shifts = np.arange(-SHIFTS, SHIFTS + 1, STEP)
     du, dv = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
     slope = np.minimum(slope, max(limit, UNIFORM))
-    places = list(zip(du, dv, strict=True))
-    scores = np.array([[slope[v + rim[:, 0], u + rim[:, 1]].mean() for u, v in places] for rim in rims])
+    offsets, width = (dv * slope.shape[1] + du)[:, None], slope.shape[1]
+    scores = np.array([slope.ravel()[offsets + rim[:, 0] * width + rim[:, 1]].mean(axis=1) for rim in rims])
     whole = lengths @ scores / lengths.sum()
     near, far = np.maximum(abs(du), abs(dv)) <= STEP, np.hypot(du, dv) >= DISTANT
     best = min(range(len(whole)), key=lambda k: (-whole[k], abs(du[k]) + abs(dv[k])))

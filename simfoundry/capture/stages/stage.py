@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import simfoundry
@@ -47,7 +47,7 @@ class Stage:
         """All files with the code of the stage, sorted."""
         return _with_imports(tuple(_CAPTURE / module for module in self.modules))
 
-    @property
+    @cached_property
     def version(self) -> str:
         """The version of the stage, as 12 hex digits: results of another version of its code are stale."""
         h = hashlib.sha256(simfoundry.__version__.encode())
