@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.doubts.color_match import color_match
-from simfoundry.capture.doubts.depth_faults import depth_noise, repeated_edges, support_curve
+from simfoundry.capture.doubts.depth_faults import depth_doubts, depth_noise, repeated_edges, support_curve
+from simfoundry.capture.doubts.depth_steps import depth_steps
 from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.doubts.intrinsics import focal_fit
 from simfoundry.capture.doubts.object_normals import object_normals
 from simfoundry.capture.doubts.seams import roll_gain
+from simfoundry.capture.doubts.size_priors import scale_doubt, support_width
 from simfoundry.capture.findings import (
     BORDER,
     HOLE,
@@ -111,6 +113,39 @@ def test_a_wrong_unit(seen: tuple[Frame, SupportSurface, Segmentation], factor: 
     frame, _, segmentation = seen
     scaled = replace(frame, depth=frame.depth * factor)
     assert IMPLAUSIBLE in codes(image_doubts(scaled, find_support(scaled), segmentation))
+
+
+def test_a_support_that_is_too_wide_for_a_table(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    assert 0.5 < support_width(support) < 1.1
+    scaled = replace(frame, depth=frame.depth * 1.25)  # by itself plausible
+    points_W = support.X_WC.apply(frame.points) * 1.25
+    assert not list(scale_doubt(scaled, support, segmentation.labels, points_W))
+    wide = replace(support, outline=support.outline * 1.5 / support_width(support))
+    (doubt,) = scale_doubt(scaled, wide, segmentation.labels, points_W)
+    assert doubt.code == IMPLAUSIBLE and "1.5 m wide" in doubt.message
+
+
+@pytest.mark.parametrize("added", [-0.03, 0.04])
+def test_depth_with_a_constant_error(seen: tuple[Frame, SupportSurface, Segmentation], added: float) -> None:
+    """The readings of a Kinect, in steps of an eighth of a pixel, stored in millimeters."""
+    frame, support, segmentation = seen
+    spacing = 0.125 / (575 * 0.075)
+    measured = 1 / (np.round(1 / frame.depth / spacing) * spacing)
+    stored = replace(frame, depth=np.round(measured, 3))
+    steps = depth_steps(stored.depth)
+    assert steps is not None and steps.is_certain and steps.added == 0
+    off = replace(frame, depth=np.round(measured + added, 3))
+    steps = depth_steps(off.depth)
+    assert steps is not None and steps.is_certain and steps.added == pytest.approx(added, abs=0.006)
+    found = image_doubts(off, support, segmentation)
+    assert any(f"{abs(steps.added) * 100:.1f} cm too" in f.message for f in found if f.code == IMPLAUSIBLE)
+
+
+def test_depth_without_steps_has_no_constant_error(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    for depth in (seen[0].depth, np.round(seen[0].depth, 3), np.round(seen[0].depth + 0.03, 2)):
+        steps = depth_steps(depth)
+        assert steps is not None and not steps.is_certain
 
 
 def test_intrinsics_of_no_camera(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
@@ -228,9 +263,8 @@ def test_an_image_of_two_parts(seen: tuple[Frame, SupportSurface, Segmentation])
 
 
 def test_a_warped_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
-    """Depth along the rays instead of along the optical axis bends a table."""
-    frame, support, segmentation = seen
+    frame, support, _ = seen
     assert support_curve(frame, support) < 5e-4
-    ranges = replace(frame, depth=np.linalg.norm(frame.points, axis=-1))
-    found = image_doubts(ranges, find_support(ranges), segmentation)
-    assert any("warped" in f.message or "not flat" in f.message for f in found if f.code == NOISY)
+    bent = replace(frame, depth=frame.depth * (1 + 0.1 * (np.arange(frame.depth.shape[1]) / 160 - 1) ** 2))
+    (doubt,) = depth_doubts(bent, support)
+    assert doubt.code == NOISY and "warped" in doubt.message
