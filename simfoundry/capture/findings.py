@@ -70,6 +70,9 @@ IMPLAUSIBLE = "SF628"
 # An image that consists of parts which do not belong together, or that is rolled.
 PARTS = "SF630"
 
+# Two objects that may be the visible parts of one.
+DIVIDED = "SF631"
+
 
 @dataclass(frozen=True)
 class CaptureFinding:

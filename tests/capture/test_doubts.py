@@ -10,6 +10,7 @@ import pytest
 from simfoundry.capture.doubts.color_match import color_match
 from simfoundry.capture.doubts.depth_faults import depth_doubts, depth_noise, repeated_edges, support_curve
 from simfoundry.capture.doubts.depth_steps import depth_steps
+from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.doubts.intrinsics import focal_fit
 from simfoundry.capture.doubts.object_normals import object_normals
@@ -17,6 +18,7 @@ from simfoundry.capture.doubts.seams import roll_gain
 from simfoundry.capture.doubts.size_priors import scale_doubt, support_width
 from simfoundry.capture.findings import (
     BORDER,
+    DIVIDED,
     HOLE,
     IMPLAUSIBLE,
     NOISY,
@@ -268,3 +270,22 @@ def test_a_warped_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> N
     bent = replace(frame, depth=frame.depth * (1 + 0.1 * (np.arange(frame.depth.shape[1]) / 160 - 1) ** 2))
     (doubt,) = depth_doubts(bent, support)
     assert doubt.code == NOISY and "warped" in doubt.message
+
+
+def test_two_parts_of_an_object_behind_another_one() -> None:
+    """A wide box whose middle is hidden is counted twice. Two boxes of different heights there are two."""
+    occluder = Box((-0.06, 0.0, 0.09), (0.05, 0.06, 0.18))
+    frame, labels = photograph(Setup((Box((0.08, 0.0, 0.04), (0.06, 0.24, 0.08)), occluder)))
+    support = find_support(frame)
+    points_W = support.X_WC.apply(frame.points)
+    right = (labels == 1) & (np.arange(labels.shape[1]) > np.nonzero(labels == 2)[1].mean())
+    assert right.any() and ((labels == 1) & ~right).any()
+    divided = np.where(right, 3, labels).astype(np.int32)
+    (doubt,) = division_doubts(frame, divided, points_W)
+    assert doubt.code == DIVIDED and "1 and 3" in doubt.message
+    assert sorted(divided[v, u] for u, v in doubt.outline) == [1, 3]
+    higher = points_W + np.where(right, 0.01, 0.0)[..., None] * [0, 0, 1]
+    assert not list(division_doubts(frame, divided, higher))
+    painted = replace(frame, color=np.where(right[..., None], np.uint8(250), np.uint8(90)) * np.ones(3, np.uint8))
+    assert not list(division_doubts(painted, divided, points_W))
+    assert not list(division_doubts(frame, np.where(labels == 2, 0, divided).astype(np.int32), points_W))

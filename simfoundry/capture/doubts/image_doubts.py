@@ -9,6 +9,7 @@ import numpy as np
 from simfoundry.capture.doubts.color_match import color_doubts
 from simfoundry.capture.doubts.depth_faults import depth_doubts
 from simfoundry.capture.doubts.depth_steps import steps_doubt
+from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.intrinsics import intrinsics_doubt
 from simfoundry.capture.doubts.seams import seam_doubts
 from simfoundry.capture.doubts.size_priors import scale_doubt
@@ -57,6 +58,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *depth_doubts(frame, support),
         *steps_doubt(frame.depth),
         *seam_doubts(frame, support, labels),
+        *division_doubts(frame, labels, points_W),
     )
 
 
