@@ -281,11 +281,15 @@ def test_two_parts_of_an_object_behind_another_one() -> None:
     right = (labels == 1) & (np.arange(labels.shape[1]) > np.nonzero(labels == 2)[1].mean())
     assert right.any() and ((labels == 1) & ~right).any()
     divided = np.where(right, 3, labels).astype(np.int32)
-    (doubt,) = division_doubts(frame, divided, points_W)
+    found = Segmentation(divided, {1: 0, 2: 0, 3: 0})
+    (doubt,) = division_doubts(frame, found, points_W)
     assert doubt.code == DIVIDED and "1 and 3" in doubt.message
     assert sorted(divided[v, u] for u, v in doubt.outline) == [1, 3]
     higher = points_W + np.where(right, 0.01, 0.0)[..., None] * [0, 0, 1]
-    assert not list(division_doubts(frame, divided, higher))
+    assert not list(division_doubts(frame, found, higher))
     painted = replace(frame, color=np.where(right[..., None], np.uint8(250), np.uint8(90)) * np.ones(3, np.uint8))
-    assert not list(division_doubts(painted, divided, points_W))
-    assert not list(division_doubts(frame, np.where(labels == 2, 0, divided).astype(np.int32), points_W))
+    assert not list(division_doubts(painted, found, points_W))
+    bare = replace(found, labels=np.where(labels == 2, 0, divided).astype(np.int32))
+    assert not list(division_doubts(frame, bare, points_W))
+    assert not list(division_doubts(frame, replace(found, pieces={"left": 1, "right": 3}), points_W))
+    assert not list(division_doubts(replace(frame, instances=divided), found, points_W))

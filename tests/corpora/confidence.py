@@ -1,9 +1,9 @@
 """Compare the confidence in solids with their accuracy: ``python -m tests.corpora.confidence [N] [--first SEED]``.
 
-The objects of synthetic tables are segmented and fitted, and each solid is compared with the true object that most of
-its pixels show, in the frame of the camera. A calibrated confidence is the F1 score at 1 cm to be expected. Prints the
-objects by confidence, the mean error, and, with ``--fit``, a map from the confidence to the expected F1 score, which
-never falls (isotonic regression).
+The objects of synthetic tables, or of piles of YCB objects, are segmented and fitted, and each solid is compared with
+the true object that most of its pixels show, in the frame of the camera. A calibrated confidence is the F1 score at
+1 cm to be expected. Prints the objects by confidence, the mean error, and, with ``--fit``, a map from the confidence to
+the expected F1 score, which never falls (isotonic regression).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Link, SceneObject, Visual
 from tests.corpora.synthetic_tables import SyntheticTable, synthetic_table
+from tests.corpora.ycb_scenes import pile
 
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.001)
 """Limits of the bins of confidence; finer ones have too few objects."""
@@ -102,12 +103,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("count", type=int, nargs="?", default=60, help="number of tables")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first one")
+    parser.add_argument("--piles", action="store_true", help="piles of YCB objects, whose masks are often wrong")
     parser.add_argument("--fit", action="store_true", help="print a map from the confidence to the F1 score as well")
     parser.add_argument("--out", type=Path, help="write the solids as JSON, one a line")
     options = parser.parse_args()
     solids: list[Judged] = []
     for seed in range(options.first, options.first + options.count):
-        solids += judged_solids(synthetic_table(seed))
+        solids += judged_solids(pile(seed) if options.piles else synthetic_table(seed))
         if options.out is not None:
             options.out.write_text("\n".join(json.dumps(asdict(s)) for s in solids) + "\n")
     print_table(solids)

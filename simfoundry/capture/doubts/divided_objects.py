@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.findings import DIVIDED, CaptureFinding
-from simfoundry.capture.frame import Frame
+from simfoundry.capture.frame import Frame, Segmentation
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.geometry.frames import Array
 
@@ -35,15 +35,23 @@ class _Region:
     top: float
 
 
-def division_doubts(frame: Frame, labels: Labels, points_W: Array) -> Iterator[CaptureFinding]:
-    """Yield a finding for each two regions that may be the visible parts of one object."""
+def division_doubts(frame: Frame, segmentation: Segmentation, points_W: Array) -> Iterator[CaptureFinding]:
+    """Yield a finding for each two regions that may be the visible parts of one object.
+
+    Masks of a person or a model, and pieces that a person stated, are not doubted.
+    """
     import cv2
 
+    if frame.instances is not None:
+        return
+    labels, stated = segmentation.labels, set(segmentation.pieces.values())
     step = max(1, round(labels.shape[1] / WIDTH))
     small, depth, points = labels[::step, ::step], frame.depth[::step, ::step], points_W[::step, ::step]
     color = cv2.cvtColor(np.ascontiguousarray(frame.color[::step, ::step], np.float32) / 255, cv2.COLOR_RGB2LAB)
     regions = {int(k): _region(small == k, np.asarray(color, np.float64), points) for k in np.unique(small[small > 0])}
     for (a, one), (b, other) in combinations(regions.items(), 2):
+        if {a, b} <= stated:
+            continue
         near = np.linalg.norm(one.center - other.center) < FARTHEST and abs(one.top - other.top) < LEVEL
         if near and np.linalg.norm(one.color - other.color) < ALIKE and _hidden(one, other, small, depth) > HIDDEN:
             message = f"the objects with the numbers {a} and {b} in segments.png may be one whose middle is hidden"

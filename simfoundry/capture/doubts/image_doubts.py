@@ -58,7 +58,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *depth_doubts(frame, support),
         *steps_doubt(frame.depth),
         *seam_doubts(frame, support, labels),
-        *division_doubts(frame, labels, points_W),
+        *division_doubts(frame, segmentation, points_W),
     )
 
 
