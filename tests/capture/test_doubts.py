@@ -293,3 +293,16 @@ def test_two_parts_of_an_object_behind_another_one() -> None:
     assert not list(division_doubts(frame, bare, points_W))
     assert not list(division_doubts(frame, replace(found, pieces={"left": 1, "right": 3}), points_W))
     assert not list(division_doubts(replace(frame, instances=divided), found, points_W))
+
+
+def test_something_at_the_border_that_hides_the_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    """What reaches over the border of the image in front of the table is no object, and may hide some."""
+    frame, support, segmentation = seen
+    rows, columns = np.nonzero(support.inliers & (np.indices(frame.depth.shape)[0] > 200))
+    left = int(np.median(columns)) - 20
+    depth = frame.depth.copy()
+    depth[190:, left : left + 40] = float(np.nanmin(frame.depth[rows, columns])) - 0.12
+    found = image_doubts(replace(frame, depth=depth), support, segmentation)
+    (border,) = (f for f in found if f.code == BORDER)
+    assert "hides a part of the support" in border.message
+    assert left - 3 < np.mean(border.outline, axis=0)[0] < left + 43

@@ -31,6 +31,7 @@ INSIDE = 0.02  # [m] width of the zone along the outline of the support where wa
 CLEARLY_ABOVE = 0.015  # [m] minimum height of what is no noise of the support; a plate is higher
 TALLEST = 0.5  # [m] maximum height of what is reported; lamps and walls are higher
 SEEN = 1.0e-3  # [m²] minimum visible area of something that is reported, a square of 3 cm
+MOSTLY = 0.7  # minimum share of something that is above the support, or hides it; noise at its outline is elsewhere
 HOLE_AREA = 1.2e-3  # [m²] minimum area of a hole on the support, the base of a small glass
 HOLE_RADIUS = 0.011  # [m] minimum radius of a disk inside a hole; gaps beside objects are narrower
 BASELINE = 0.1  # [m] maximum distance between the camera and a projector or second camera: 7.5 cm in a Kinect
@@ -49,7 +50,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
     return (
         *_support(support),
         *_little_support(frame, support),
-        *_unexplained(frame, labels, points_W, support),
+        *_unexplained(frame, labels, points_W, support, inside),
         *_holes(frame, support, labels, inside),
         *_cut_off(labels),
         *color_doubts(frame, labels),
@@ -108,8 +109,10 @@ def _inside_outline(frame: Frame, support: SupportSurface) -> Mask:
     return out > 0
 
 
-def _unexplained(frame: Frame, labels: Labels, points_W: Array, support: SupportSurface) -> Iterator[CaptureFinding]:
-    """Yield a finding for everything that stands on the support but belongs to no object."""
+def _unexplained(
+    frame: Frame, labels: Labels, points_W: Array, support: SupportSurface, inside: Mask
+) -> Iterator[CaptureFinding]:
+    """Yield a finding for everything that stands on the support, or hides it, but belongs to no object."""
     import shapely
 
     height = points_W[..., 2]
@@ -118,16 +121,20 @@ def _unexplained(frame: Frame, labels: Labels, points_W: Array, support: Support
     area = frame.depth**2 / (frame.K[0, 0] * frame.K[1, 1])
     parts, sizes = components(opened(free, disk(2)))
     surface = shapely.Polygon(support.outline).buffer(-INSIDE)
+    rim = _border(labels.shape)
     for k in np.flatnonzero(sizes > 100):
         part = parts == k
         if float(np.nansum(area[part])) < SEEN:
             continue
         xy = points_W[part][:: max(1, int(sizes[k]) // 400), :2]
-        if shapely.contains_xy(surface, xy).mean() < 0.7:
-            continue
-        message = f"something up to {float(np.nanmax(height[part])) * 100:.0f} cm high belongs to no object"
+        size = f"something up to {float(np.nanmax(height[part])) * 100:.0f} cm high"
         hint = "name its pixels under `decomposition`, or show it entirely"
-        yield CaptureFinding(UNEXPLAINED, message, hint, outline=outline_of(part))
+        if shapely.contains_xy(surface, xy).mean() >= MOSTLY:
+            message = f"{size} belongs to no object"
+            yield CaptureFinding(UNEXPLAINED, message, hint, outline=outline_of(part))
+        elif inside[part].mean() >= MOSTLY and (part & rim).any():
+            message = f"{size} at the border of the image hides a part of the support and belongs to no object"
+            yield CaptureFinding(BORDER, message, hint, outline=outline_of(part))
 
 
 def _holes(frame: Frame, support: SupportSurface, labels: Labels, inside: Mask) -> Iterator[CaptureFinding]:
@@ -176,11 +183,17 @@ def _in_shadow(frame: Frame, missing: Mask, distance: Array) -> Mask:
 
 def _cut_off(labels: Labels) -> Iterator[CaptureFinding]:
     """Yield a finding for each object that the border of the image cuts off."""
-    frame = np.zeros(labels.shape, np.bool_)
-    frame[:BORDER_PX], frame[-BORDER_PX:], frame[:, :BORDER_PX], frame[:, -BORDER_PX:] = True, True, True, True
+    frame = _border(labels.shape)
     for k in range(1, int(labels.max()) + 1):
         mask = labels == k
         rim = int((mask & ~shrunk(mask, np.ones((3, 3), np.uint8))).sum())
         if (mask & frame).sum() > BORDER_SHARE * BORDER_PX * max(1, rim):
             message = f"the border of the image cuts off the object with the number {k} in segments.png"
             yield CaptureFinding(BORDER, message, "show the entire object", outline=outline_of(mask))
+
+
+def _border(shape: tuple[int, ...]) -> Mask:
+    """Return a mask of the pixels within :data:`BORDER_PX` of the border of an image."""
+    out = np.ones(shape, np.bool_)
+    out[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = False
+    return out
