@@ -31,6 +31,7 @@ from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.capture.statements.stated import placed_shape, stated_segmentation
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.tasks.scenes import SceneEstimate
+from simfoundry.runtime.parallel import in_background
 from simfoundry.scene.lower import pose
 from simfoundry.spec.models.origin import ModelUse
 
@@ -204,17 +205,6 @@ def textured_objects(
 ) -> TexturedObjects:
     """Paint the objects, and extend the support beneath them. ``given`` contains meshes that may have a texture."""
     frame, labels = view.frame, view.segmentation.labels
-    meshes = {}
-    for done, (k, shape) in enumerate(shapes.items()):
-        progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
-        own = given.get(k, shape.geometry)
-        if isinstance(own, Mesh) and own.texture is not None:
-            meshes[k] = own
-            continue
-        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
-        paint = partial(textured_mesh, shape, frame, view.support, view.mask(k))
-        with suppress(StaleStageError):
-            meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(view.support, outline=beneath(view.support.outline, grounded))
 
@@ -223,5 +213,25 @@ def textured_objects(
         return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
 
     inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels)}
-    thickness, top = view.stages.run("texture", inputs, slab, SUPPORT_NAME).value
+    with in_background(partial(view.stages.run, "texture", inputs, slab, SUPPORT_NAME)) as painted_support:
+        meshes = painted_meshes(view, shapes, given, progress)
+    thickness, top = painted_support().value
     return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
+
+
+def painted_meshes(
+    view: SegmentedView, shapes: dict[int, FittedShape], given: Mapping[int, Mesh], progress: Progress
+) -> dict[int, Mesh]:
+    """Return the objects as textured meshes. ``given`` contains meshes that may have a texture."""
+    meshes = {}
+    for done, (k, shape) in enumerate(shapes.items()):
+        progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
+        own = given.get(k, shape.geometry)
+        if isinstance(own, Mesh) and own.texture is not None:
+            meshes[k] = own
+            continue
+        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
+        paint = partial(textured_mesh, shape, view.frame, view.support, view.mask(k))
+        with suppress(StaleStageError):
+            meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
+    return meshes

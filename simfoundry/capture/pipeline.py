@@ -38,6 +38,7 @@ from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.models.setup import ModelSetup
+from simfoundry.runtime.parallel import in_background
 from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.surroundings import BackgroundSpec, LightSpec
@@ -94,7 +95,8 @@ def reconstruct(
     found = segmented_frame(measured, frame, support, seen, overrides, models, reading, known.cad)
     seen |= {} if completed is None else {"completed": completed.digest}
     view = SegmentedView(frame, support.value, found.value, seen | {"support": support.digest}, stages)
-    shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
+    with in_background(partial(_image_doubts, view, measured)) as image_findings:
+        shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
     cleared, painters = cleared_images_of(view, shapes, models)
     modelled = model_shapes(view, shapes, cleared, models)
     read = None if reading is None else match_objects(reading, found.value.labels)
@@ -124,7 +126,7 @@ def reconstruct(
         *findings,
         *(() if known.cad is None else known.cad.findings()),
         *overrides.unused({*first_names.values(), *names.values()}),
-        *_image_doubts(view, measured),
+        *image_findings(),
     )
     return Reconstruction(
         spec,

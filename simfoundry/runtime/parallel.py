@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 from simfoundry.errors import SimfoundryError
@@ -83,6 +85,17 @@ def _map_in_processes(
     finally:
         pool.close()
     return [result for k in range(len(chunks)) for result in found[k]]
+
+
+@contextmanager
+def in_background(function: Callable[[], R]) -> Iterator[Callable[[], R]]:
+    """Run ``function`` in a thread beside the block, and yield a function that waits for its result.
+
+    The block ends after the thread, also if it fails, so that nothing is written later. Threads take turns except in
+    NumPy, OpenCV and MuJoCo, and while they read and write files.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(function).result
 
 
 def map_chunk(function: Callable[[T], R], chunk: Sequence[T]) -> list[R]:

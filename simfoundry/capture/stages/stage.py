@@ -201,7 +201,13 @@ def _modules(package: str, names: str) -> Iterator[Path]:
     """Yield the files of a module, or those of the modules ``names`` in a package."""
     path = _CAPTURE.joinpath(*package.split("."))
     for each in (path, *(path / name for name in re.findall(r"\w+", names))):
-        yield from (file for file in (each.with_suffix(".py"), each / "__init__.py") if file.is_file())
+        yield from (file for file in (each.with_suffix(".py"), each / "__init__.py") if file in _modules_here())
+
+
+@cache
+def _modules_here() -> frozenset[Path]:
+    """Return all modules of this package."""
+    return frozenset(_CAPTURE.rglob("*.py"))
 
 
 @cache
