@@ -16,7 +16,7 @@ from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes, weighed
-from simfoundry.capture.model_stages.ask import StageModels
+from simfoundry.capture.model_stages.ask import MODEL_STAGES, StageModels
 from simfoundry.capture.model_stages.background import BACKGROUND, Views, model_background
 from simfoundry.capture.model_stages.depth import completed_frame
 from simfoundry.capture.object_stages import (
@@ -97,20 +97,20 @@ def reconstruct(
     view = SegmentedView(frame, support.value, found.value, seen | {"support": support.digest}, stages)
     with in_background(partial(_image_doubts, view, measured)) as image_findings:
         shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
-    cleared, painters = cleared_images_of(view, shapes, models)
-    modelled = model_shapes(view, shapes, cleared, models)
-    read = None if reading is None else match_objects(reading, found.value.labels)
-    first_names, names = _named(view, modelled.shapes, known, read)
-    keys = {k: overrides.of((names[k], first_names[k]))[0] for k in shapes}
-    placed = {k: placed_by_person(view, shape, overrides, keys[k], k) for k, shape in modelled.shapes.items()}
-    given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
-    objects = textured_objects(view, placed, carriers, given, progress)
+    with in_background(partial(cleared_images_of, view, shapes, models)) as clearing:
+        is_asked = any(map(models.asks, MODEL_STAGES))  # models are asked one after the other
+        modelled = model_shapes(view, shapes, clearing()[0] if is_asked else (), models)
+        read = None if reading is None else match_objects(reading, found.value.labels)
+        first_names, names = _named(view, modelled.shapes, known, read)
+        keys = {k: overrides.of((names[k], first_names[k]))[0] for k in shapes}
+        objects = _placed_objects(view, modelled.shapes, carriers, keys, overrides, progress)
+    cleared, painters = clearing()
     moving = () if read is None else [k for k, each in read.objects.items() if each.is_articulated]
     jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
     splat = model_background(frame, objects.support, shapes, cleared[-1], known.views, models) if cleared else None
     sensed = tuple(ModelUse.model_validate(dict(use)) for use in measured.models)
     everywhere = (*sensed, *(completed.models if completed else ()), *found.models)
-    uses = {k: (*everywhere, *(() if k in given else modelled.uses.get(k, ()))) for k in shapes}
+    uses = {k: (*everywhere, *(() if keys[k] in overrides.meshes else modelled.uses.get(k, ()))) for k in shapes}
     spec = scene_spec(name, frame, support.value, objects, names, read, uses)
     jointed = weighed(jointed, {k: spec.objects[names[k]].mass for k in jointed.objects})
     spec = _with_joints(spec, jointed, objects, names)
@@ -140,6 +140,20 @@ def reconstruct(
         modelled.files(names),
         modelled.report(names),
     )
+
+
+def _placed_objects(
+    view: SegmentedView,
+    shapes: Mapping[int, FittedShape],
+    carriers: dict[int, int],
+    keys: Mapping[int, str],
+    overrides: Overrides,
+    progress: Progress,
+) -> TexturedObjects:
+    """Return the textured objects, as a person states them. ``keys`` are the names by which they are stated."""
+    placed = {k: placed_by_person(view, shape, overrides, keys[k], k) for k, shape in shapes.items()}
+    given = {k: overrides.meshes[keys[k]] for k in shapes if keys[k] in overrides.meshes}
+    return textured_objects(view, placed, carriers, given, progress)
 
 
 def _image_doubts(view: SegmentedView, measured: Frame) -> tuple[CaptureFinding, ...]:
