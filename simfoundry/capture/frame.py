@@ -136,6 +136,21 @@ class SupportRival:
 
 
 @dataclass(frozen=True, eq=False)
+class SupportLevel:
+    """Another level surface that carries objects, beside the support: a lower table, a shelf, a chest.
+
+    Attributes:
+        height: Height above the support [m], negative below it.
+        outline: Boundary of the visible surface in world xy [m], counterclockwise, shape (n, 2).
+        inliers: Mask of the surface pixels, shape (h, w).
+    """
+
+    height: float
+    outline: Array
+    inliers: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class SupportSurface:
     """The surface that supports the objects.
 
@@ -146,6 +161,7 @@ class SupportSurface:
         residual: Median distance of the surface points from the plane [m].
         inliers: Mask of the surface pixels, shape (h, w).
         rivals: Other surfaces that could be the support, with the best evidence first.
+        levels: Those of them that carry objects of their own.
     """
 
     X_WC: Pose
@@ -153,6 +169,12 @@ class SupportSurface:
     residual: float
     inliers: NDArray[np.bool_]
     rivals: tuple[SupportRival, ...] = ()
+    levels: tuple[SupportLevel, ...] = ()
+
+    def at(self, level: SupportLevel) -> SupportSurface:
+        """Return another level as a support, with the world frame raised to its height."""
+        X_WC = Pose.of(self.X_WC.p - np.array([0.0, 0.0, level.height]), self.X_WC.q)
+        return SupportSurface(X_WC, level.outline, self.residual, level.inliers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +183,7 @@ class Segmentation:
 
     ``labels`` contains the number of the object at each pixel, from 1 to n, or 0 if there is none. Its shape is (h, w).
     ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
+    ``surfaces`` contains the numbers that are levels of the support and not objects, with the index of the level.
     ``pieces`` contains the numbers of the objects that the capture names in its decomposition, by name. ``unmet`` lists
     the constraints that could not be respected, as sentences.
     """
@@ -169,6 +192,12 @@ class Segmentation:
     supports: dict[int, int]
     pieces: Mapping[str, int] = field(default_factory=dict)
     unmet: tuple[str, ...] = ()
+    surfaces: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def objects(self) -> NDArray[np.int32]:
+        """The labels without those of surfaces, shape (h, w)."""
+        return np.where(np.isin(self.labels, list(self.surfaces)), 0, self.labels).astype(np.int32)
 
 
 def depth_sigma(depth: Array) -> Array:

@@ -78,6 +78,8 @@ def model_shapes(
         return found
     labels = view.segmentation.labels
     for k, shape in shapes.items():
+        if k in view.segmentation.surfaces:
+            continue
         one = ObjectView(view.frame, view.support, labels, k, nearby_labels(labels, k), shape)
         picture = object_picture(one, cleared) if models.asks("mesh") else None
         made = None if picture is None else model_mesh(one, picture, models)

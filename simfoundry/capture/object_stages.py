@@ -13,6 +13,7 @@ from simfoundry.capture.cad.explain import explained_segmentation
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import CadLookup, ModelMatch
 from simfoundry.capture.description.describe import SUPPORT_NAME
+from simfoundry.capture.description.level_object import level_outline, level_thickness
 from simfoundry.capture.description.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
@@ -29,6 +30,7 @@ from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner, StaleStageError
 from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.capture.statements.stated import placed_shape, stated_segmentation
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.tasks.scenes import SceneEstimate
 from simfoundry.runtime.parallel import in_background
@@ -112,7 +114,7 @@ def segmented_frame(
     inputs["masks"] = digest_of(measured.instances)
     inputs["decomposition"] = "" if stated is None else stated.model_dump_json()
     found = stages.run("segment", inputs, partial(segmentation_of, measured, support.value), quick=is_given)
-    if is_given or stated is not None:
+    if is_given or stated is not None or found.value.surfaces:  # neither models nor CAD models know about levels
         return FoundSegments(found.value)
     phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)
     masked = model_segmentation(completed, support.value, found.value, phrases, models)
@@ -205,7 +207,9 @@ def textured_objects(
 ) -> TexturedObjects:
     """Paint the objects, and extend the support beneath them. ``given`` contains meshes that may have a texture."""
     frame, labels = view.frame, view.segmentation.labels
-    grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
+    grounded = [
+        footprint(shape) for k, shape in shapes.items() if not carriers[k] and k not in view.segmentation.surfaces
+    ]
     support = replace(view.support, outline=beneath(view.support.outline, grounded))
 
     def slab() -> tuple[float | None, Mesh]:
@@ -226,6 +230,9 @@ def painted_meshes(
     meshes = {}
     for done, (k, shape) in enumerate(shapes.items()):
         progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
+        if k in view.segmentation.surfaces:
+            meshes[k] = _level_mesh(view, k, shape)
+            continue
         own = given.get(k, shape.geometry)
         if isinstance(own, Mesh) and own.texture is not None:
             meshes[k] = own
@@ -235,3 +242,14 @@ def painted_meshes(
         with suppress(StaleStageError):
             meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
     return meshes
+
+
+def _level_mesh(view: SegmentedView, k: int, shape: FittedShape) -> Mesh:
+    """Return the textured mesh of a level of the support, in its own frame."""
+    level = view.support.levels[view.segmentation.surfaces[k]]
+    outline, thickness = level_outline(shape) + shape.X_WO.p[:2], level_thickness(shape)
+    raised = replace(view.support.at(level), outline=outline)
+    objects = np.where(view.mask(k), 0, view.segmentation.labels).astype(np.int32)
+    top = support_mesh(view.frame, raised, objects, thickness)
+    shift = np.array([*shape.X_WO.p[:2], -thickness / 2])
+    return replace(top, vertices=frozen_array(top.vertices - shift))

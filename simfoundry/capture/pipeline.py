@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -111,7 +111,7 @@ def reconstruct(
     sensed = tuple(ModelUse.model_validate(dict(use)) for use in measured.models)
     everywhere = (*sensed, *(completed.models if completed else ()), *found.models)
     uses = {k: (*everywhere, *(() if keys[k] in overrides.meshes else modelled.uses.get(k, ()))) for k in shapes}
-    spec = scene_spec(name, frame, support.value, objects, names, read, uses)
+    spec = scene_spec(name, frame, support.value, objects, names, read, uses, set(found.value.surfaces))
     jointed = weighed(jointed, {k: spec.objects[names[k]].mass for k in jointed.objects})
     spec = _with_joints(spec, jointed, objects, names)
     files = _object_files(objects, jointed, names) | ({} if splat is None else {BACKGROUND: splat.value})
@@ -236,15 +236,21 @@ def scene_spec(
     names: Mapping[int, str],
     read: MatchedReading | None,
     uses: Mapping[int, tuple[ModelUse, ...]],
+    surfaces: Collection[int],
 ) -> SceneSpec:
     """Return the scene of the fitted objects by their names.
 
-    ``read`` is what a model states about them, and ``uses`` are other models that contributed to each of them.
+    ``read`` is what a model states about them, and ``uses`` are other models that contributed to each of them. Objects
+    whose number is in ``surfaces`` are levels beside the support.
     """
     objects = {SUPPORT_NAME: describe.support_spec(name, fitted.support, fitted.thickness)}
+    free = {k: shape for k, shape in fitted.shapes.items() if k not in surfaces}
     for k, shape in fitted.shapes.items():
-        objects[names[k]] = describe.object_spec(name, names[k], shape, k, read, uses[k])
-    priors = [SUPPORT, *(describe.material_prior(shape, k, read) for k, shape in fitted.shapes.items())]
+        if k in free:
+            objects[names[k]] = describe.object_spec(name, names[k], shape, k, read, uses[k])
+        else:
+            objects[names[k]] = describe.level_spec(name, names[k], shape, support.residual, k)
+    priors = [SUPPORT, *(describe.material_prior(shape, k, read) for k, shape in free.items())]
     key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     return SceneSpec(
         simfoundry="scene/1",
@@ -254,6 +260,6 @@ def scene_spec(
         objects=objects,
         cameras={"view": describe.camera_spec(frame, fitted.support)},
         lights={"key": key_light, "sky": LightSpec(type="dome", intensity=0.7)},
-        relations=tuple(f"OnTop({names[k]}, {names.get(fitted.supports[k], SUPPORT_NAME)})" for k in fitted.shapes),
+        relations=tuple(f"OnTop({names[k]}, {names.get(fitted.supports[k], SUPPORT_NAME)})" for k in free),
         origin=Origin(capture=name, fit_error=describe.meters(support.residual)),
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from simfoundry.capture.description.level_object import level_shape
 from simfoundry.capture.findings import LEFT_OUT, UNSURE, CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.frames.reduced import reduced_frame, reduced_segmentation, reduction
@@ -113,6 +114,9 @@ def fit_segments(
     frame, segmentation = reduced_frame(frame, step), reduced_segmentation(segmentation, step)
     for done, k in enumerate(order):
         report(f"shape {k}", done / len(order))
+        if k in segmentation.surfaces:
+            shapes[k], carriers[k] = level_shape(frame, support, support.levels[segmentation.surfaces[k]], ()), 0
+            continue
         carriers[k], base_z = _carrier(frame, support, segmentation, shapes, k)
         try:
             seen = without_occluders(frame, segmentation, k)
@@ -130,6 +134,9 @@ def fit_segments(
         shapes[k] = shape
         if carriers[k]:
             shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
+    for k, index in segmentation.surfaces.items():
+        carried = [footprint(shapes[on]) for on, carrier in carriers.items() if carrier == k and on in shapes]
+        shapes[k] = level_shape(frame, support, support.levels[index], carried)
     return dict(sorted(shapes.items())), carriers, tuple(findings)
 
 

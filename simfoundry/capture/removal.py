@@ -58,9 +58,10 @@ def removal_order(frame: Frame, segmentation: Segmentation) -> tuple[tuple[int, 
     """Return the numbers of objects in the order in which they are removed.
 
     Each layer contains objects that are in front of no others of the same layer, and that neither stand behind nor
-    under an object of a later layer. If objects hide each other in a circle, the nearest is removed first.
+    under an object of a later layer. If objects hide each other in a circle, the nearest is removed first. Levels of
+    the support remain.
     """
-    numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
+    numbers = [int(k) for k in np.unique(segmentation.objects) if k > 0]
     in_front = _in_front(frame, segmentation.labels)
     before = {k: {a for a, b in in_front if b == k} for k in numbers}
     for k, carrier in segmentation.supports.items():

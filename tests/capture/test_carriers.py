@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 import trimesh
 
+from simfoundry.capture.description.level_object import level_thickness
+from simfoundry.capture.doubts.image_doubts import image_doubts
+from simfoundry.capture.findings import SUPPORT_DOUBT
 from simfoundry.capture.frame import Segmentation
 from simfoundry.capture.reconstruct import carrying_height, fit_segments
+from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.fit import fit_shape
 from simfoundry.capture.shapes.fit_open_box import open_box_mesh
 from simfoundry.capture.shapes.solid_casts import cast_mesh, cast_open_box
+from simfoundry.capture.statements.stated import stated_segmentation
 from simfoundry.capture.synthesize import simulate_frame
 from simfoundry.geometry.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder
@@ -93,8 +98,9 @@ def test_scenes_with_carriers(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_lower_table_beside_the_first_one_is_a_rival() -> None:
-    """Two blocks on it, 25 cm below the table with three: they are not lost in silence."""
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_lower_table_beside_the_first_one_carries_its_own_objects(stated: bool) -> None:
+    """Two blocks on it, 25 cm below the table with three, found or as the masks of a person."""
     gray, rng = frozen_array([0.6, 0.6, 0.6, 1.0]), np.random.default_rng(0)
     scene_objects = [
         synthetic_tables._object(name, Pose.of(), [(synthetic_tables._box(*size), Pose.of(place), gray)], fixed)
@@ -109,6 +115,24 @@ def test_a_lower_table_beside_the_first_one_is_a_rival() -> None:
     X_WC = look_at(np.array([-0.75, -0.4, 0.65]), np.array([0.1, -0.4, 0.05]))
     camera = Camera("view", 640, 480, 540, 540, 319.5, 239.5, X_WC)
     scene = Scene("two", gravity=frozen_array([0, 0, -9.81]), objects=tuple(scene_objects))
-    support = find_support(replace(simulate_frame(raycast(scene, camera), rng), instances=None))
+    ray = raycast(scene, camera)
+    frame = replace(simulate_frame(ray, rng), instances=None)
+    support = find_support(frame)
     (side,) = (rival for rival in support.rivals if rival.carried > 0)
     assert side.height == pytest.approx(-0.25, abs=0.01) and 0.003 < side.carried < 0.02
+    truth = np.where(ray.objects > 3, ray.objects - 3, 0).astype(np.int32)
+    truth[ray.objects == 2] = 6
+    found = stated_segmentation(frame, support, truth) if stated else decompose(frame, support)
+    number = {k: int(np.bincount(found.labels[truth == k]).argmax()) for k in range(1, 7)}
+    assert 0 not in number.values() and found.surfaces == {number[6]: 0} and found.labels.max() == 6
+    assert found.supports == {number[k]: number[6] if k in (4, 5) else 0 for k in number}
+    assert set(np.unique(found.objects)) == {0, *(number[k] for k in range(1, 6))}
+    shapes, carriers, findings = fit_segments(frame, support, found, lambda stage, share: None)
+    heights = {k: shapes[number[k]].X_WO.p[2] for k in range(1, 6)}
+    assert findings == () and carriers == found.supports
+    assert np.allclose([heights[k] for k in range(1, 6)], [0.04] * 3 + [-0.21] * 2, atol=0.01)
+    top = shapes[number[6]]
+    assert top.X_WO.p[2] + level_thickness(top) / 2 == pytest.approx(-0.25, abs=0.005)
+    assert not any(f.code == SUPPORT_DOUBT for f in image_doubts(frame, support, found))
+    alone = decompose(frame, replace(support, levels=()))
+    assert alone.labels.max() == 3 and any(f.code == SUPPORT_DOUBT for f in image_doubts(frame, support, alone))

@@ -10,6 +10,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.capture.description.kinds import SUPPORT, MaterialPrior, kind_of, material_of
+from simfoundry.capture.description.level_object import level_outline, level_thickness
 from simfoundry.capture.description.mass_estimates import mass_estimate
 from simfoundry.capture.description.support_object import DEFAULT_THICKNESS
 from simfoundry.capture.frame import Frame, SupportSurface
@@ -47,6 +48,8 @@ def color_word(rgb: tuple[float, float, float]) -> str:
 
 
 SUPPORT_NAME = "table"  # The name of the support in the scene
+LEVEL_NAME = "surface"  # Name of another level that carries objects, after its color
+LEVEL_NOTE = "a second surface that carries objects, as far as it is visible"
 
 
 def unique_names(wanted: Iterable[str]) -> list[str]:
@@ -81,6 +84,20 @@ def support_spec(capture: str, support: SupportSurface, measured: float | None) 
         material=SUPPORT.name,
         pose=FramedPose(xyz=(0.0, 0.0, -thickness / 2)),
         origin=Origin(capture=capture, fit_error=meters(support.residual), note=note),
+    )
+
+
+def level_spec(capture: str, name: str, shape: FittedShape, residual: float, segment: int) -> ObjectSpec:
+    """Return the spec of a level beside the support: a fixed prism whose top carries objects."""
+    outline = tuple((meters(x), meters(y)) for x, y in level_outline(shape))
+    return ObjectSpec(
+        category="table",
+        fixed=True,
+        shape=shapes.PrismShape(prism=shapes.Prism(outline=outline, height=meters(level_thickness(shape)))),
+        visual=f"meshes/{name}.obj",
+        material=SUPPORT.name,
+        pose=pose_spec(shape.X_WO),
+        origin=Origin(capture=capture, fit_error=meters(residual), segment=segment, note=LEVEL_NOTE),
     )
 
 

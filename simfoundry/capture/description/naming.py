@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.capture.description.describe import color_word, unique_names
+from simfoundry.capture.description.describe import LEVEL_NAME, color_word, unique_names
 from simfoundry.capture.description.kinds import kind_of
 from simfoundry.capture.frame import Frame, Segmentation
 from simfoundry.capture.segment.masks import Labels
@@ -35,7 +35,8 @@ def found_names(
     wanted |= {k: name for name, k in segmentation.pieces.items()}
     wanted = {**read, **wanted}
     for k, shape in shapes.items():
-        wanted.setdefault(k, shape.model or f"{color_word(dominant_color(frame, labels == k))}_{kind_of(shape).name}")
+        noun = LEVEL_NAME if k in segmentation.surfaces else kind_of(shape).name
+        wanted.setdefault(k, shape.model or f"{color_word(dominant_color(frame, labels == k))}_{noun}")
     return dict(zip(shapes, unique_names(wanted[k] for k in shapes), strict=True))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,15 +16,12 @@ from simfoundry.capture.doubts.seams import seam_doubts
 from simfoundry.capture.doubts.size_priors import scale_doubt
 from simfoundry.capture.findings import BORDER, HOLE, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
+from simfoundry.capture.segment.levels import carries_objects, has_level
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
 from simfoundry.capture.segment.regions import pixel_area
 from simfoundry.geometry.frames import Array
 
 RIVAL = 0.5  # minimum evidence for another support that is reported; on real tables it stays below 0.35
-CARRIED = 2e-3  # [m²] minimum visible area of what a second surface carries: two small objects of 3 cm
-# Distance [m] of a second surface from the first: planes closer to it are through parts of it, so that nothing is lost,
-# and a floor is farther below a table, and carries its furniture.
-LEVELS = (0.05, 0.4)
 ON_TOP, LARGE = 0.3, 0.1  # [m], [m²] maximum height and area of the top of an object on the support
 SAME = 0.02  # [m] maximum height of a second plane through the same surface, which is not flat
 LITTLE = 0.015  # [m²] minimum visible area of the support: half of the least on real tables, 0.029 of a round one
@@ -44,29 +42,32 @@ BORDER_SHARE = 0.08  # minimum fraction of an object's outline along the border 
 def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentation) -> tuple[CaptureFinding, ...]:
     """Return what is doubtful about an image and its division into objects."""
     frame = frame.cleaned()
-    labels = segmentation.labels
+    labels, objects = segmentation.labels, segmentation.objects
     points_W = support.X_WC.apply(frame.points)
     inside = _inside_outline(frame, support)
     return (
-        *_support(support),
+        *_support(support, segmentation),
         *_little_support(frame, support),
         *_unexplained(frame, labels, points_W, support, inside),
+        *_unexplained_on_levels(frame, support, segmentation),
         *_holes(frame, support, labels, inside),
-        *_cut_off(labels),
-        *color_doubts(frame, labels),
-        *scale_doubt(frame, support, labels, points_W),
-        *intrinsics_doubt(frame, support, labels),
+        *_cut_off(objects),
+        *color_doubts(frame, objects),
+        *scale_doubt(frame, support, objects, points_W),
+        *intrinsics_doubt(frame, support, objects),
         *depth_doubts(frame, support),
         *steps_doubt(frame.depth),
-        *seam_doubts(frame, support, labels),
-        *division_doubts(frame, segmentation, points_W),
+        *seam_doubts(frame, support, objects),
+        *division_doubts(frame, replace(segmentation, labels=objects), points_W),
     )
 
 
-def _support(support: SupportSurface) -> Iterator[CaptureFinding]:
+def _support(support: SupportSurface, segmentation: Segmentation) -> Iterator[CaptureFinding]:
     """Yield a finding for each other surface that could be the support, or that carries objects as well."""
     for rival in support.rivals:
-        if rival.carried > CARRIED and LEVELS[0] < abs(rival.height) < LEVELS[1]:
+        if has_level(support, segmentation, rival):
+            continue
+        if carries_objects(rival):
             where = f"{abs(rival.height) * 100:.0f} cm {'above' if rival.height > 0 else 'below'} the support"
             message = f"a surface {where} carries objects as well, which are not in the scene"
             hint = f"to reconstruct them, state `support: {{pixel: [{rival.pixel[0]}, {rival.pixel[1]}]}}` in the frame"
@@ -135,6 +136,16 @@ def _unexplained(
         elif inside[part].mean() >= MOSTLY and (part & rim).any():
             message = f"{size} at the border of the image hides a part of the support and belongs to no object"
             yield CaptureFinding(BORDER, message, hint, outline=outline_of(part))
+
+
+def _unexplained_on_levels(
+    frame: Frame, support: SupportSurface, segmentation: Segmentation
+) -> Iterator[CaptureFinding]:
+    """Yield a finding for everything that stands on another level but belongs to no object."""
+    for index in segmentation.surfaces.values():
+        raised = support.at(support.levels[index])
+        inside = _inside_outline(frame, raised)
+        yield from _unexplained(frame, segmentation.labels, raised.X_WC.apply(frame.points), raised, inside)
 
 
 def _holes(frame: Frame, support: SupportSurface, labels: Labels, inside: Mask) -> Iterator[CaptureFinding]:

@@ -54,7 +54,8 @@ def reduced_frame(frame: Frame, step: int) -> Frame:
 
 def reduced_support(support: SupportSurface, step: int) -> SupportSurface:
     """Return a surface in a reduced image."""
-    return replace(support, inliers=reduced(support.inliers, step))
+    levels = tuple(replace(level, inliers=reduced(level.inliers, step)) for level in support.levels)
+    return replace(support, inliers=reduced(support.inliers, step), levels=levels)
 
 
 def reduced_segmentation(segmentation: Segmentation, step: int) -> Segmentation:

@@ -26,7 +26,9 @@ def support_of(frame: Frame) -> SupportSurface:
     rivals = tuple(
         replace(rival, pixel=(rival.pixel[0] * step + middle, rival.pixel[1] * step + middle)) for rival in found.rivals
     )
-    return replace(found, inliers=enlarged(found.inliers, step, frame.depth.shape), rivals=rivals)
+    shape = frame.depth.shape
+    levels = tuple(replace(level, inliers=enlarged(level.inliers, step, shape)) for level in found.levels)
+    return replace(found, inliers=enlarged(found.inliers, step, shape), rivals=rivals, levels=levels)
 
 
 def segmentation_of(frame: Frame, support: SupportSurface) -> Segmentation:

@@ -12,8 +12,10 @@ from simfoundry.capture.frames.reduced import enlarged
 from simfoundry.capture.segment import merge_by_color, merge_regions
 from simfoundry.capture.segment.constraints import constrained
 from simfoundry.capture.segment.learned_merging import divide_regions, join_regions
+from simfoundry.capture.segment.levels import segmentation_on_levels, without_support
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
 from simfoundry.capture.segment.merge_regions import TOUCHING, compact, renamed
+from simfoundry.capture.segment.open_boxes import part_open_boxes
 from simfoundry.capture.segment.regions import Crop, borders, cut, edges_of, flood, pixel_area, reach_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
@@ -48,17 +50,24 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
         CaptureError: The depth is unusable, or no object is found.
     """
     frame = frame.cleaned()
-    points_W = support.X_WC.apply(frame.points)
-    if frame.instances is not None:
-        labels = _given(frame.instances, points_W, support)
-    else:
-        labels = _found(frame, points_W, support)
+    labels = _on_surface(frame, support)
+    for level in support.levels:
+        others = _on_surface(without_support(frame, labels, support, level), support.at(level))
+        labels = np.where(others > 0, others + int(labels.max()), labels).astype(np.int32)
     labels, pieces, unmet = constrained(labels, frame)
     if not labels.any():
         message = f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support"
         hint = "check that the objects are in view and have valid depth; glass and dark glossy surfaces often have none"
         raise CaptureError("SF504", message, hint)
-    return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))), pieces, unmet)
+    return segmentation_on_levels(labels, frame, support, pieces, unmet)
+
+
+def _on_surface(frame: Frame, support: SupportSurface) -> Labels:
+    """Return the objects on a surface, numbered from 1: those of the given masks, or those that are found."""
+    points_W = support.X_WC.apply(frame.points)
+    if frame.instances is not None:
+        return _given(frame.instances, points_W, support)
+    return _found(frame, points_W, support)
 
 
 def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:
@@ -86,10 +95,14 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     step, crop = survey.step, survey.crop
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
     regions = divide_regions(survey.regions, survey.initial, crop)
-    regions = _without_specks(join_regions(merged_by_rules(regions, crop), crop), crop)
+    regions, floors = part_open_boxes(join_regions(merged_by_rules(regions, crop), crop), crop)
+    regions = _without_specks(regions, crop)
     coarse[crop.window] = _without_foreign_regions(regions, crop, support)
     labels = enlarged(coarse, step, depth.shape)
-    labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
+    low = np.zeros(coarse.shape, np.int32)
+    low[crop.window] = floors
+    standing = (points_W[..., 2] > LOWEST / 2) | (enlarged(low, step, depth.shape) > 0)
+    labels = np.where(np.isfinite(depth) & standing, labels, 0).astype(np.int32)
     return close_silhouettes(labels, depth, points_W, step + 1)
 
 

@@ -5,16 +5,18 @@ Candidate planes are found with RANSAC.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simfoundry.capture.frame import CaptureError, Frame, SupportRival, SupportSurface, depth_sigma
+from simfoundry.capture.frame import CaptureError, Frame, SupportLevel, SupportRival, SupportSurface, depth_sigma
+from simfoundry.capture.segment.levels import carries_objects
 from simfoundry.capture.segment.masks import Mask, Plan, closed, components, disk, filled, opened, simplified, thinned
 from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, refine, world_on
 from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.capture.segment.support_evidence import carried_pixels
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.spec.models.capture import SupportChoice
 
 DENSE = 0.5  # minimum mean fraction of inliers within 2 px of an inlier; lower values occur by chance
@@ -27,6 +29,8 @@ OUTLINE_TOLERANCE = 0.01  # [m] tolerance of the simplified outline
 RIVAL = 0.1  # minimum evidence for another surface, relative to the best one, that is kept
 AROUND = 4  # [px] radius around a stated pixel, in the survey's image, in which the plane is fitted
 PARALLEL = 0.97  # minimum cosine between the normals of two level surfaces: noise and sagging turn one by 10 degrees
+LEVEL = 0.995  # minimum cosine between the normals of levels on which objects stand: noise turns one by 5 degrees
+ONE_LEVEL = 0.03  # [m] maximum distance of planes through the same surface, which is not flat
 SHADOW = 0.25  # [m] maximum width of the hidden strip behind an object that is bridged to connect two visible parts
 
 
@@ -87,8 +91,10 @@ def find_support(frame: Frame) -> SupportSurface:
     for k, surface in enumerate(ranked):
         support = _measured(_view(frame), surface)
         if support is not None:
-            rivals = (_rival(surface, other, small, step) for other in ranked[k + 1 :])
-            return replace(support, rivals=tuple(rival for rival in rivals if rival.share > RIVAL))
+            others = [(other, _rival(surface, other, small, step)) for other in ranked[k + 1 :]]
+            rivals = tuple(rival for _, rival in others if rival.share > RIVAL)
+            carrying = (other for other, rival in others if carries_objects(rival))
+            return replace(support, rivals=rivals, levels=_levels(frame, support, carrying))
     hint = "show at least 10 cm of the tabletop around the objects, and hold the camera upright above it"
     raise CaptureError("SF503", "could not find a flat surface, seen from above, that objects could stand on", hint)
 
@@ -133,6 +139,22 @@ def _rival(best: _Surface, other: _Surface, view: _View, step: int) -> SupportRi
     area = float(other.plan.mask.sum() * other.plan.cell**2)
     pixel = int(columns[middle]) * step, int(rows[middle]) * step
     return SupportRival(other.score / max(best.score, 1e-9), height, area, pixel, _carried_apart(best, other, view))
+
+
+def _levels(frame: Frame, support: SupportSurface, carrying: Iterable[_Surface]) -> tuple[SupportLevel, ...]:
+    """Return surfaces as levels of the support, without those that are not level or that are seen twice."""
+    out: list[SupportLevel] = []
+    for surface in carrying:
+        found = _measured(_view(frame), surface)
+        if found is None:
+            continue
+        X_WL = support.X_WC @ found.X_WC.inverse()
+        outline = X_WL.apply(np.column_stack([found.outline, np.zeros(len(found.outline))]))
+        height = float(np.median(support.X_WC.apply(frame.points_of(found.inliers))[:, 2]))
+        level = SupportLevel(height, frozen_array(outline[:, :2]), found.inliers)
+        if X_WL.rotation[2, 2] > LEVEL and not any(abs(height - other.height) < ONE_LEVEL for other in out):
+            out.append(level)
+    return tuple(out)
 
 
 def _carried_apart(best: _Surface, other: _Surface, view: _View) -> float:

@@ -20,7 +20,7 @@ from simfoundry.capture.segment.masks import (
 )
 from simfoundry.capture.segment.merge_regions import compact, renamed
 from simfoundry.capture.segment.regions import Border, Crop, adjacent_pairs, borders, flood
-from simfoundry.capture.segment.support_graph import RegionPart, below, carriers, parts_of, shared_footprint
+from simfoundry.capture.segment.support_graph import RegionPart, below, carriers, is_content, parts_of, shared_footprint
 
 VIVID = 80  # minimum saturation of a vivid pixel, out of 255
 BRIGHT = 50  # minimum value of a vivid pixel, out of 255
@@ -99,7 +99,7 @@ class _Family:
         """
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
-            return True
+            return not is_content(part, other)
         a, b = self.hues[part.label], self.hues[other.label]
         if not a.matches(b):
             return False

@@ -96,7 +96,10 @@ def join_hanging(labels: Labels, crop: Crop) -> Labels:
 
 
 def join_hidden(labels: Labels, crop: Crop) -> Labels:
-    """Merge regions that are faces of the same box behind an occluder. The pixels between them are included."""
+    """Merge regions that are sides of the same box or bowl behind an occluder.
+
+    The pixels between two faces of a box are included.
+    """
     behind: dict[int, set[int]] = {}
     # Thin uniformly, so that the number of points stays proportional to the size of each region.
     points = {k: crop.points_W[labels == k][::4] for k in range(1, int(labels.max()) + 1)}
@@ -106,9 +109,13 @@ def join_hidden(labels: Labels, crop: Crop) -> Labels:
     for front in sorted(behind):
         for a, b in combinations(sorted(behind[front]), 2):
             low, high = sorted((root(parent, a), root(parent, b)))
-            if low != high and front not in (low, high) and _one_box(points[a], points[b]):
+            if low == high or front in (low, high):
+                continue
+            if _one_box(points[a], points[b]):
                 parent[high] = low
                 labels = _between(labels, crop.points_W, front, a, b)
+            elif _one_rim(points[a], points[b]) and _one_rim(points[b], points[a]):
+                parent[high] = low  # two sides of a bowl, beside what is in it
     return renamed(labels, parent)
 
 

@@ -17,6 +17,9 @@ from simfoundry.geometry.frames import Array
 
 CONTACT = 0.015  # [m] maximum gap between an object and its support
 OVERLAP = 0.05  # minimum overlap between an object and its support, as a fraction of the smaller visible footprint
+# Height of the hidden underside of a ball, as a share of its visible height: it is (1 - cos a) / (1 + cos a) from an
+# angle a above, which is a third from 60 degrees, and the tolerance of contacts covers the rest.
+UNDERSIDE = 0.25
 
 # Number of directions around a part, and of those in which another part must be visible to surround it. A part hides
 # what is behind it, which is at most half of the directions.
@@ -102,13 +105,19 @@ def _surrounded_by(part: RegionPart, parts: list[RegionPart]) -> int:
     return best if best and _stood_on(part, parts) in (0, best) else 0
 
 
+def is_content(part: RegionPart, other: RegionPart) -> bool:
+    """Return True if ``part`` is surrounded by ``other`` and begins below its top, as what is in a bowl does."""
+    return part.bottom < other.top and _surrounded_by(part, [part, other]) == other.label
+
+
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
     """Return the label of the part on which ``part`` stands, or 0 if there is no such part.
 
-    The top of this part meets the bottom of ``part``. If there are several such parts, the one with the largest overlap
-    of footprints is returned.
+    The top of this part meets the bottom of ``part``, whose lowest visible point is higher: a ball hides its underside.
+    If there are several such parts, the one with the largest overlap of footprints is returned.
     """
-    others = [p for p in parts if p.label != part.label and -CONTACT < part.bottom - p.top < 1.5 * CONTACT]
+    farthest = 1.5 * CONTACT + UNDERSIDE * (part.top - part.bottom)
+    others = [p for p in parts if p.label != part.label and -CONTACT < part.bottom - p.top < farthest]
     share, label = max(((shared_footprint(part, p), -p.label) for p in others), default=(0.0, 0))
     return -label if share > OVERLAP else 0
 

@@ -16,7 +16,7 @@ from simfoundry.capture.cad.explain import CadSegmentation
 from simfoundry.capture.cad.match import ModelMatch
 from simfoundry.capture.candidates import JointedObject, ShapeChoice
 from simfoundry.capture.findings import CaptureFinding
-from simfoundry.capture.frame import Frame, Segmentation, SupportRival, SupportSurface
+from simfoundry.capture.frame import Frame, Segmentation, SupportLevel, SupportRival, SupportSurface
 from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Pose
@@ -32,7 +32,7 @@ TYPES: dict[str, type[Any]] = {
     each.__name__: each
     for each in (
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
-        *(Frame, SupportSurface, SupportRival, Segmentation, ClearedImage, FittedShape, CaptureFinding),
+        *(Frame, SupportSurface, SupportRival, SupportLevel, Segmentation, ClearedImage, FittedShape, CaptureFinding),
         *(SettleResult, ObjectSettle, SceneState, ShapeChoice, JointedObject),
         *(CadSegmentation, ModelMatch),
     )

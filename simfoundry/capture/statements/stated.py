@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
+from simfoundry.capture.segment.levels import segmentation_on_levels
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.segment.merge_regions import compact
-from simfoundry.capture.segment.regions import pixel_area
-from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.evidence import gather
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.mesh_template import MeshTemplate
@@ -31,8 +30,7 @@ def stated_segmentation(frame: Frame, support: SupportSurface, masks: Labels) ->
         raise CaptureError("SF504", "the masks of the person contain no object", hint)
     frame = frame.cleaned()
     labels = compact(masks)
-    points_W = support.X_WC.apply(frame.points)
-    return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))))
+    return segmentation_on_levels(labels, frame, support, {}, ())
 
 
 def placed_shape(
