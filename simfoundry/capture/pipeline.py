@@ -88,8 +88,7 @@ def reconstruct(
     frame, completed = completed_frame(measured, models)
     seen = {"image": digest_of([measured.color, measured.depth, measured.K])}
     progress("support", 0.0)
-    chosen = "" if frame.support is None else frame.support.model_dump_json()
-    support = stages.run("support", seen | {"chosen": chosen}, lambda: support_of(measured))
+    support = _found_support(measured, seen, stages)
     progress("objects", 0.1)
     reading = read_scene(models, frame.color)
     found = segmented_frame(measured, frame, support, seen, overrides, models, reading, known.cad)
@@ -140,6 +139,12 @@ def reconstruct(
         modelled.files(names),
         modelled.report(names),
     )
+
+
+def _found_support(measured: Frame, seen: Mapping[str, str], stages: StageRunner) -> StageResult[SupportSurface]:
+    """Find the support of an image as it was measured. ``seen`` is the digest of the image."""
+    chosen = "" if measured.support is None else measured.support.model_dump_json()
+    return stages.run("support", {**seen, "chosen": chosen}, lambda: support_of(measured))
 
 
 def _placed_objects(

@@ -71,6 +71,27 @@ def test_edited_masks_and_names_are_kept_and_touch_only_their_object(folder: Pat
 
 
 @pytest.mark.slow  # 2 s: several runs
+def test_a_run_after_an_edit_writes_what_a_run_from_scratch_does(folder: Path) -> None:
+    red, masks = number(folder, "red_box"), masks_of(folder)
+    rows, _ = np.nonzero(masks == red)
+    masks[(masks == red) & (np.arange(180)[:, None] < np.quantile(rows, 0.2))] = 0
+    (folder / "out" / "masks.png").write_bytes(mask_image(masks))
+    assert {key for key in ran(again(folder)) if key[0] == "shape"} == {("shape", str(red))}
+    other = folder / "other"
+    shutil.copytree(folder / "capture", other / "capture")
+    for name in ("masks.png", "masks.yaml"):
+        (other / "capture" / "overrides").mkdir(exist_ok=True)
+        shutil.copy(folder / "out" / name, other / "capture" / "overrides" / name)
+    again(other)
+    written = [output(folder), output(other)]
+    reports = [json.loads(files.pop("out/report.json")) for files in written]
+    assert written[0] == written[1]
+    for report in reports:
+        report.pop("edited")
+    assert reports[0] == reports[1]
+
+
+@pytest.mark.slow  # 2 s: several runs
 def test_masks_beside_the_capture_split_and_remove(folder: Path) -> None:
     red, green, masks = number(folder, "red_box"), number(folder, "green_box"), masks_of(folder)
     masks[masks == red] = 0

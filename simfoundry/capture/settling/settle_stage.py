@@ -10,6 +10,7 @@ from pathlib import Path
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame
+from simfoundry.capture.frames.reduced import reduction
 from simfoundry.capture.model_stages.joints import ARTICULATED
 from simfoundry.capture.outputs.pictures import RenderedScene
 from simfoundry.capture.reconstruct import Progress, Reconstruction
@@ -20,6 +21,7 @@ from simfoundry.capture.stages.runner import StageRunner
 from simfoundry.runtime.files import write_file, write_files
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
@@ -53,17 +55,21 @@ def resting_scene(
     Raises:
         CaptureError: The objects cannot be brought to rest.
     """
-    scenes: list[Scene] = []
+    drawn: list[RenderedScene] = []
+
+    def draw(scene: Scene, state: SceneState) -> None:
+        drawn[:] = [RenderedScene(lambda: scene, state)]
+        if reduction(built.segmentation.labels.shape) == 1:  # else, a smaller picture is drawn later
+            drawn[0].seen(1)
 
     def compute() -> _Kept:
-        standing = settle_objects(built, frame, scene_file, cache, progress)
-        scenes.append(standing.scene)
+        standing = settle_objects(built, frame, scene_file, cache, progress, draw)
         return _kept(built, standing, scene_file)
 
     inputs = settle_inputs(built)
     result = stages.run("settle", inputs, compute)
     text, files, shapes, findings, settled = result.value
-    if not scenes:
+    if not drawn:
         write_files(scene_file.parent, {**_used(built.files, text), **files})
         write_file(scene_file, text)
     loaded = load_scene(scene_file)
@@ -75,7 +81,7 @@ def resting_scene(
         shapes={**built.shapes, **shapes},
         findings=(*built.findings, *findings),
     )
-    rendered = RenderedScene(lambda: scenes[0] if scenes else lower(loaded, cache), settled.state)
+    rendered = drawn[0] if drawn else RenderedScene(lambda: lower(loaded, cache), settled.state)
     return RestingScene(rested, rendered, settled, picture_inputs(built, inputs, result.digest))
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from simfoundry.assets.cache import Cache
@@ -18,6 +21,7 @@ from simfoundry.capture.settling.containment import with_containers
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.runtime.files import write_file
+from simfoundry.runtime.parallel import in_background
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
@@ -45,7 +49,12 @@ class StandingScene:
 
 
 def settle_objects(
-    built: Reconstruction, frame: Frame, scene_file: Path, cache: Cache | None, progress: Progress
+    built: Reconstruction,
+    frame: Frame,
+    scene_file: Path,
+    cache: Cache | None,
+    progress: Progress,
+    draw: Callable[[Scene, SceneState], object] = lambda scene, state: None,
 ) -> StandingScene:
     """Settle a scene, and write it with its meshes and the poses and relations at rest to ``scene_file``.
 
@@ -55,6 +64,8 @@ def settle_objects(
     best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. One
     that topples with all of them lies where it fell. One that does not rest with any of them is held in place by
     ``fixed``, so that nothing that was seen is missing, and reported as a finding.
+
+    ``draw`` is called with each scene that rests, in a thread beside the simulation that finds out if it remains.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -65,8 +76,11 @@ def settle_objects(
         with MujocoWorld(scene) as world:
             settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
             spec = with_poses(built.spec, settled.state.poses)
-            lost = settled.lost or _leaving(world, spec)
-        toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives and name not in lost)
+            toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives)
+            will_rest = not settled.lost and not toppled
+            with in_background(partial(draw, scene, settled.state)) if will_rest else nullcontext():
+                lost = settled.lost or _leaving(world, spec)
+        toppled = tuple(name for name in toppled if name not in lost)
         if not lost and not toppled:
             break
         for name in _suspects(built, (*lost, *toppled)):
