@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.doubts.intrinsics import focal_fit
-from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals, unit
+from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals
 from simfoundry.capture.findings import PARTS, CaptureFinding
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.segment.masks import Labels
@@ -105,8 +105,9 @@ def roll_gain(seen: ObjectNormals, up: Array, place: int) -> float:
 
 def _upright(normals: Array, up: Array, shift: Array) -> Array:
     """Return the log-density of normals, shape (n, 3), if each pixel is shifted, shape (n,), in focal lengths."""
-    turned = [unit(np.column_stack([n[:, :2], n[:, 2] - shift * n[:, 0]])) for n in (normals, up + 0 * normals)]
-    cosine = np.einsum("nk,nk->n", *turned)
+    z, up_z = normals[:, 2] - shift * normals[:, 0], up[2] - shift * up[0]
+    lengths = np.sqrt((1 - normals[:, 2] ** 2 + z**2) * (1 - up[2] ** 2 + up_z**2))
+    cosine = (normals[:, :2] @ up[:2] + z * up_z) / lengths
     normal = np.exp(-0.5 * (cosine / UPRIGHT) ** 2) / (UPRIGHT * math.sqrt(2 * math.pi))
     return np.asarray(np.log(TYPICAL * normal + (1 - TYPICAL) / 2))
 
