@@ -73,6 +73,9 @@ PARTS = "SF630"
 # Two objects that may be the visible parts of one.
 DIVIDED = "SF631"
 
+# An object that may be several.
+MERGED = "SF632"
+
 
 @dataclass(frozen=True)
 class CaptureFinding:

@@ -185,7 +185,7 @@ class Segmentation:
     ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
     ``surfaces`` contains the numbers that are levels of the support and not objects, with the index of the level.
     ``pieces`` contains the numbers of the objects that the capture names in its decomposition, by name. ``unmet`` lists
-    the constraints that could not be respected, as sentences.
+    the constraints that could not be respected, as sentences. ``doubted`` are the objects that may be several.
     """
 
     labels: NDArray[np.int32]
@@ -193,6 +193,7 @@ class Segmentation:
     pieces: Mapping[str, int] = field(default_factory=dict)
     unmet: tuple[str, ...] = ()
     surfaces: Mapping[int, int] = field(default_factory=dict)
+    doubted: tuple[int, ...] = ()
 
     @property
     def objects(self) -> NDArray[np.int32]:

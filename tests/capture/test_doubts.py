@@ -21,6 +21,7 @@ from simfoundry.capture.findings import (
     DIVIDED,
     HOLE,
     IMPLAUSIBLE,
+    MERGED,
     NOISY,
     OFFSET,
     PARTS,
@@ -306,3 +307,11 @@ def test_something_at_the_border_that_hides_the_support(seen: tuple[Frame, Suppo
     (border,) = (f for f in found if f.code == BORDER)
     assert "hides a part of the support" in border.message
     assert left - 3 < np.mean(border.outline, axis=0)[0] < left + 43
+
+
+def test_an_object_that_may_be_two(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    (doubt,) = image_doubts(frame, support, replace(segmentation, doubted=(2,)))
+    assert doubt.code == MERGED and "the number 2" in doubt.message
+    rows, columns = np.nonzero(segmentation.labels == 2)
+    assert np.abs(np.mean(doubt.outline, axis=0) - (columns.mean(), rows.mean())).max() < 8

@@ -14,7 +14,7 @@ from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.intrinsics import intrinsics_doubt
 from simfoundry.capture.doubts.seams import seam_doubts
 from simfoundry.capture.doubts.size_priors import scale_doubt
-from simfoundry.capture.findings import BORDER, HOLE, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
+from simfoundry.capture.findings import BORDER, HOLE, MERGED, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.segment.levels import carries_objects, has_level
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
@@ -59,6 +59,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *steps_doubt(frame.depth),
         *seam_doubts(frame, support, objects),
         *division_doubts(frame, replace(segmentation, labels=objects), points_W),
+        *_merged(segmentation),
     )
 
 
@@ -190,6 +191,14 @@ def _in_shadow(frame: Frame, missing: Mask, distance: Array) -> Mask:
             left = np.where(gap[:, u], left - 1, width[:, u])
             out[:, u] |= gap[:, u] & (left > 0)
     return out & missing
+
+
+def _merged(segmentation: Segmentation) -> Iterator[CaptureFinding]:
+    """Yield a finding for each object that may be several."""
+    for k in segmentation.doubted:
+        message = f"the object with the number {k} in segments.png may be two that touch"
+        hint = "if so, state pixels on each of them under `pieces` in `decomposition`"
+        yield CaptureFinding(MERGED, message, hint, outline=outline_of(segmentation.labels == k))
 
 
 def _cut_off(labels: Labels) -> Iterator[CaptureFinding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from simfoundry.capture.segment.levels import segmentation_on_levels, without_su
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
 from simfoundry.capture.segment.merge_regions import TOUCHING, compact, renamed
 from simfoundry.capture.segment.open_boxes import part_open_boxes
-from simfoundry.capture.segment.regions import Crop, borders, cut, edges_of, flood, pixel_area, reach_of
+from simfoundry.capture.segment.regions import Crop, Window, borders, cut, edges_of, flood, pixel_area, reach_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
 from simfoundry.geometry.frames import Array
@@ -50,23 +50,29 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
         CaptureError: The depth is unusable, or no object is found.
     """
     frame = frame.cleaned()
-    labels = _on_surface(frame, support)
+    labels, marks = _on_surface(frame, support)
     for level in support.levels:
-        others = _on_surface(without_support(frame, labels, support, level), support.at(level))
+        others, more = _on_surface(without_support(frame, labels, support, level), support.at(level))
+        marks += more
         labels = np.where(others > 0, others + int(labels.max()), labels).astype(np.int32)
     labels, pieces, unmet = constrained(labels, frame)
     if not labels.any():
         message = f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support"
         hint = "check that the objects are in view and have valid depth; glass and dark glossy surfaces often have none"
         raise CaptureError("SF504", message, hint)
-    return segmentation_on_levels(labels, frame, support, pieces, unmet)
+    doubted = {int(labels[mark]) for mark in marks} - {0, *pieces.values()}
+    return replace(segmentation_on_levels(labels, frame, support, pieces, unmet), doubted=tuple(sorted(doubted)))
 
 
-def _on_surface(frame: Frame, support: SupportSurface) -> Labels:
-    """Return the objects on a surface, numbered from 1: those of the given masks, or those that are found."""
+def _on_surface(frame: Frame, support: SupportSurface) -> tuple[Labels, list[tuple[int, int]]]:
+    """Return the objects on a surface, numbered from 1: those of the given masks, or those that are found.
+
+    Returns:
+        The labels, and a pixel (row, column) in each object that may be several.
+    """
     points_W = support.X_WC.apply(frame.points)
     if frame.instances is not None:
-        return _given(frame.instances, points_W, support)
+        return _given(frame.instances, points_W, support), []
     return _found(frame, points_W, support)
 
 
@@ -86,15 +92,20 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurfac
     return compact(out)
 
 
-def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
-    """Segment the image at the resolution of the depth noise, then extend the regions to the actual silhouettes."""
+def _found(frame: Frame, points_W: Array, support: SupportSurface) -> tuple[Labels, list[tuple[int, int]]]:
+    """Segment the image at the resolution of the depth noise, then extend the regions to the actual silhouettes.
+
+    Returns:
+        The labels, and a pixel (row, column) in each object that may be several.
+    """
     depth = frame.depth
     survey = survey_regions(frame, points_W, support)
     if survey is None:
-        return np.zeros(depth.shape, np.int32)
+        return np.zeros(depth.shape, np.int32), []
     step, crop = survey.step, survey.crop
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
-    regions = divide_regions(survey.regions, survey.initial, crop)
+    regions, doubted = divide_regions(survey.regions, survey.initial, crop)
+    marks = [_middle(regions == k, crop.window, step) for k in doubted]
     regions, floors = part_open_boxes(join_regions(merged_by_rules(regions, crop), crop), crop)
     regions = _without_specks(regions, crop)
     coarse[crop.window] = _without_foreign_regions(regions, crop, support)
@@ -103,7 +114,16 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     low[crop.window] = floors
     standing = (points_W[..., 2] > LOWEST / 2) | (enlarged(low, step, depth.shape) > 0)
     labels = np.where(np.isfinite(depth) & standing, labels, 0).astype(np.int32)
-    return close_silhouettes(labels, depth, points_W, step + 1)
+    return close_silhouettes(labels, depth, points_W, step + 1), marks
+
+
+def _middle(mask: Mask, window: Window, step: int) -> tuple[int, int]:
+    """Return the pixel (row, column) of the whole image that is farthest inside of a region of a reduced window."""
+    import cv2
+
+    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)
+    row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
+    return (window[0].start + int(row) - 1) * step, (window[1].start + int(column) - 1) * step
 
 
 def initial_regions(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
