@@ -14,7 +14,7 @@ from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.doubts.intrinsics import focal_fit
 from simfoundry.capture.doubts.object_normals import object_normals
-from simfoundry.capture.doubts.seams import roll_gain
+from simfoundry.capture.doubts.seams import roll_gain, seam_doubts, seams
 from simfoundry.capture.doubts.size_priors import scale_doubt, support_width
 from simfoundry.capture.findings import (
     BORDER,
@@ -315,3 +315,18 @@ def test_an_object_that_may_be_two(seen: tuple[Frame, SupportSurface, Segmentati
     assert doubt.code == MERGED and "the number 2" in doubt.message
     rows, columns = np.nonzero(segmentation.labels == 2)
     assert np.abs(np.mean(doubt.outline, axis=0) - (columns.mean(), rows.mean())).max() < 8
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_edge_of_a_box_on_an_even_table_is_no_seam(
+    seen: tuple[Frame, SupportSurface, Segmentation], axis: int
+) -> None:
+    """Both borders of the image look alike, and a long edge is as straight as a row or column."""
+    frame, support, _ = seen
+    labels = np.zeros(frame.depth.shape, np.int32)
+    labels[60:180, 80:240] = 1
+    color = np.where(labels[..., None], np.uint8(30), np.uint8(90)) * np.ones(3, np.uint8)
+    even = Frame(color, np.full(labels.shape, 0.8), frame.K)
+    edge, outside = seams(even, labels, axis)
+    assert edge.share == 0.5 and edge.wrapped == 0 and outside.share == 0
+    assert not list(seam_doubts(even, support, labels))

@@ -59,10 +59,12 @@ class Seam:
 
 def seam_doubts(frame: Frame, support: SupportSurface, labels: Labels) -> Iterator[CaptureFinding]:
     """Yield a finding if an image is rolled, or consists of two parts."""
-    upright, level = seam(frame, axis=1), seam(frame, axis=0)
+    (edge, upright), (_, level) = seams(frame, labels, axis=1), seams(frame, labels, axis=0)
     seen, up = object_normals(frame, labels), support.X_WC.rotation[2]
     place, gain = _likely_start(seen, up)
-    if upright.rolled(ROLLED) or (upright.rolled(FAINT) and roll_gain(seen, up, upright.place) > SUPPORTING):
+    at_seam = roll_gain(seen, up, upright.place)
+    # In a rolled image, the sides of objects lean.
+    if upright.rolled(ROLLED if at_seam < SUPPORTING else FAINT) and at_seam > -SUPPORTING:
         message = f"the image seems to be rolled: its left and right borders meet at column {upright.place}"
     elif level.rolled(ROLLED):
         message = f"the image seems to be rolled: its upper and lower borders meet at row {level.place}"
@@ -70,8 +72,8 @@ def seam_doubts(frame: Frame, support: SupportSurface, labels: Labels) -> Iterat
     elif gain > CERTAIN and gain > focal_fit(frame, support, labels).gain:
         message = f"the sides of objects lean, as if the image were rolled and its borders met near column {place}"
     # The edge of a table may be as level as a row, but the edges of upright things lean beside the middle of an image.
-    elif upright.share > WHOLE:
-        message = f"the image seems to consist of two parts that meet at column {upright.place}"
+    elif edge.share > WHOLE:
+        message = f"the image seems to consist of two parts that meet at column {edge.place}"
     else:
         return
     yield CaptureFinding(PARTS, message, HINT)
@@ -112,17 +114,27 @@ def _upright(normals: Array, up: Array, shift: Array) -> Array:
     return np.asarray(np.log(TYPICAL * normal + (1 - TYPICAL) / 2))
 
 
-def seam(frame: Frame, axis: int) -> Seam:
-    """Return the most distinct seam between columns (``axis`` 1) or rows (``axis`` 0)."""
+def seams(frame: Frame, labels: Labels, axis: int) -> tuple[Seam, Seam]:
+    """Return the most distinct seams between columns (``axis`` 1) or rows (``axis`` 0).
+
+    The first one counts all places along a line, the second one only those that are not the outline of an object: the
+    edge of a box on an even table looks like a seam.
+    """
     color, depth = np.asarray(frame.color, np.float32), frame.depth
     if axis == 0:
-        color, depth = color.transpose(1, 0, 2), depth.T
+        color, depth, labels = color.transpose(1, 0, 2), depth.T, labels.T
     step = max(1, len(depth) // LENGTH)
     steps = np.abs(_step(color[::step])).max(axis=-1)
     noise = float(np.median(steps)) / 0.67  # half of normal errors are within 0.67 standard deviations
     jumps = steps - _beside(steps) > max(COLOR_JUMP, NOISES * noise)
     rises = np.abs(_step(1 / depth[::step]))
     jumps |= rises - _beside(rises) > DEPTH_JUMP
+    within = labels[::step] == np.roll(labels[::step], 1, axis=1)
+    return _most_distinct(jumps), _most_distinct(jumps & within)
+
+
+def _most_distinct(jumps: NDArray[np.bool_]) -> Seam:
+    """Return the seam at the column that most jumps precede, of those of shape (rows, columns)."""
     share = jumps.mean(axis=0)
     inner = share[MARGIN:-MARGIN]
     place = int(np.argmax(inner)) + MARGIN if len(inner) else 0
