@@ -16,6 +16,7 @@ from simfoundry.capture.description.support_object import DEFAULT_THICKNESS
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.scene_reading import MatchedReading
 from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.fit_handle import FittedHandle
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, tessellate
@@ -163,7 +164,8 @@ def shape_spec(shape: FittedShape) -> shapes.Shape | None:
     """Return a shape in the form used in specs, or None if only a mesh can represent the shape."""
     geometry = shape.geometry
     if shape.profile is not None:
-        return shapes.LatheShape(lathe=shapes.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
+        body = shapes.LatheShape(lathe=shapes.Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
+        return body if shape.handle is None else _with_handle(body, shape.handle)
     if shape.wall > 0:
         x, y, z = (meters(v) for v in np.ptp(tessellate(geometry).vertices, axis=0))
         return shapes.OpenBoxShape(open_box=shapes.OpenBox(size=(x, y, z), wall=meters(shape.wall)))
@@ -177,6 +179,17 @@ def shape_spec(shape: FittedShape) -> shapes.Shape | None:
         case Sphere():
             return shapes.SphereShape(sphere=meters(geometry.radius))
     return None
+
+
+def _with_handle(body: shapes.LatheShape, handle: FittedHandle) -> shapes.CompoundShape:
+    """Return a body of revolution and its handle as one rigid body."""
+    outline = tuple((meters(x), meters(y)) for x, y in handle.outline)
+    plate = shapes.PrismShape(prism=shapes.Prism(outline=outline, height=meters(handle.width)))
+    parts = {
+        "body": shapes.CompoundPart(shape=body),
+        "handle": shapes.CompoundPart(shape=plate, pose=pose_spec(handle.X_OH)),
+    }
+    return shapes.CompoundShape(compound=parts)
 
 
 def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from simfoundry.capture.segment.masks import Labels, Mask, window_around
 from simfoundry.capture.shapes.solid_casts import SolidHits
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry
+
+if TYPE_CHECKING:
+    from simfoundry.capture.shapes.fit_handle import FittedHandle
 
 MAX_RAYS = 2600  # maximum number of rays per object, a grid of 51 x 51; a fit casts them about a thousand times
 WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free space beside it is evidence too
@@ -362,6 +365,7 @@ class FitCandidate:
     mesh. For a body of revolution, ``profile`` contains pairs (radius, height) [m], as an array of shape (k, 2).
     ``guessed`` is True if a prior supplied an extent that was not visible. ``model`` is the name of a CAD model.
     ``wall`` [m] is the thickness of the floor and the walls of an open box, and 0 for other solids.
+    ``handle`` is that of a body of revolution, whose mesh includes it.
     ``penalty`` is added to the cost for what rays do not show, such as a part below the table.
     """
 
@@ -374,6 +378,7 @@ class FitCandidate:
     model: str = ""
     penalty: float = 0.0
     wall: float = 0.0
+    handle: FittedHandle | None = None
 
     @property
     def cost(self) -> float:

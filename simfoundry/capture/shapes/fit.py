@@ -14,6 +14,7 @@ from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.complete import complete
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, gather
+from simfoundry.capture.shapes.fit_handle import FittedHandle, with_handle
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_leaning import fit_leaning_box
 from simfoundry.capture.shapes.fit_open_box import fit_open_box
@@ -77,6 +78,7 @@ class FittedShape:
         model: Name of the CAD model that it is, or an empty string.
         wall: Thickness of the floor and the walls of a box without a lid [m], whose frame is at the middle of its
             outside, or 0 for other solids.
+        handle: The handle of a body of revolution, whose mesh includes it, or None.
     """
 
     geometry: Geometry
@@ -88,6 +90,7 @@ class FittedShape:
     alternatives: tuple[FittedShape, ...] = ()
     model: str = ""
     wall: float = 0.0
+    handle: FittedHandle | None = None
 
 
 # Returns further candidates for the evidence, such as CAD models.
@@ -128,7 +131,7 @@ def fit_shape(
         hint = "provide a mask for it, move the camera closer, or leave the object out"
         raise CaptureError("SF505", message, hint)
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
-    found = candidates(evidence)
+    found = [with_handle(candidate, evidence) for candidate in candidates(evidence)]
     known = [] if suggest is None else [c for c in suggest(evidence) if _is_likely(c.agreement)]
     best = choose([*(c for c in found if max(size_of(c.geometry)) <= reach), *known] or found[:1])
     others = sorted((c for c in found if c is not best and c.family in STABLE), key=lambda c: c.cost)
@@ -148,7 +151,7 @@ def _fitted(candidate: FitCandidate, evidence: Evidence) -> FittedShape:
     geometry = one.geometry
     if one.family in FLEXIBLE and isinstance(geometry, Mesh):
         geometry = lighter_mesh(geometry)
-    return FittedShape(geometry, one.X_WO, fit_m, sure, hollow, one.profile, (), one.model, one.wall)
+    return FittedShape(geometry, one.X_WO, fit_m, sure, hollow, one.profile, (), one.model, one.wall, one.handle)
 
 
 def lighter_mesh(mesh: Mesh) -> Mesh:

@@ -19,6 +19,7 @@ from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportLevel, SupportRival, SupportSurface
 from simfoundry.capture.removal import ClearedImage
 from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.fit_handle import FittedHandle
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere
 from simfoundry.scene.state import SceneState
@@ -34,7 +35,7 @@ TYPES: dict[str, type[Any]] = {
         *(Box, Capsule, Cone, Cylinder, Ellipsoid, Mesh, Sphere, Pose),
         *(Frame, SupportSurface, SupportRival, SupportLevel, Segmentation, ClearedImage, FittedShape, CaptureFinding),
         *(SettleResult, ObjectSettle, SceneState, ShapeChoice, JointedObject),
-        *(CadSegmentation, ModelMatch),
+        *(CadSegmentation, ModelMatch, FittedHandle),
     )
 }
 

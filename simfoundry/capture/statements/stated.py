@@ -62,4 +62,5 @@ def placed_shape(
     profile = shape.profile if mesh is None else None
     hollow, wall = (shape.hollow, shape.wall) if mesh is None else (False, 0.0)
     placed = replace(shape, geometry=geometry, X_WO=X_WO, fit_m=fit, confidence=sure, alternatives=())
-    return replace(placed, hollow=hollow, profile=profile, wall=wall)
+    handle = shape.handle if mesh is None else None
+    return replace(placed, hollow=hollow, profile=profile, wall=wall, handle=handle)
