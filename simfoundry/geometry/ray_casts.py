@@ -126,14 +126,14 @@ def area_normals(corners: Array) -> Array:
     return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
-    """Create rays through ``samples`` x ``samples`` points per pixel, in row-major order.
+def pixel_rays(width: int, rows: range, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
+    """Create rays through ``samples`` x ``samples`` points per pixel of some rows, in row-major order.
 
-    Pixel centers have integer coordinates.
+    Pixel centers have integer coordinates. The rays of a row are the same, whatever the other rows are.
     """
     step = 1.0 / samples
     u = (np.arange(width * samples) + 0.5) * step - 0.5
-    v = (np.arange(height * samples) + 0.5) * step - 0.5
+    v = (np.arange(rows.start * samples, rows.stop * samples) + 0.5) * step - 0.5
     x, y = (u - cx) / fx, (v - cy) / fy
     grid = Grid(float(x[0]), float(y[0]), step / fx, step / fy, 0.0, 0.0, len(x), len(y))
     count = len(x) * len(y)

@@ -7,21 +7,38 @@ are shaded in linear light (Lambertian, faint highlights, hemispherical ambient 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.ray_casts import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.render.backdrop import rounded, splat_backdrop
-from simfoundry.render.shading import Lamp, Points, background, decode_srgb, encode_srgb, in_shadow, shade, studio
+from simfoundry.render.shading import (
+    TEXTURES_KEPT,
+    Lamp,
+    Points,
+    background,
+    decode_srgb,
+    encode_srgb,
+    in_shadow,
+    shade,
+    studio,
+    texture_levels,
+)
 from simfoundry.render.surface import FEW_SEGMENTS, SceneSurface, scene_surface
+from simfoundry.runtime.parallel import usable_cores
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
-BAND = 1_300_000  # Number of rays shaded at once; this requires about 1 GB of memory
+BAND = 1_300_000  # Maximum number of rays shaded at once, in all threads together; this requires about 1 GB of memory
+
+# Maximum number of threads: each one needs all triangles, and more than four are hardly faster.
+MAX_THREADS = 4
 
 # Maximum number of triangles of a background mesh: all that a mesh file may have.
 MAX_BACKGROUND = 2_000_000
@@ -73,23 +90,16 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     if samples < 1:
         raise ValueError(f"samples must be at least 1, not {samples}")
     surface = scene_surface(scene, state, most_background=MAX_BACKGROUND)
-    h, w = camera.height, camera.width
-    rays = _pixels(camera, 1)
-    hits = _seen(surface, camera, rays)
-    directions = _directions(rays, camera)
-    depth = np.full(h * w, np.nan)
-    objects = np.zeros(h * w, dtype=np.int32)
-    normals = np.full((h * w, 3), np.nan)
-    met = np.flatnonzero(hits.triangle >= 0)
-    depth[met] = 1.0 / hits.inverse_depth[met]
-    objects[met] = surface.object[hits.triangle[met]] + 1
-    normals[met] = _normals(surface, hits.at(met), directions[met])
-    rows = max(1, BAND // (w * samples**2))
-    sky = _splat_sky(scene, camera, rays)
-    if samples == 1 and rows >= h:  # then the same rays are shaded
-        color = encode_srgb(_colors(scene, surface, camera, rays, hits, sky, samples)).reshape(h, w, 3)
-    else:
-        color = np.concatenate([_band(scene, surface, camera, sky, top, rows, samples) for top in range(0, h, rows)])
+    h, w, threads = camera.height, camera.width, min(usable_cores(), MAX_THREADS)
+    sky = _splat_sky(scene, camera, _pixels(camera, 1))
+    rows = max(1, min(-(-h // threads), BAND // (threads * w * samples**2)))
+    bands = [range(top, min(top + rows, h)) for top in range(0, h, rows)]
+    meshes = [visual.geometry for visual in surface.visuals if isinstance(visual.geometry, Mesh)]
+    textures = list(dict.fromkeys(mesh.texture for mesh in meshes if mesh.texture is not None))
+    with ThreadPoolExecutor(threads) as pool:  # NumPy releases the lock of the interpreter for long arrays
+        list(pool.map(texture_levels, textures[:TEXTURES_KEPT]))  # else, each band would prepare them
+        parts = list(pool.map(partial(_band, scene, surface, camera, sky, samples), bands))
+    color, depth, objects, normals = (np.concatenate(each) for each in zip(*parts, strict=True))
     seen = Raycast(color, depth.reshape(h, w), objects.reshape(h, w), normals.reshape(h, w, 3), camera)
     return seen if sky is None else _behind_splat(scene, seen)
 
@@ -131,19 +141,35 @@ def _cut_splat(scene: Scene, camera: Camera, color: NDArray[np.uint8], depth: Ar
 
 
 def _band(
-    scene: Scene, surface: SceneSurface, camera: Camera, sky: Array | None, top: int, rows: int, samples: int
-) -> NDArray[np.uint8]:
-    """Render up to ``rows`` rows of the image, starting at ``top``, as a separate image."""
-    band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
-    rays = _pixels(band, samples)
+    scene: Scene, surface: SceneSurface, camera: Camera, sky: Array | None, samples: int, rows: range
+) -> tuple[NDArray[np.uint8], Array, NDArray[np.int32], Array]:
+    """Return the colors of some rows of the image, shape (rows, w, 3), and what is at the n centers of their pixels.
+
+    Returns:
+        The colors, the depth [m], shape (n,), the numbers of the objects, shape (n,), and the normals, shape (n, 3).
+    """
+    rays = _pixels(camera, 1, rows)
+    hits = _seen(surface, camera, rays)
+    depth, objects = np.full(len(rays.x), np.nan), np.zeros(len(rays.x), dtype=np.int32)
+    normals = np.full((len(rays.x), 3), np.nan)
+    met = np.flatnonzero(hits.triangle >= 0)
+    depth[met] = 1.0 / hits.inverse_depth[met]
+    objects[met] = surface.object[hits.triangle[met]] + 1
+    normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
+    if samples > 1:
+        rays = _pixels(camera, samples, rows)
+        hits = _seen(surface, camera, rays)
     if sky is not None:
-        sky = sky[top : top + rows].repeat(samples, axis=0).repeat(samples, axis=1).reshape(-1, 3)
-    linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), sky, samples)
-    return encode_srgb(linear.reshape(band.height, samples, band.width, samples, 3).mean(axis=(1, 3)))
+        sky = sky[rows.start : rows.stop].repeat(samples, axis=0).repeat(samples, axis=1).reshape(-1, 3)
+    linear = _colors(scene, surface, camera, rays, hits, sky, samples)
+    whole = linear.reshape(len(rows), samples, camera.width, samples, 3).mean(axis=(1, 3))
+    return encode_srgb(whole), depth, objects, normals
 
 
-def _pixels(camera: Camera, samples: int) -> Rays:
-    return pixel_rays(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, samples)
+def _pixels(camera: Camera, samples: int, rows: range | None = None) -> Rays:
+    """Return the rays of some rows of an image, or of all."""
+    rows = range(camera.height) if rows is None else rows
+    return pixel_rays(camera.width, rows, camera.fx, camera.fy, camera.cx, camera.cy, samples)
 
 
 def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:

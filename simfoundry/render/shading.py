@@ -34,6 +34,8 @@ FILL = 0.22  # Ambient light in a scene with lights but without a dome; shadows 
 
 LAMP_RADIUS = 0.03  # Half the angular diameter of a distant lamp [rad], for soft shadows
 
+TEXTURES_KEPT = 32  # Number of textures that are kept as pyramids, which take 8 MB each
+
 SKY_SPOTS = 4  # Number of sky samples per subpixel
 
 # Light direction in a scene without lights (unit vector, world).
@@ -253,7 +255,7 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
 
     The mipmap level is the one whose texels match the pixel size.
     """
-    levels = _pyramid(texture)
+    levels = texture_levels(texture)
     at = blend(surface.uv[hits.triangle], hits.weights)
     height, width = levels[0].shape[:2]
     density = np.zeros(len(surface.corners))  # of texels [1/m²], where it is needed
@@ -287,8 +289,8 @@ def _bilinear(image: Array, uv: Array) -> Array:
     return np.asarray(upper * (1 - fy) + lower * fy)
 
 
-@lru_cache(maxsize=32)
-def _pyramid(png: bytes) -> tuple[Array, ...]:
+@lru_cache(maxsize=TEXTURES_KEPT)
+def texture_levels(png: bytes) -> tuple[Array, ...]:
     """Return the texture in linear light as a mipmap pyramid. Each level has half the size of the previous one."""
     from PIL import Image
 

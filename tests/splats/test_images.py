@@ -188,8 +188,9 @@ def check_colors(image: np.ndarray, tolerance: float = 3.0) -> None:
     assert green > red + 30 and green > blue + 30
 
 
-def test_objects_hide_the_splat_behind_them_and_are_hidden_by_the_one_before_them(desk: Scene) -> None:
-    seen = raycast(desk, desk.cameras[0], samples=2)
+@pytest.mark.parametrize("samples", [1, 2])
+def test_objects_hide_the_splat_behind_them_and_are_hidden_by_the_one_before_them(desk: Scene, samples: int) -> None:
+    seen = raycast(desk, desk.cameras[0], samples=samples)
     check_colors(seen.color)
     assert seen.depth[RED] == pytest.approx(2.0, abs=1e-3) and seen.depth[BLUE[0]] == pytest.approx(0.6, abs=1e-3)
     assert seen.depth[CUBE] == pytest.approx(0.9, abs=1e-6)
