@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -256,17 +256,43 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
     The mipmap level is the one whose texels match the pixel size.
     """
     levels = texture_levels(texture)
-    at = blend(surface.uv[hits.triangle], hits.weights)
-    height, width = levels[0].shape[:2]
     density = np.zeros(len(surface.corners))  # of texels [1/m²], where it is needed
     met = np.flatnonzero(np.bincount(hits.triangle, minlength=len(density)))
-    uv, normals = surface.uv[met], area_normals(surface.corners[met])
-    (du1, dv1), (du2, dv2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
-    texels = np.abs(du1 * dv2 - dv1 * du2) * width * height
-    density[met] = texels / np.maximum(np.sqrt(dot(normals, normals)), 1e-30)
+    density[met] = texel_density(levels, surface.uv[met], surface.corners[met])
     footprint = 1.0 / (hits.inverse_depth**2 * focal_squared * np.maximum(facing, 0.1))
-    scale = density[hits.triangle] * footprint  # texels of the finest level under one pixel
-    level = np.clip(np.floor(0.5 * np.log2(np.maximum(scale, 1e-30)) + 0.5), 0, len(levels) - 1).astype(np.int64)
+    at = blend(surface.uv[hits.triangle], hits.weights)
+    return texture_color(levels, at, density[hits.triangle] * footprint)
+
+
+def texel_density(levels: Sequence[Array], uv: Array, corners: Array) -> Array:
+    """Return the number of texels per area of triangles [1/m²], shape (n,).
+
+    Args:
+        levels: The texture, from :func:`texture_pyramid`. The texels are those of the first level.
+        uv: Texture coordinates of the corners of each triangle, shape (n, 3, 2).
+        corners: The corners [m], shape (n, 3, 3).
+    """
+    height, width = levels[0].shape[:2]
+    (du1, dv1), (du2, dv2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
+    normals = area_normals(corners)
+    area = np.sqrt(dot(normals, normals))
+    return np.asarray(np.abs(du1 * dv2 - dv1 * du2) * width * height / np.maximum(area, 1e-30))
+
+
+def texture_color(levels: Sequence[Array], at: Array, texels: Array) -> Array:
+    """Return the mean colors of a texture around some places, in linear light.
+
+    The mipmap level is the one of which one texel covers the area over which the color is averaged.
+
+    Args:
+        levels: The texture, from :func:`texture_pyramid`.
+        at: Texture coordinates, shape (n, 2).
+        texels: Number of texels of the first level over which each color is averaged, shape (n,).
+
+    Returns:
+        The colors, as an array of shape (n, 3).
+    """
+    level = np.clip(np.floor(0.5 * np.log2(np.maximum(texels, 1e-30)) + 0.5), 0, len(levels) - 1).astype(np.int64)
     color = np.zeros((len(at), 3))
     for k in np.unique(level):
         color[level == k] = _bilinear(levels[k], at[level == k])
@@ -291,11 +317,22 @@ def _bilinear(image: Array, uv: Array) -> Array:
 
 @lru_cache(maxsize=TEXTURES_KEPT)
 def texture_levels(png: bytes) -> tuple[Array, ...]:
-    """Return the texture in linear light as a mipmap pyramid. Each level has half the size of the previous one."""
+    """Return a texture as :func:`texture_pyramid` does, and keep it."""
+    return texture_pyramid(png)
+
+
+def texture_pyramid(png: bytes, largest: int | None = None) -> tuple[Array, ...]:
+    """Return a texture in linear light as a mipmap pyramid. Each level has half the size of the previous one.
+
+    If ``largest`` is given, the first level has at most this width and height [px].
+    """
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:
-        image = decode_srgb(np.arange(256) / 255)[np.asarray(picture.convert("RGB"))]  # 256 powers, not one a texel
+        pixels = picture.convert("RGB")
+    if largest is not None and max(pixels.size) > largest:
+        pixels = pixels.reduce(-(-max(pixels.size) // largest))
+    image = decode_srgb(np.arange(256) / 255)[np.asarray(pixels)]  # 256 powers, not one a texel
     levels = [image]
     while min(image.shape[:2]) >= 4:
         h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2

@@ -42,7 +42,7 @@ MAX_DIAMETER = 3.0
 REASON = b"!"
 
 # Version of the cached files; change it if :class:`MeshTemplate` or how it is made changes.
-CACHED = "cad-template-1"
+CACHED = "cad-template-2"
 
 
 @dataclass(frozen=True)
@@ -250,10 +250,11 @@ def _files(folder: Path) -> Iterator[Path]:
 def packed(template: MeshTemplate) -> bytes:
     """Return a template with its simplified mesh only, as a NumPy archive."""
     stream = io.BytesIO()
+    colors = np.zeros((0, 3)) if template.colors is None else template.colors
     np.savez(
         stream, vertices=template.vertices, faces=template.faces, points=template.points, normals=template.normals,
         sides=template.sides, center=template.center, diameter=np.array(template.diameter),
-        silhouettes=np.array(template.silhouettes),
+        silhouettes=np.array(template.silhouettes), area=np.array(template.area), colors=colors,
     )  # fmt: skip
     return stream.getvalue()
 
@@ -263,5 +264,6 @@ def unpacked(data: bytes) -> MeshTemplate:
     with np.load(io.BytesIO(data), allow_pickle=False) as a:
         low, high = (float(v) for v in a["silhouettes"])
         mesh = Mesh(frozen_array(a["vertices"]), a["faces"])
+        colors = frozen_array(a["colors"]) if len(a["colors"]) else None
         return MeshTemplate(mesh, mesh.vertices, mesh.faces, a["points"], a["normals"], a["sides"], a["center"],
-                            float(a["diameter"]), (low, high))  # fmt: skip
+                            float(a["diameter"]), (low, high), float(a["area"]), colors)  # fmt: skip

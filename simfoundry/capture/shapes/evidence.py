@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from simfoundry.geometry.shapes import Geometry
 
 if TYPE_CHECKING:
     from simfoundry.capture.shapes.fit_handle import FittedHandle
+
+_Distance = TypeVar("_Distance", float, Array)
 
 MAX_RAYS = 2600  # maximum number of rays per object, a grid of 51 x 51; a fit casts them about a thousand times
 WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free space beside it is evidence too
@@ -213,12 +215,12 @@ def main_body(points: Array, pitch: float) -> Mask:
     return np.asarray(count[part] >= max(1, 0.1 * int(count.max())))
 
 
-def depth_scale(distance: float) -> float:
-    """Return the residual [m] that exceeds the noise of common depth cameras at the given distance [m].
+def depth_scale(distance: _Distance) -> _Distance:
+    """Return the residual [m] that exceeds the noise of common depth cameras at the given distances [m].
 
     The residual grows with the square of the distance.
     """
-    return 0.005 + 0.004 * distance**2
+    return 0.005 + 0.004 * distance * distance
 
 
 def flying_pixels(depth: Array) -> Mask:

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from simfoundry.capture.shapes.closest_points import rotations_about
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR, SMALLEST, search
-from simfoundry.capture.shapes.register_mesh import misplacement, rotations_about
+from simfoundry.capture.shapes.register_mesh import misplacement
 from simfoundry.capture.shapes.solid_casts import cast_box
 from simfoundry.capture.shapes.visible_cloud import VisibleCloud
 from simfoundry.geometry.frames import Array, Pose, frozen_array

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simfoundry.capture.shapes.closest_points import rotations_about
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate
 from simfoundry.capture.shapes.fit_lathe import (
     body_of_revolution,
@@ -22,7 +23,7 @@ from simfoundry.capture.shapes.fit_lathe import (
     solid_profile,
 )
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
-from simfoundry.capture.shapes.register_mesh import misplacement, rotations_about
+from simfoundry.capture.shapes.register_mesh import misplacement
 from simfoundry.geometry.frames import Array, Pose
 
 # Points and rays that the search for an axis uses: 30 points for each level of a profile, and a grid of 25 x 25.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from simfoundry.assets.deviation import surface_samples
 from simfoundry.assets.mesh import weld
 from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.ray_casts import area_normals, blend
 from simfoundry.geometry.shapes import Mesh
 
 # Number of points on the surface that observed points are matched with: about 6 mm apart on an object of 20 cm.
@@ -26,6 +27,10 @@ SIDE_ANGLE_DEG, MAX_SIDES = 25.0, 12
 
 # Least share of the area of the convex hull that faces down on a side. Objects rarely rest on less.
 SIDE_SHARE = 0.02
+
+# Largest width and height [px] of the texture from which colors are taken, and side [m] of the square over which each
+# is averaged: the size of a pixel at 1 m.
+TEXTURE_SIZE, COLOR_SIDE = 1024, 0.002
 
 # Number of directions from which silhouettes are measured: 15 degrees apart.
 DIRECTIONS = 100
@@ -46,6 +51,8 @@ class MeshTemplate:
         center: Center of the bounding box [m], shape (3,).
         diameter: Length of the diagonal of the bounding box [m].
         silhouettes: Least and largest area of the silhouette of the convex hull, over all directions [m²].
+        area: Area of the surface [m²].
+        colors: Colors of the surface at the points, as sRGB values from 0 to 1, shape (m, 3), or None without texture.
     """
 
     mesh: Mesh
@@ -57,6 +64,8 @@ class MeshTemplate:
     center: Array
     diameter: float
     silhouettes: tuple[float, float]
+    area: float
+    colors: Array | None = None
 
     @classmethod
     def of(cls, mesh: Mesh) -> MeshTemplate:
@@ -69,7 +78,9 @@ class MeshTemplate:
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         diameter = max(float(np.linalg.norm(high - low)), 1e-9)
         sides, areas = resting_sides(vertices), hull_silhouettes(vertices)
-        return cls(mesh, vertices, faces, points, normals, sides, (low + high) / 2, diameter, areas)
+        area = float(np.linalg.norm(area_normals(mesh.vertices[mesh.faces]), axis=1).sum() / 2)
+        colors = surface_colors(mesh, points, owner)
+        return cls(mesh, vertices, faces, points, normals, sides, (low + high) / 2, diameter, areas, area, colors)
 
 
 def simplified_surface(
@@ -85,6 +96,29 @@ def simplified_surface(
     if not len(triangles):
         return corners, np.ascontiguousarray(sides, np.int32)
     return np.asarray(found, np.float64), np.ascontiguousarray(triangles, np.int32)
+
+
+def surface_colors(mesh: Mesh, points: Array, owner: NDArray[np.int64]) -> Array | None:
+    """Return the colors of a textured mesh at points of its surface, as sRGB values from 0 to 1, shape (n, 3).
+
+    Args:
+        mesh: The mesh.
+        points: Points on it [m], shape (n, 3).
+        owner: Index of the triangle of each point, shape (n,).
+    """
+    if mesh.texture is None or mesh.uv is None:
+        return None
+    from trimesh.triangles import points_to_barycentric
+
+    from simfoundry.render.shading import encode_srgb, texel_density, texture_color, texture_pyramid
+
+    chosen = mesh.faces[owner]
+    corners = mesh.vertices[chosen]
+    weights = np.nan_to_num(points_to_barycentric(corners, points), nan=1 / 3)
+    levels = texture_pyramid(mesh.texture, TEXTURE_SIZE)
+    texels = texel_density(levels, mesh.uv[chosen], corners) * COLOR_SIDE**2
+    linear = texture_color(levels, blend(mesh.uv[chosen], weights), texels)
+    return frozen_array(encode_srgb(linear) / 255)
 
 
 def hull_silhouettes(vertices: Array) -> tuple[float, float]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.masks import Mask
+from simfoundry.capture.shapes.closest_points import States, matched_states, point_distances, rotations_about
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement
 from simfoundry.capture.shapes.fit_primitives import search
 from simfoundry.capture.shapes.mesh_template import MeshTemplate
@@ -24,12 +25,6 @@ from simfoundry.geometry.frames import Array, Pose
 
 # Vertices [m], shape (n, 3), and faces, shape (k, 3).
 Surface = tuple[Array, NDArray[np.int32]]
-
-# Share of the diameter of the mesh that a turned normal counts as, so that points match with surface that faces alike.
-NORMAL_WEIGHT = 0.25
-
-# Weight of the distance between matched points beside that along the normal. It pulls in points beyond an edge.
-POINT_WEIGHT = 0.1
 
 # Edges of the initial simplex of a refinement: translation [m], rotation [rad], and logarithm of the scale.
 STEP_M, STEP_RAD, STEP_SCALE = 0.005, 0.06, 0.04
@@ -45,14 +40,8 @@ SINK_COST, MAX_SINK_COST = 0.1, 0.5
 # because what it stands on may be another object.
 FLOAT_COST, MAX_FLOAT_COST = 0.02, 0.1
 
-# Range of the estimated scale relative to that at which the visible parts of mesh and object have the same size.
-SCALE_RANGE = 2.5
-
 # Least decrease of the cost for which a mesh is laid on another side than that on which it stands.
 UPRIGHT_WORTH = 0.02
-
-# Rounds of matching after which only this share of the starts goes on, those that are closest to the observed points.
-EARLY_ROUNDS, GOING_ON = 2, 0.4
 
 # Local registration: edges of the simplex [m, rad], evaluations, turns about the vertical axis from which it starts
 # [deg], and the least decrease of the cost for which an object is moved. Below it, turns of round objects differ only
@@ -156,10 +145,12 @@ def register_mesh(
     """
     sides = template.sides[:1] if upright else template.sides
     cloud = VisibleCloud.of(evidence, effort.points)
-    state = _matched(cloud, template, _starts(cloud, template, sides, scale, effort.yaws), scale is None, effort.rounds)
+    state = matched_states(
+        cloud, template, _starts(cloud, template, sides, scale, effort.yaws), scale is None, effort.rounds
+    )
     few = _fewer_rays(evidence, effort.rays)
     placed = [_Placed(R, t, s) for R, t, s in zip(*state, strict=True)]
-    order = np.argsort(_residuals(cloud, template, state), kind="stable")
+    order = np.argsort(point_distances(cloud, template, state), kind="stable")
     judged = _distinct([placed[k] for k in order], template, effort.judged)
     costs = [_cost(few, template, one) for one in judged]
     ranked = [judged[k] for k in np.argsort(costs, kind="stable")]
@@ -207,11 +198,7 @@ class _Placed:
     scale: float
 
 
-# Rotations (n, 3, 3), translations (n, 3) [m] and scales (n,) of several starts.
-_States = tuple[Array, Array, Array]
-
-
-def _starts(cloud: VisibleCloud, template: MeshTemplate, sides: Array, scale: float | None, yaws: int) -> _States:
+def _starts(cloud: VisibleCloud, template: MeshTemplate, sides: Array, scale: float | None, yaws: int) -> States:
     """Return each side of the mesh, turned all around, where its visible part has the middle of the observed points.
 
     If the scale is unknown, the visible part also gets the size of the observed one, as seen across the view.
@@ -236,97 +223,6 @@ def _spread_across(offsets: Array, weight: Array, ray: Array) -> float:
     """Return the root mean square of offsets [m], shape (n, 3), perpendicular to a ray."""
     squares = (offsets**2).sum(axis=1) - (offsets @ ray) ** 2
     return float(np.sqrt(max((weight * squares).sum() / max(weight.sum(), 1e-12), 0.0)))
-
-
-def _nearest(
-    cloud: VisibleCloud, template: MeshTemplate, state: _States, tree: object
-) -> tuple[Array, NDArray[np.intp]]:
-    """Return the observed points in the frame of the mesh, (n, p, 3), and the indices of matched points, (n, p)."""
-    turns, shifts, scale = state
-    local = np.einsum("nji,npj->npi", turns, cloud.points[None] - shifts[:, None]) / scale[:, None, None]
-    facing = np.einsum("nji,pj->npi", turns, cloud.normals) * (NORMAL_WEIGHT * template.diameter)
-    both = np.concatenate([local, facing], axis=2).reshape(-1, 6)
-    return local, tree.query(both)[1].reshape(local.shape[:2])  # type: ignore[attr-defined]
-
-
-def _tree(template: MeshTemplate) -> object:
-    from scipy.spatial import cKDTree
-
-    return cKDTree(np.hstack([template.points, template.normals * (NORMAL_WEIGHT * template.diameter)]))
-
-
-def _matched(cloud: VisibleCloud, template: MeshTemplate, state: _States, free_scale: bool, rounds: int) -> _States:
-    """Move all starts onto the observed points.
-
-    Each round solves for the small motion of each start that brings the observed points onto the planes of their
-    matched points, and with less weight onto these points. Matches that are far off for the start count less.
-    """
-    tree = _tree(template)
-    low, high = state[2] / SCALE_RANGE, state[2] * SCALE_RANGE
-    unknowns = 7 if free_scale else 6
-    for done in range(rounds):
-        local, index = _nearest(cloud, template, state, tree)
-        distance = np.linalg.norm(local - template.points[index], axis=2)
-        if done == EARLY_ROUNDS:
-            ranked = np.argsort(_trimmed_mean(distance) * state[2], kind="stable")
-            kept = np.sort(ranked[: max(1, int(GOING_ON * len(ranked)))])
-            state = state[0][kept], state[1][kept], state[2][kept]
-            local, index, distance, low, high = local[kept], index[kept], distance[kept], low[kept], high[kept]
-        normal, offset = template.normals[index], local - template.points[index]
-        lever = local - template.center
-        spread = np.maximum(np.median(distance, axis=1, keepdims=True), 0.01 * template.diameter)
-        weight = 1.0 / (1.0 + (distance / (2 * spread)) ** 2) ** 2  # Geman and McClure's
-        along = [np.cross(lever, normal), normal, (lever * normal).sum(axis=2, keepdims=True)]
-        slopes = np.concatenate(along, axis=2)[:, :, :unknowns]
-        normal_matrix = np.einsum("np,npi,npj->nij", weight, slopes, slopes)
-        b = -np.einsum("np,npi,np->ni", weight, slopes, (offset * normal).sum(axis=2))
-        for axis in range(3):  # the distance between points, one axis after the other
-            unit = np.broadcast_to(np.eye(3)[axis], lever.shape)
-            slopes = np.concatenate([np.cross(lever, unit), unit, lever[:, :, axis, None]], axis=2)[:, :, :unknowns]
-            normal_matrix += POINT_WEIGHT * np.einsum("np,npi,npj->nij", weight, slopes, slopes)
-            b -= POINT_WEIGHT * np.einsum("np,npi,np->ni", weight, slopes, offset[:, :, axis])
-        normal_matrix += np.eye(unknowns) * (1e-6 * np.trace(normal_matrix, axis1=1, axis2=2))[:, None, None]
-        x = np.linalg.solve(normal_matrix, b[:, :, None])[:, :, 0]
-        state = _moved(state, template.center, x, (low, high))
-    return state
-
-
-def _moved(state: _States, center: Array, x: Array, limits: tuple[Array, Array]) -> _States:
-    """Apply small motions of the observed points in the frame of the mesh about its center, shape (n, 6 or 7)."""
-    turns, shifts, scale = state
-    # The points move by the motion, so that the mesh moves by its inverse.
-    turn = rotations_about(x[:, :3])
-    turns_new = np.einsum("nij,nkj->nik", turns, turn)
-    factor = np.exp(-x[:, 6]) if x.shape[1] == 7 else np.ones(len(x))
-    scale_new = np.clip(scale * factor, *limits)
-    # A point q of the mesh's frame becomes turn (q - center) scale / scale_new + center + shift.
-    target = np.einsum("nij,nj->ni", turns, center * scale[:, None]) + shifts
-    moved_center = np.einsum("nij,nj->ni", turns_new, center + x[:, 3:6])
-    return turns_new, target - scale_new[:, None] * moved_center, scale_new
-
-
-def rotations_about(vectors: Array) -> Array:
-    """Return the rotations about vectors by their lengths [rad], shape (n, 3, 3)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    limited = np.minimum(angle, 0.5)  # a linear step is not valid beyond
-    axis = vectors / np.maximum(angle, 1e-12)[:, None]
-    K = np.zeros((len(vectors), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    K -= K.transpose(0, 2, 1)
-    sine, cosine = np.sin(limited)[:, None, None], np.cos(limited)[:, None, None]
-    return np.asarray(np.eye(3) + sine * K + (1 - cosine) * (K @ K))
-
-
-def _residuals(cloud: VisibleCloud, template: MeshTemplate, state: _States) -> Array:
-    """Return the trimmed mean distance of observed points from the matched points in meters, shape (n,)."""
-    local, index = _nearest(cloud, template, state, _tree(template))
-    return _trimmed_mean(np.linalg.norm(local - template.points[index], axis=2)) * state[2]
-
-
-def _trimmed_mean(distance: Array) -> Array:
-    """Return the mean of the smallest nine tenths of the distances in each row."""
-    ordered = np.sort(distance, axis=1)
-    return np.asarray(ordered[:, : max(1, int(0.9 * distance.shape[1]))].mean(axis=1))
 
 
 def _distinct(placed: list[_Placed], template: MeshTemplate, count: int) -> list[_Placed]:
