@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from simfoundry.capture.cad.library import CadLibrary
-from simfoundry.capture.cad.locate import located_models, turned_by_color
+from simfoundry.capture.cad.locate import LocatedModel, located_models, pose_worth, turned_by_color
 from simfoundry.capture.cad.match import ModelMatch, best_match
 from simfoundry.capture.cad.placed_model import ObservedScene, PlacedModel, Seed, Source
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
@@ -43,13 +43,13 @@ COLORED, LOCATED_COLORED = 0.45, 0.6
 LOCATED_COST = 0.3
 
 # The same limits for models that are right beyond doubt. Others compete with models that are located in their pixels.
-OBVIOUS_SHARE, OBVIOUSLY_PRECISE, OBVIOUSLY_COLORED = 0.8, 0.93, 0.6
+OBVIOUS_SHARE, OBVIOUSLY_PRECISE, OBVIOUSLY_COLORED = 0.8, 0.93, 0.8
 
 # Least share of the pixels that a model explains that no other chosen model explains.
 NEW_SHARE = 0.5
 
-# Fewest pixels that a model must explain to be chosen: with fewer, many models agree.
-FEWEST = 100
+# Fewest pixels that a model must explain to be chosen: with fewer, many models agree, even in color.
+FEWEST = 60
 
 # Width [px] of the rim of a model within which pixels belong to it though its surface is not there: flying pixels, and
 # the error of its pose.
@@ -89,7 +89,7 @@ def explained_segmentation(
     chosen = [one for one in found if _is_obvious(one)]
     within = (labels > 0) | is_within(support, scene.points_W.reshape(-1, 3)[:, :2], -EDGE_ZONE).reshape(labels.shape)
     for _ in range(ROUNDS):
-        asked = scene.standing & within & ~grown(_explained(scene.standing, chosen), disk(NARROW))
+        asked = scene.standing & within & ~grown(_explained(scene.standing, chosen), disk(1))
         before, new = chosen, _located(scene, library, labels, asked)
         found += new
         chosen = _chosen(found)
@@ -127,13 +127,19 @@ def _located(scene: ObservedScene, library: CadLibrary, labels: Labels, asked: M
         evidence = _evidence(scene, labels, seed)
         if evidence is None:
             continue
-        better = refine_registration(evidence, one.template, one.X_WO)
-        match = ModelMatch(one.model.name, better.X_WO, better.cost)
+        match = _refined_match(scene, one, evidence, asked)
         found = _placed(scene, library, match, evidence, (seed, np.zeros_like(seed)), "located")
         if _is_sure(found):
             out.append(found)
-            left &= ~grown(found.agree, disk(NARROW))
+            left &= ~grown(found.agree, disk(1))
     return out
+
+
+def _refined_match(scene: ObservedScene, one: LocatedModel, evidence: Evidence, asked: Mask) -> ModelMatch:
+    """Refine a located model by depth, unless it fits colors worse then: little depth shows a pen's end."""
+    better = refine_registration(evidence, one.template, one.X_WO)
+    before, after = (pose_worth(scene, one.template, X_WO, asked) for X_WO in (one.X_WO, better.X_WO))
+    return ModelMatch(one.model.name, better.X_WO if after >= before else one.X_WO, better.cost)
 
 
 def _evidence(scene: ObservedScene, labels: Labels, seed: Mask) -> Evidence | None:

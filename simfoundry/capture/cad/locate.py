@@ -151,6 +151,12 @@ def _poses(scene: ObservedScene, cloud: _Cloud, template: MeshTemplate, asked: M
             for k in np.argsort(-worth, kind="stable")[:BEST]]  # fmt: skip
 
 
+def pose_worth(scene: ObservedScene, template: MeshTemplate, X_WO: Pose, asked: Mask) -> float:
+    """Return the number of pixels asked for that a model at a pose explains, less what counts against it."""
+    states = X_WO.rotation[None], X_WO.p[None], np.ones(1)
+    return float(_worth(scene, template, states, asked, len(template.points))[0])
+
+
 def _worth(scene: ObservedScene, template: MeshTemplate, states: States, asked: Mask, count: int) -> Array:
     rotations, translations, _ = states
     found = scene.agreement(template, rotations, translations, asked, count)

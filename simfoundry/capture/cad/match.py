@@ -70,7 +70,10 @@ class CadLookup:
 
     def candidates(self, evidence: Evidence) -> list[FitCandidate]:
         """Return the model that explains the evidence best, at its pose, if any is likely."""
-        found = best_match(evidence, self.library) if self.known is None else self._refined(evidence, self.known)
+        known = self.known
+        if known is not None and not known.is_sure:
+            known = self._refined(evidence, known)
+        found = best_match(evidence, self.library) if self.known is None else known
         if found is None:
             return []
         mesh = self.library.mesh(self.library.named(found.model))

@@ -60,9 +60,9 @@ class PlacedModel:
 
     @property
     def gain(self) -> float:
-        """The number of pixels that the model explains, less ten for each that it contradicts."""
+        """The number of pixels whose depth and color the model explains, less ten for each that it contradicts."""
         count = int(self.agree.sum())
-        return count - 10 * count * (1 / max(self.precision, 0.1) - 1)
+        return self.color * count - 10 * count * (1 / max(self.precision, 0.1) - 1)
 
 
 @dataclass(frozen=True, eq=False)
