@@ -33,6 +33,8 @@ ROUND = 0.0015  # [m] distance around a seen point that belongs to the handle, h
 CLOSE = 0.004  # [m] half of the width of gaps between seen points
 ARM = 0.003  # [m] half of the thickness by which the ends are joined to the body, as at a cup's handle
 SMOOTH = 0.0015  # [m] tolerance of its outline
+GRID = 0.001  # [m] distance below which seen points are one
+CORNERS = 4  # number of corners of a quarter of the circle around one
 BETTER = 0.01  # minimum advantage in the cost of agreement, beyond noise
 
 
@@ -127,7 +129,9 @@ def _outline(seen: Array, profile: Array) -> Array | None:
     """Return the outline of a handle around seen points (distance, height), joined to the body, or None."""
     import shapely
 
-    whole = shapely.MultiPoint(seen).buffer(CLOSE + ROUND).buffer(-CLOSE)
+    spread = np.unique(np.rint(seen / GRID), axis=0) * GRID
+    circles = shapely.buffer(shapely.points(spread), CLOSE + ROUND, quad_segs=CORNERS)
+    whole = shapely.union_all(circles).buffer(-CLOSE)  # the buffer of all points at once would take a second
     shape: BaseGeometry = _largest(whole)
     _, bottom, _, top = shape.bounds
     for height in (top - ARM, bottom + ARM):
