@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -94,6 +93,8 @@ def in_background(function: Callable[[], R]) -> Iterator[Callable[[], R]]:
     The block ends after the thread, also if it fails, so that nothing is written later. Threads take turns except in
     NumPy, OpenCV and MuJoCo, and while they read and write files.
     """
+    from concurrent.futures import ThreadPoolExecutor  # `simfoundry check` must start at once
+
     with ThreadPoolExecutor(1) as pool:
         yield pool.submit(function).result
 

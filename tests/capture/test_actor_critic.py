@@ -20,6 +20,8 @@ from simfoundry.models.offline import OfflineMeshes
 from tests.capture.meshes import number_of, write_cabinet
 from tests.models.test_vlm import answering
 
+pytestmark = pytest.mark.slow  # 5 s: a server answers in each
+
 
 @pytest.fixture(scope="module")
 def cabinet(tmp_path_factory: pytest.TempPathFactory) -> SegmentedMesh:

@@ -179,7 +179,7 @@ def test_what_a_nearer_thing_hides_does_not_stand_on_it() -> None:
 @pytest.mark.parametrize(
     ("perturbation", "name"),
     [
-        ("none", "test5"),
+        pytest.param("none", "test5", marks=pytest.mark.slow),
         pytest.param("sparser", "learn33", marks=pytest.mark.slow),
         pytest.param("mirrored", "learn17", marks=pytest.mark.slow),
     ],
@@ -201,9 +201,7 @@ STACKED: dict[str, dict[int, set[int]]] = {
 
 
 @pytest.mark.skipif(not available("mosd_dev"), reason="needs ../shared/data/mosd_dev")
-@pytest.mark.parametrize(
-    "name", [n if n in ("learn25", "test16") else pytest.param(n, marks=pytest.mark.slow) for n in STACKED]
-)
+@pytest.mark.parametrize("name", [n if n == "learn25" else pytest.param(n, marks=pytest.mark.slow) for n in STACKED])
 def test_real_stacks(name: str) -> None:
     ((_, frame),) = mosd_pictures([name])
     truth = frame.instances

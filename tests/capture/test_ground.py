@@ -9,6 +9,8 @@ from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, Table, photograph
 from tests.corpora.segmentation import available, pictures
 
+pytestmark = pytest.mark.slow  # 10 s: planes of many images
+
 ITEMS = (Box((0.05, 0.12, 0.06), (0.10, 0.07, 0.12), 0.4), Cylinder((0.0, -0.14, 0.05), 0.035, 0.10))
 VIEWS = [
     Setup(ITEMS),

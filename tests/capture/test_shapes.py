@@ -96,6 +96,7 @@ def test_sphere() -> None:
 
 
 @pytest.mark.parametrize(("mesh", "depth_at_axis"), [(BOWL, 0.052), (MUG, 0.089)])
+@pytest.mark.slow
 def test_container_keeps_its_cavity(mesh: Mesh, depth_at_axis: float) -> None:
     shape = fit((mesh, Pose.of((0.03, -0.02, 0))))
     assert shape.hollow and isinstance(shape.geometry, Mesh)
@@ -152,6 +153,7 @@ def test_completion_of_an_oval_bottle(completed: FittedShape) -> None:
     assert_stands(shape, 0.0)
 
 
+@pytest.mark.slow
 def test_completion_stays_out_of_seen_free_space() -> None:
     leaning = Pose.of((0.02, 0.01, 0.078), quat_from_rpy(math.radians(28), math.radians(6), math.radians(-20)))
     frame, support, labels = see([(Box(np.array([0.12, 0.03, 0.15])), leaning)])
@@ -172,6 +174,7 @@ def test_completion_stays_out_of_seen_free_space() -> None:
     assert intruding.sum() < 0.05 * (labels == 1).sum()
 
 
+@pytest.mark.slow
 def test_stacked_object_stands_on_the_one_below() -> None:
     below = (Box(np.array([0.2, 0.18, 0.06])), yaw_pose(0.02, 0.01, 0.03, 37))
     above = (Cylinder(0.035, 0.1), Pose.of((0.03, 0.0, 0.11)))
@@ -184,6 +187,7 @@ def test_stacked_object_stands_on_the_one_below() -> None:
     assert upper.geometry.height == pytest.approx(0.1, abs=0.005)
 
 
+@pytest.mark.slow
 def test_box_that_shows_one_face_gets_the_depth_prior() -> None:
     eye = np.array([-0.7, 0.0, 0.06])
     box = (Box(np.array([0.05, 0.14, 0.2])), yaw_pose(0.02, 0.01, 0.1, 1.0))
@@ -258,6 +262,7 @@ def test_a_silhouette_without_depth_does_not_shrink_the_solid(name: str, inside:
     assert sorted(size_of(shape.geometry)) == pytest.approx(sorted(size_of(geometry)), abs=0.005)
 
 
+@pytest.mark.slow
 def test_fit_is_deterministic(completed: FittedShape) -> None:
     first, second = completed, fit((oval_bottle(), OVAL_POSE))
     assert isinstance(first.geometry, Mesh) and isinstance(second.geometry, Mesh)

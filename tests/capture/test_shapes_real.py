@@ -32,7 +32,10 @@ CRACKERS, SUGAR = (0.0642, 0.1601, 0.2115), (0.0408, 0.0901, 0.1750)
 # far from any edge, and this one number brings cartons, bowl and pitcher of four frames to their sizes.
 TOO_NEAR = 0.03
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real captures at {DATA}")
+pytestmark = [
+    pytest.mark.slow,  # 10 s
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"no real captures at {DATA}"),
+]
 
 
 def read(path: Path) -> NDArray[Any]:

@@ -30,7 +30,7 @@ NOT_SHOWN = {
     "SF602": "needs a whole picture",
     "SF603": "needs a whole picture of something that does not rest",
     "SF604": "needs two runs of a capture",
-    **{f"SF{k}": "needs a whole picture" for k in range(620, 630)},
+    **{f"SF{k}": "needs a whole picture" for k in range(620, 633)},
     "SF605": "needs several whole pictures",
     "SF640": "needs a model",
     "SF641": "needs a model",
