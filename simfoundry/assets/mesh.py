@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, Scale, implausible_size, too_large
 from simfoundry.assets.mass import Array, Faces
-from simfoundry.assets.textured_obj import read_textured_obj
 from simfoundry.assets.textures import gltf_tree
 
 # Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
@@ -29,10 +28,6 @@ LEVEL = 3
 
 # Maximum number of pixels in a texture; larger textures take a GiB and a minute, and no simulator renders them.
 MAX_PIXELS = 8192**2
-
-
-# Texture coordinates with v up, shape (n, 2), the texture as PNG, and the color, each of which may be missing.
-_Appearance = tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,23 +91,9 @@ def read_parts(path: Path, scale: Scale = 1.0) -> tuple[MeshPart, ...]:
 
     ``scale`` may be non-uniform or negative along the file's axes. In any case, faces point outward.
     """
-    check_counts(path)
-    own = read_textured_obj(path, MAX_PIXELS)
-    if own is None:
-        parts = _general_parts(path, scale)
-    else:
-        parts = (_part(path, own.vertices, own.faces, scale, (own.uv, texture_png(path.name, own.image), None)),)
-    bad = sum(int((~np.isfinite(part.vertices)).any(axis=1).sum()) for part in parts)
-    if bad:
-        message = f"{path.name} has {bad} vertices with non-finite coordinates"
-        raise MeshError("SF301", message, "repair or export it again")
-    return parts
-
-
-def _general_parts(path: Path, scale: Scale) -> tuple[MeshPart, ...]:
-    """Return the geometries in a mesh file of any format and origin."""
     import trimesh
 
+    check_counts(path)
     try:
         with np.errstate(all="ignore"):  # non-finite numbers are reported below
             scene = trimesh.load_scene(path, process=False)
@@ -126,18 +107,23 @@ def _general_parts(path: Path, scale: Scale) -> tuple[MeshPart, ...]:
         raise MeshError("SF301", f"{path.name} has more than {MAX_FACES} triangles", "decimate it first")
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles that refer to nonexistent vertices", "export it again")
-    return tuple(_part(path, np.asarray(m.vertices), m.faces, scale, _appearance(path.name, m)) for m in meshes)
+    parts = tuple(_part(path, m, scale) for m in meshes)
+    bad = sum(int((~np.isfinite(part.vertices)).any(axis=1).sum()) for part in parts)
+    if bad:
+        message = f"{path.name} has {bad} vertices with non-finite coordinates"
+        raise MeshError("SF301", message, "repair or export it again")
+    return parts
 
 
-def _part(path: Path, vertices: Array, faces: NDArray[Any], scale: Scale, appearance: _Appearance) -> MeshPart:
+def _part(path: Path, mesh: Any, scale: Scale) -> MeshPart:
     y_up = _is_y_up(path)
-    used, faces = np.unique(faces, return_inverse=True)  # vertices without faces are not part of the surface
+    used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without faces are not part of the surface
     if np.prod(np.broadcast_to(scale, 3)) < 0:
         faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
-    vertices = np.array(vertices, dtype=np.float64)[used] * np.asarray(scale)
+    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
-    uv, texture, rgba = appearance
+    uv, texture, rgba = _appearance(path.name, mesh)
     if rgba is not None and y_up:  # glTF colors are linear; colors in other formats are sRGB
         rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
@@ -149,7 +135,7 @@ def srgb_of_linear(linear: float) -> float:
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
-def _appearance(name: str, mesh: Any) -> _Appearance:
+def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
     """Return the texture coordinates, the texture as PNG, and the color of a trimesh mesh.
 
     If a mesh has both a texture and a color, the texture is multiplied by the color.

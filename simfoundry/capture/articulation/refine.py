@@ -9,7 +9,6 @@ import numpy as np
 from simfoundry.capture.articulation.evidence import MotionEvidence
 from simfoundry.capture.articulation.motions import Motion
 from simfoundry.geometry.frames import Array, cross
-from simfoundry.geometry.simplex_search import minimize_simplex
 from simfoundry.scene.model import JointType
 
 # Number of evaluations. A simplex search stops early where few points decide.
@@ -31,6 +30,7 @@ UNSEEN, REMAINING = 0.03, 0.2
 # Smallest amount of motion [m, rad].
 LEAST = 1e-3
 
+
 # What refinement may change: the amount of a motion, the place and the direction of its axis, and the thickness of a
 # part whose back is seen.
 EVERYTHING = frozenset(("q", "pivot", "axis"))
@@ -39,6 +39,8 @@ SNAPPED = frozenset(("q", "pivot", "back"))
 
 def refined_motion(motion: Motion, evidence: MotionEvidence, free: frozenset[str] = EVERYTHING) -> Motion:
     """Return the motion near a candidate that scores best, among those that differ in what is ``free``."""
+    from scipy.optimize import minimize
+
     side = cross(motion.axis, np.eye(3)[int(np.argmin(np.abs(motion.axis)))])
     side /= np.linalg.norm(side)
     other = cross(motion.axis, side)
@@ -61,7 +63,8 @@ def refined_motion(motion: Motion, evidence: MotionEvidence, free: frozenset[str
         return -rank_of(at(x), evidence)
 
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    return at(minimize_simplex(cost, simplex, EVALUATIONS, near=1e-4, flat=1e-4)[1])
+    options = {"initial_simplex": simplex, "maxfev": EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
+    return at(minimize(cost, np.zeros(len(steps)), method="Nelder-Mead", options=options).x)
 
 
 def rank_of(motion: Motion, evidence: MotionEvidence) -> float:

@@ -14,7 +14,6 @@ from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreem
 from simfoundry.capture.shapes.solid_casts import SolidHits, cast_box, cast_lathe, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
-from simfoundry.geometry.simplex_search import minimize_simplex
 
 SMALLEST = 0.004  # [m] minimum radius or extent, close to the depth noise at half a meter
 DEPTH_PRIOR = 0.35  # ratio of depth to width for a box with one visible face; 0.25 to 0.5 for cartons and bottles
@@ -32,8 +31,12 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
     Returns:
         The minimum cost and its parameters.
     """
+    from scipy.optimize import minimize
+
     simplex = np.vstack([start, start + np.diag(steps)])
-    return minimize_simplex(cost, simplex, evaluations, near=2e-4, flat=1e-4)
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 2e-4, "fatol": 1e-4}
+    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    return float(found.fun), np.asarray(found.x, dtype=np.float64)
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
