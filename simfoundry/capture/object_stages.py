@@ -114,7 +114,7 @@ def segmented_frame(
     inputs["masks"] = digest_of(measured.instances)
     inputs["decomposition"] = "" if stated is None else stated.model_dump_json()
     found = stages.run("segment", inputs, partial(segmentation_of, measured, support.value), quick=is_given)
-    if is_given or stated is not None or found.value.surfaces:  # neither models nor CAD models know about levels
+    if is_given or stated is not None or found.value.surfaces:  # neither models nor CAD models find levels
         return FoundSegments(found.value)
     phrases = () if reading is None else tuple(each.phrase for each in reading.reading.objects)
     masked = model_segmentation(completed, support.value, found.value, phrases, models)

@@ -13,7 +13,7 @@ import argparse
 import math
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,8 +65,8 @@ class CarrierTable:
 
 
 @dataclass(frozen=True)
-class CarrierResult:
-    """What became of a table."""
+class CarriedObjects:
+    """Numbers of objects in truth, found, and on what carries them in truth; and what else is wrong."""
 
     true: int
     found: int
@@ -95,13 +95,10 @@ def main() -> int:
         results.append(one)
         row = f"{seed:>6}  {table.kind:<10}{table.sensor:<18}{one.true:>5}{one.found:>6}{one.right:>14}"
         print(f"{row}  {'yes' if one.passed else 'no':<4} {'; '.join(one.problems)}", flush=True)
-    right, silent = sum(r.is_right for r in results), sum(r.passed and not r.is_right for r in results)
-    objects = sum(r.true for r in results), sum(r.right for r in results)
-    print(f"right: {right} of {len(results)} scenes, {objects[1]} of {objects[0]} objects; wrong and passed: {silent}")
-    return 0 if right >= 0.8 * len(results) else 1
+    return summarized(results)
 
 
-def judged(table: CarrierTable, with_masks: bool) -> CarrierResult:
+def judged(table: CarrierTable, with_masks: bool) -> CarriedObjects:
     """Reconstruct a table, and compare what stands on what with the truth."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -112,10 +109,10 @@ def judged(table: CarrierTable, with_masks: bool) -> CarrierResult:
             run = run_capture(folder / "capture.yaml", folder / "out", cache=Cache(folder / "cache"))
             return _result(table, run)
         except PicklableError as error:
-            return CarrierResult(len(table.carriers), 0, 0, False, (f"refused: {error}"[:120],))
+            return CarriedObjects(len(table.carriers), 0, 0, False, (f"refused: {error}"[:120],))
 
 
-def _result(table: CarrierTable, run: CaptureRun) -> CarrierResult:
+def _result(table: CarrierTable, run: CaptureRun) -> CarriedObjects:
     scene = lower(load_scene(run.scene_file))
     compared = compare(table.scene, table.camera, scene, scene.cameras[0])
     name_of = {o.name: o.recovered for o in compared if o.recovered} | {"table": "table"}
@@ -124,7 +121,15 @@ def _result(table: CarrierTable, run: CaptureRun) -> CarrierResult:
     free = sum(not o.fixed for o in scene.objects)
     right = sum((name_of.get(upper), name_of.get(lower)) in stands for upper, lower in table.carriers.items())
     problems = tuple(f"{f.code} {f.message}"[:100] for f in run.findings if f.code in (HELD, LEFT_OUT, MOVED))
-    return CarrierResult(len(table.carriers), free, right, bool(run.report["passed"]), problems)
+    return CarriedObjects(len(table.carriers), free, right, bool(run.report["passed"]), problems)
+
+
+def summarized(results: Sequence[CarriedObjects]) -> int:
+    """Print how many scenes and objects are right; 1 if fewer than 80 % of the scenes are."""
+    right, silent = sum(r.is_right for r in results), sum(r.passed and not r.is_right for r in results)
+    objects = sum(r.true for r in results), sum(r.right for r in results)
+    print(f"right: {right} of {len(results)} scenes, {objects[1]} of {objects[0]} objects; wrong and passed: {silent}")
+    return 0 if right >= 0.8 * len(results) else 1
 
 
 def carrier_table(seed: int) -> CarrierTable:

@@ -33,7 +33,7 @@ from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds import open_world
 from simfoundry.worlds.rest import simulate
 from tests.corpora import synthetic_tables as tables
-from tests.corpora.carriers import Rng, _small
+from tests.corpora.carriers import CarriedObjects, Rng, _small, summarized
 
 NEAR = 0.02  # [m] maximum distance between an object and where it is in truth
 
@@ -50,22 +50,6 @@ class LevelTable:
     on: dict[str, str]
 
 
-@dataclass(frozen=True)
-class LevelResult:
-    """Numbers of objects in truth, found, and on the right surface where they are; and what else is wrong."""
-
-    true: int
-    found: int
-    right: int
-    passed: bool
-    problems: tuple[str, ...]
-
-    @property
-    def is_right(self) -> bool:
-        """Whether everything is where it is in truth, and stays there."""
-        return self.true == self.found == self.right and not self.problems
-
-
 def main() -> int:
     """Print the table; 1 if fewer than 80 % of the scenes are right."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -80,10 +64,7 @@ def main() -> int:
         results.append(one)
         row = f"{seed:>6}  {table.height:>+6.2f} m  {table.sensor:<18}{one.true:>5}{one.found:>6}{one.right:>6}"
         print(f"{row}  {'yes' if one.passed else 'no':<4} {'; '.join(one.problems)}", flush=True)
-    right, silent = sum(r.is_right for r in results), sum(r.passed and not r.is_right for r in results)
-    objects = sum(r.true for r in results), sum(r.right for r in results)
-    print(f"right: {right} of {len(results)} scenes, {objects[1]} of {objects[0]} objects; wrong and passed: {silent}")
-    return 0 if right >= 0.8 * len(results) else 1
+    return summarized(results)
 
 
 def level_table(seed: int) -> LevelTable:
@@ -110,7 +91,7 @@ def level_table(seed: int) -> LevelTable:
     raise RuntimeError(f"no countable table was drawn from seed {seed}")
 
 
-def judged(table: LevelTable) -> LevelResult:
+def judged(table: LevelTable) -> CarriedObjects:
     """Reconstruct a table, and compare it with the truth."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -122,7 +103,7 @@ def judged(table: LevelTable) -> LevelResult:
         try:
             run = run_capture(folder / "capture.yaml", folder / "out", cache=Cache(folder / "cache"))
         except PicklableError as error:
-            return LevelResult(len(table.on), 0, 0, False, (f"refused: {error}"[:120],))
+            return CarriedObjects(len(table.on), 0, 0, False, (f"refused: {error}"[:120],))
         scene = lower(load_scene(run.scene_file))
         surface = next((o.name for o in scene.objects if o.fixed and o.name != "table"), "")
         compared = compare(table.scene, table.camera, scene, scene.cameras[0])
@@ -137,7 +118,7 @@ def judged(table: LevelTable) -> LevelResult:
         for engine in ("mujoco", "pybullet"):
             with open_world(scene, engine) as world:
                 problems += [f"{m.name} moves in {engine}" for m in simulate(world, 2.0) if not m.stays]
-        return LevelResult(
+        return CarriedObjects(
             len(table.on), sum(not o.fixed for o in scene.objects), right, bool(run.report["passed"]), tuple(problems)
         )
 

@@ -16,7 +16,7 @@ import numpy as np
 from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.locate import LocatedModel, located_models, pose_worth, turned_by_color
 from simfoundry.capture.cad.match import ModelMatch, best_match
-from simfoundry.capture.cad.placed_model import ObservedScene, PlacedModel, Seed, Source
+from simfoundry.capture.cad.placed_model import ObservedScene, PlacedModel, Source
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.decompose import EDGE_ZONE, MIN_PIXELS, is_within
 from simfoundry.capture.segment.masks import Labels, Mask, components, disk, grown, opened
@@ -26,7 +26,7 @@ from simfoundry.capture.segment.support_graph import carriers, parts_of
 from simfoundry.capture.shapes.evidence import Evidence, gather
 from simfoundry.capture.shapes.register_mesh import refine_registration
 
-# Rounds in which models are located in the pixels that no model explains, and the models of each that are refined.
+# Number of rounds in which models are located in the pixels that no model explains, and of models refined in each.
 ROUNDS, REFINED = 4, 8
 
 # Least share of the visible part of a model that must be where a surface was measured, least share of the pixels of its
@@ -107,7 +107,7 @@ def _of_regions(scene: ObservedScene, library: CadLibrary, labels: Labels) -> li
         evidence = _evidence(scene, labels, seed)
         match = best_match(evidence, library) if evidence is not None else None
         if evidence is not None and match is not None:
-            out.append(_placed(scene, library, match, evidence, (seed, seed), "region"))
+            out.append(_placed(scene, library, match, evidence, seed, "region"))
     return out
 
 
@@ -118,7 +118,7 @@ def _located(scene: ObservedScene, library: CadLibrary, labels: Labels, asked: M
     for one in located_models(scene, library, asked):
         if one.worth < FEWEST or tries == REFINED:
             break
-        rough = scene.placed(ModelMatch(one.model.name, one.X_WO, 0.0), one.template, (asked, asked), "located")
+        rough = scene.placed(ModelMatch(one.model.name, one.X_WO, 0.0), one.template, asked, "located")
         own = rough.agree & left
         if int(own.sum()) < max(FEWEST, NEW_SHARE * int((rough.agree & asked).sum())) or rough.color < COLORED:
             continue
@@ -128,7 +128,7 @@ def _located(scene: ObservedScene, library: CadLibrary, labels: Labels, asked: M
         if evidence is None:
             continue
         match = _refined_match(scene, one, evidence, asked)
-        found = _placed(scene, library, match, evidence, (seed, np.zeros_like(seed)), "located")
+        found = _placed(scene, library, match, evidence, seed, "located")
         if _is_sure(found):
             out.append(found)
             left &= ~grown(found.agree, disk(1))
@@ -136,7 +136,7 @@ def _located(scene: ObservedScene, library: CadLibrary, labels: Labels, asked: M
 
 
 def _refined_match(scene: ObservedScene, one: LocatedModel, evidence: Evidence, asked: Mask) -> ModelMatch:
-    """Refine a located model by depth, unless it fits colors worse then: little depth shows a pen's end."""
+    """Refine a located model by depth, unless it explains fewer pixels then: depth alone lets a pen slide along."""
     better = refine_registration(evidence, one.template, one.X_WO)
     before, after = (pose_worth(scene, one.template, X_WO, asked) for X_WO in (one.X_WO, better.X_WO))
     return ModelMatch(one.model.name, better.X_WO if after >= before else one.X_WO, better.cost)
@@ -152,12 +152,12 @@ def _evidence(scene: ObservedScene, labels: Labels, seed: Mask) -> Evidence | No
 
 
 def _placed(
-    scene: ObservedScene, library: CadLibrary, match: ModelMatch, evidence: Evidence, seed: Seed, source: Source
+    scene: ObservedScene, library: CadLibrary, match: ModelMatch, evidence: Evidence, seed: Mask, source: Source
 ) -> PlacedModel:
     """Turn a registered model by its color, and compare it with the image."""
     template = library.template(library.named(match.model))
     assert template is not None  # only models with a template are matched
-    X_WO = turned_by_color(scene, template, match.X_WO, seed[0])
+    X_WO = turned_by_color(scene, template, match.X_WO, seed)
     if X_WO is not match.X_WO:
         better = refine_registration(evidence, template, X_WO)  # the other side of a scan is not quite the same
         match = ModelMatch(match.model, better.X_WO, better.cost)
@@ -166,18 +166,16 @@ def _placed(
 
 def _is_sure(one: PlacedModel) -> bool:
     """Return True if a model agrees with the image wherever it is visible, and explains much of its seed."""
-    count = int(one.agree.sum())
-    own = float((one.agree & one.seed).sum()) / max(1, int(one.seed.sum()))
-    colored = LOCATED_COLORED if one.source == "located" else COLORED
-    if count < FEWEST or own < OWN_SHARE or one.precision < PRECISE or one.color < colored:
+    if int(one.agree.sum()) < FEWEST or one.own_share < OWN_SHARE or one.precision < PRECISE:
         return False
-    return one.match.cost <= LOCATED_COST if one.source == "located" else one.match.cost - (1 - own) <= MAX_COST
+    if one.source == "located":
+        return one.color >= LOCATED_COLORED and one.match.cost <= LOCATED_COST
+    return one.color >= COLORED and one.match.cost - (1 - one.own_share) <= MAX_COST
 
 
 def _is_obvious(one: PlacedModel) -> bool:
     """Return True if no other model needs to be tried for the pixels that a model explains."""
-    own = float((one.agree & one.seed).sum()) / max(1, int(one.seed.sum()))
-    return own >= OBVIOUS_SHARE and one.precision >= OBVIOUSLY_PRECISE and one.color >= OBVIOUSLY_COLORED
+    return one.own_share >= OBVIOUS_SHARE and one.precision >= OBVIOUSLY_PRECISE and one.color >= OBVIOUSLY_COLORED
 
 
 def _explained(image: Mask, chosen: list[PlacedModel]) -> Mask:
@@ -201,11 +199,13 @@ def _chosen(sure: list[PlacedModel]) -> list[PlacedModel]:
 def _of_explained_regions(scene: ObservedScene, chosen: list[PlacedModel]) -> list[PlacedModel]:
     """Return the models whose regions are explained, together with the other models.
 
-    A model that explains only a part of a region is right if something else is there, or a lookalike of the object.
+    A model that explains only a part of its region is right if other models explain the rest, and otherwise may be a
+    lookalike of the object. Models that were located have no region.
     """
     explained = grown(_explained(scene.standing, chosen), disk(NARROW)) | (scene.points_W[..., 2] < FLAT)
-    left = [float((one.whole & ~explained).sum()) / max(1, int(one.whole.sum())) for one in chosen]
-    kept = [one for one, share in zip(chosen, left, strict=True) if share <= LEFT_SHARE]
+    kept = [
+        one for one in chosen if one.source == "located" or (one.seed & ~explained).sum() <= LEFT_SHARE * one.seed.sum()
+    ]
     return kept if len(kept) == len(chosen) else _of_explained_regions(scene, kept)
 
 

@@ -70,10 +70,10 @@ class CadLookup:
 
     def candidates(self, evidence: Evidence) -> list[FitCandidate]:
         """Return the model that explains the evidence best, at its pose, if any is likely."""
-        known = self.known
-        if known is not None and not known.is_sure:
-            known = self._refined(evidence, known)
-        found = best_match(evidence, self.library) if self.known is None else known
+        if self.known is None:
+            found = best_match(evidence, self.library)
+        else:
+            found = self.known if self.known.is_sure else self._refined(evidence, self.known)
         if found is None:
             return []
         mesh = self.library.mesh(self.library.named(found.model))

@@ -30,33 +30,38 @@ GRAY = 0.1
 # Least cosine between a surface and the ray to it: nearer to its silhouette, a surface is off by more than it shows.
 FACING = 0.15
 
-# Where a model comes from: a region, the rest of a region, pixels in no region, or found without regions.
-Source = Literal["region", "rest", "alone", "located"]
-
-# Pixels with which models are registered, and those of the region around them, shape (h, w).
-Seed = tuple[Mask, Mask]
+# How a model was found: registered with a region of the segmentation, or located in pixels that no model explained.
+Source = Literal["region", "located"]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedModel:
-    """A model at a pose.
+    """A model at a pose, compared with an image.
 
-    ``agree`` are the pixels at which its surface was measured, with ``distance`` [m] to it, ``silhouette`` all its
-    pixels, and ``precision`` the share of its visible part at which it was measured. ``seed`` are the pixels with which
-    it was registered, and ``whole`` those of the region around it, all of which it must explain together with other
-    models. All have shape (h, w). ``color`` is the share of its visible part that has the color of the model, or 1 if
-    the model has none.
+    Attributes:
+        match: The model and its pose.
+        seed: The pixels with which it was registered, shape (h, w).
+        silhouette: All pixels that it covers, shape (h, w).
+        agree: The pixels at which its surface was measured, shape (h, w).
+        distance: Distance of what was measured there from its surface [m], shape (h, w), elsewhere infinity.
+        precision: Share of its visible part at which its surface was measured.
+        color: Share of its visible part that has its color, or 1 if it has none.
+        source: How it was found.
     """
 
     match: ModelMatch
     seed: Mask
-    whole: Mask
     silhouette: Mask
     agree: Mask
     distance: Array
     precision: float
     color: float
     source: Source
+
+    @property
+    def own_share(self) -> float:
+        """The share of the pixels with which the model was registered that it explains."""
+        return float((self.agree & self.seed).sum()) / max(1, int(self.seed.sum()))
 
     @property
     def gain(self) -> float:
@@ -67,13 +72,13 @@ class PlacedModel:
 
 @dataclass(frozen=True, eq=False)
 class PointAgreement:
-    """How many pixels a model at each of n poses explains, all of shape (n,).
+    """The agreement of a model at n poses with an image, as numbers of pixels, all of shape (n,).
 
     Attributes:
-        right: Pixels that are asked for, at which a surface of the same color was measured.
-        discolored: Pixels that are asked for, at which a surface of another color was measured.
-        missed: Pixels at which the camera saw through the model, or the support is.
-        visible: Pixels of the sides that face the camera, if nothing hides them.
+        right: Pixels to explain at which a surface of the color of the model was measured.
+        discolored: Pixels to explain at which a surface of another color was measured.
+        missed: Pixels at which the camera saw through the model, or measured the support.
+        visible: Pixels of the sides that face the camera, as if nothing hid them.
     """
 
     right: Array
@@ -113,7 +118,7 @@ class ObservedScene:
         depth = self.frame.depth
         return np.asarray(minimum_filter(np.where(np.isfinite(depth), depth, np.inf), size=3))
 
-    def placed(self, match: ModelMatch, template: MeshTemplate, seed: Seed, source: Source) -> PlacedModel:
+    def placed(self, match: ModelMatch, template: MeshTemplate, seed: Mask, source: Source) -> PlacedModel:
         """Compare a model with all of the image."""
         eye, frame = self.support.X_WC.p, self.frame
         vertices = match.X_WO.apply(template.vertices)
@@ -135,7 +140,7 @@ class ObservedScene:
         agree[window], silhouette[window] = near, hit
         precision = float(near.sum()) / max(1, int(near.sum() + missed.sum()))
         color = self._color(match, template, agree)
-        return PlacedModel(match, *seed, silhouette, agree, distance, precision, color, source)
+        return PlacedModel(match, seed, silhouette, agree, distance, precision, color, source)
 
     def _color(self, match: ModelMatch, template: MeshTemplate, asked: Mask) -> float:
         """Return the share of the pixels asked for that have the color of a model."""

@@ -52,9 +52,8 @@ def steps_doubt(depth: Array) -> Iterator[CaptureFinding]:
     steps = depth_steps(depth)
     if steps is not None and steps.is_certain and abs(steps.added) >= ADDED:
         kind = "large" if steps.added > 0 else "small"
-        message = (
-            f"all depth seems to be {abs(steps.added) * 100:.1f} cm too {kind}: only without it are its steps even"
-        )
+        length = f"{abs(steps.added) * 100:.1f} cm"
+        message = f"all depth seems to be {length} too {kind}: its steps are even only if this is corrected"
         hint = "check what is added to the depth, and the position from which it is measured"
         yield CaptureFinding(IMPLAUSIBLE, message, hint)
 

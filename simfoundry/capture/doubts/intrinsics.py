@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals, unit
+from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals
 from simfoundry.capture.findings import IMPLAUSIBLE, CaptureFinding
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.segment.masks import Labels
 from simfoundry.geometry.frames import Array
+from simfoundry.geometry.ray_casts import unit
 
 NARROWEST, WIDEST = 30.0, 100.0  # [deg] horizontal fields of view: a crop of YCB-Video has 33, a D455 90
 OFF_CENTER = 0.12  # maximum distance of the principal point from the center, as a fraction of the image's width

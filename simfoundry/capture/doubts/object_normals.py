@@ -53,8 +53,3 @@ def object_normals(frame: Frame, labels: Labels) -> ObjectNormals:
     points = Frame(frame.color[::step, ::step], depth, K).points[known]
     columns = np.nonzero(known)[1]
     return ObjectNormals(points, normals[known], small[known], columns, depth.shape[1], step, float(K[0, 0]))
-
-
-def unit(vectors: Array) -> Array:
-    """Return vectors of shape (..., 3) with a length of 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

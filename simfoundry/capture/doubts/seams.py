@@ -1,8 +1,9 @@
 """Find straight seams in an image: lines of pixels at which one part of an image ends and another one begins.
 
 A reader that loses the start of a row rolls the image, so that its borders meet inside it. Memory that is copied while
-it is written contains two images. Edges of real things are rarely as straight, as sharp and as long as such a seam.
-Objects that are beside their true place also lean, as each pixel looks in another direction; rolled back, they do not.
+it is written contains two images. Edges of real objects are rarely as straight, as sharp and as long as such a seam.
+Objects that were moved in the image also lean, because each pixel looks in another direction, and stop leaning if the
+image is rolled back.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Seam:
     wrapped: float
 
     def rolled(self, least: float) -> bool:
-        """Return true if the borders of the image continue each other, and it is interrupted inside."""
+        """Return True if the borders of the image continue each other, and it is interrupted at the seam."""
         return self.share > least and self.wrapped < CONTINUED * self.share
 
 

@@ -50,7 +50,7 @@ def scale_doubt(frame: Frame, support: SupportSurface, labels: Labels, points_W:
     spread = (DISTANCE_SPREAD**-2 + SIZE_SPREAD**-2) ** -0.5
     wide = support_width(support)
     if off > 0 and wide > WIDE:
-        message = f"the support is {wide:.1f} m wide at least, which is large for a table that is {distance:.2f} m away"
+        message = f"the support is at least {wide:.1f} m wide, which is large for a table that is {distance:.2f} m away"
         yield CaptureFinding(IMPLAUSIBLE, message, "check `scale` under `depth` in the capture")
     elif not -SMALL * spread <= off <= LARGE * spread:
         kind = "large" if off > 0 else "small"
