@@ -8,8 +8,9 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.mass import mesh as solid_of
 from simfoundry.assets.mesh_summary import NEARLY_CONVEX, file_digest
 from simfoundry.assets.primitives import KINDS, Primitive, fitted_primitives
-from simfoundry.runtime.workers import Limits, Worker, WorkerError
+from simfoundry.runtime.workers import CrashError, Limits, Worker, WorkerError
 
 # Resource limits per mesh; YCB meshes take up to a minute on one core.
 LIMITS = Limits(seconds=300.0, memory=8 * 2**30)
@@ -68,8 +69,11 @@ def decompose(
     """
     message = f"decomposing {name} into convex parts"
     report(message)
+    call = partial(_worker().call, FUNCTION, vertices, faces, wait=lambda s: report(f"{message}, {s:.0f} s"))
     try:
-        return list(_worker().call(FUNCTION, vertices, faces, wait=lambda s: report(f"{message}, {s:.0f} s")))
+        with suppress(CrashError):
+            return list(call("auto"))
+        return list(call("off"))  # the check crashed on triangles without area, and a closed mesh needs no repair
     except WorkerError as error:
         hint = "repair or simplify the mesh, or write `collision: hull`"
         raise MeshError("SF301", f"{name} could not be decomposed: CoACD {error}", hint) from None
@@ -89,12 +93,16 @@ def _worker() -> Worker:
     return Worker(LIMITS)
 
 
-def run(vertices: Array, faces: Faces) -> list[Any]:
-    """Decompose a mesh with CoACD in this process."""
+def run(vertices: Array, faces: Faces, preprocess_mode: str) -> list[Any]:
+    """Decompose a mesh with CoACD in this process.
+
+    With the mode ``auto``, CoACD checks the mesh, and repairs it if it intersects itself. With ``off``, it does not.
+    """
     import coacd
 
     coacd.set_log_level("error")
-    pieces = coacd.run_coacd(coacd.Mesh(vertices, faces), decimate=True, **SETTINGS)
+    mesh = coacd.Mesh(vertices, faces)
+    pieces = coacd.run_coacd(mesh, decimate=True, preprocess_mode=preprocess_mode, **SETTINGS)
     return [np.asarray(corners, dtype=np.float64) for corners, _ in pieces]
 
 

@@ -48,6 +48,10 @@ class WorkerError(SimfoundryError):
         self.how, self.doing = how, doing
 
 
+class CrashError(WorkerError):
+    """Raised for a call during which the subprocess ended."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """The limits of a call: the maximum time between progress reports [s] and the address space [bytes]."""
@@ -160,7 +164,7 @@ class Worker:
             raise WorkerError("was stopped", last)
         how = _ending(process.wait()) + self._last_output()
         self.close()
-        raise WorkerError(how, last)
+        raise CrashError(how, last)
 
     def _start(self) -> None:
         """Start the process in a thread that forwards its responses and sends None when the process exits.

@@ -21,7 +21,7 @@ SETTINGS: dict[str, float | int] = {
 }
 
 
-def run(vertices: Array, faces: Faces) -> list[Any]:
+def run(vertices: Array, faces: Faces, preprocess_mode: str) -> list[Any]:
     """Decompose in this process."""
     with mock.patch.dict(convex.SETTINGS, SETTINGS):
-        return convex.run(vertices, faces)
+        return convex.run(vertices, faces, preprocess_mode)

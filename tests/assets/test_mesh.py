@@ -20,6 +20,7 @@ from simfoundry.assets.deviation import ALLOWED, simplified
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.solids import lathe_mesh
+from simfoundry.runtime.workers import CrashError
 from tests.assets.meshes import blob, block, obj, rotation
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))
@@ -327,6 +328,19 @@ def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(AssertionError, match="again"):
         mesh_colliders(vertices * 1.01, faces, "auto", cache)
     assert entries(cache) == kept
+
+
+@pytest.mark.slow
+def test_a_mesh_whose_check_crashes_is_decomposed_without_it() -> None:
+    vertices, faces = ell()
+    for k, share in ((1, 0.69), (0, 0.75)):  # a point on an edge, and a triangle without area beside it
+        (a, b, c), m = faces[k], len(vertices)
+        vertices = np.vstack([vertices, vertices[a] * (1 - share) + vertices[b] * share])
+        faces = np.vstack([np.delete(faces, k, 0), [[a, m, c], [m, b, c], [a, b, m]]])
+    with pytest.raises(CrashError):
+        convex_file._worker().call(convex_file.FUNCTION, vertices, faces, "auto")
+    parts = mesh_colliders(vertices, faces, "decompose").parts
+    assert sum(mass.mesh(*p).volume for p in parts) == pytest.approx(mass.mesh(*ell()).volume, rel=0.05)
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK", b"x" * 1000])
