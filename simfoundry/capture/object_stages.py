@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -137,7 +138,7 @@ def cleared_images_of(
     inputs |= {"supports": digest_of(view.segmentation.supports)}
     compute = partial(cleared_images, view.frame, view.support, view.segmentation, shapes)
     with suppress(StaleStageError):
-        cleared = view.stages.run("remove", inputs, compute).value
+        cleared = view.stages.run("remove", inputs, compute, shared=True).value
         painted = inpainted_images(view.frame, cleared, models)
         return (cleared, ()) if painted is None else (painted.value, painted.models)
     return (), ()
@@ -168,15 +169,17 @@ def fitted_shapes(
             inputs |= {"cad": cad.digest, "known": digest_of(lookup.known)}
         inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
         compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others, suggest=suggest)
-        return view.stages.run("shape", inputs, compute, str(k)).value
+        return view.stages.run("shape", inputs, compute, str(k), shared=cad is None).value
 
-    shapes, carriers, findings = fit_segments(
-        view.frame,
-        view.support,
-        view.segmentation,
-        lambda stage, share: progress(stage, 0.3 + 0.4 * share),
-        fit,
-    )
+    with ThreadPoolExecutor(view.stages.size) as threads:
+        shapes, carriers, findings = fit_segments(
+            view.frame,
+            view.support,
+            view.segmentation,
+            lambda stage, share: progress(stage, 0.3 + 0.4 * share),
+            fit,
+            threads.map,
+        )
     if not shapes:
         raise CaptureError("SF504", "could not fit any object", "; ".join(f.message for f in findings))
     return shapes, carriers, findings
@@ -212,35 +215,43 @@ def textured_objects(
     ]
     support = replace(view.support, outline=beneath(view.support.outline, grounded))
 
-    def slab() -> tuple[float | None, Mesh]:
-        thickness = measured_thickness(frame, support)
-        return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
-
     inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels)}
-    with in_background(partial(view.stages.run, "texture", inputs, slab, SUPPORT_NAME)) as painted_support:
+    paint = partial(_painted_support, frame, support, labels)
+    with in_background(partial(view.stages.run, "texture", inputs, paint, SUPPORT_NAME, shared=True)) as painted:
         meshes = painted_meshes(view, shapes, given, progress)
-    thickness, top = painted_support().value
+    thickness, top = painted().value
     return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
+
+
+def _painted_support(frame: Frame, support: SupportSurface, labels: Labels) -> tuple[float | None, Mesh]:
+    """Return the measured thickness of the support [m], or None, and its textured mesh."""
+    thickness = measured_thickness(frame, support)
+    return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
 
 
 def painted_meshes(
     view: SegmentedView, shapes: dict[int, FittedShape], given: Mapping[int, Mesh], progress: Progress
 ) -> dict[int, Mesh]:
     """Return the objects as textured meshes. ``given`` contains meshes that may have a texture."""
-    meshes = {}
-    for done, (k, shape) in enumerate(shapes.items()):
-        progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
+
+    def painted(k: int) -> Mesh | None:
+        own = given.get(k, shapes[k].geometry)
         if k in view.segmentation.surfaces:
-            meshes[k] = _level_mesh(view, k, shape)
-            continue
-        own = given.get(k, shape.geometry)
+            return _level_mesh(view, k, shapes[k])
         if isinstance(own, Mesh) and own.texture is not None:
-            meshes[k] = own
-            continue
-        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(replace(shape, confidence=0.0))}
-        paint = partial(textured_mesh, shape, view.frame, view.support, view.mask(k))
+            return own
+        sure = replace(shapes[k], confidence=0.0)
+        inputs = {**view.seen, "mask": digest_of(view.mask(k)), "shape": digest_of(sure)}
+        paint = partial(textured_mesh, shapes[k], view.frame, view.support, view.mask(k))
         with suppress(StaleStageError):
-            meshes[k] = view.stages.run("texture", inputs, paint, str(k)).value
+            return view.stages.run("texture", inputs, paint, str(k), shared=True).value
+        return None
+
+    meshes: dict[int, Mesh] = {}
+    with ThreadPoolExecutor(view.stages.size) as threads:
+        for done, (k, mesh) in enumerate(zip(shapes, threads.map(painted, shapes), strict=True)):
+            progress(f"texture {k}", 0.7 + 0.3 * done / len(shapes))
+            meshes |= {} if mesh is None else {k: mesh}
     return meshes
 
 

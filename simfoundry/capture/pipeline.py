@@ -43,6 +43,15 @@ from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.surroundings import BackgroundSpec, LightSpec
 
+# What the long stages of objects need, which a second process may run.
+SHARED_MODULES = (
+    "simfoundry.capture.object_stages",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.spatial",
+    "shapely",
+)
+
 CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
 
 
@@ -143,8 +152,14 @@ def reconstruct(
 
 def _found_support(measured: Frame, seen: Mapping[str, str], stages: StageRunner) -> StageResult[SupportSurface]:
     """Find the support of an image as it was measured. ``seen`` is the digest of the image."""
+
+    def find() -> SupportSurface:
+        if stages.processes is not None:  # all objects of an image that was not seen before will be fitted
+            stages.processes.start(SHARED_MODULES)
+        return support_of(measured)
+
     chosen = "" if measured.support is None else measured.support.model_dump_json()
-    return stages.run("support", {**seen, "chosen": chosen}, lambda: support_of(measured))
+    return stages.run("support", {**seen, "chosen": chosen}, find)
 
 
 def _placed_objects(
@@ -165,7 +180,7 @@ def _image_doubts(view: SegmentedView, measured: Frame) -> tuple[CaptureFinding,
     """Return what is doubtful about an image as it was measured."""
     inputs = {**view.seen, "segments": digest_of(view.segmentation)}
     look = partial(image_doubts, measured, view.support, view.segmentation)
-    return view.stages.run("doubts", inputs, look, quick=True).value
+    return view.stages.run("doubts", inputs, look, quick=True, shared=True).value
 
 
 def _with_joints(

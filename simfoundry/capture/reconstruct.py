@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -71,6 +71,10 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
 # Fits one segment, given the image, its pixels, the height [m] of what it stands on, what is around it, and its number.
 SegmentFit = Callable[[Frame, Mask, float, Labels, int], FittedShape]
 
+# Applies a function to each number, in order, as ``map`` does, and perhaps in several threads.
+Fitted = FittedShape | CaptureFinding
+ForEach = Callable[[Callable[[int], Fitted], Sequence[int]], Iterable[Fitted]]
+
 # Margin [px] around an object within which other objects matter to its fit, beside a share of its size: that of rays.
 MARGIN_PX = 7
 
@@ -96,11 +100,13 @@ def fit_segments(
     segmentation: Segmentation,
     report: Progress,
     fit: SegmentFit | None = None,
+    each: ForEach = map,
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[CaptureFinding, ...]]:
     """Fit a shape to every segment, from the bottom up.
 
     ``fit`` fits one segment, for example by reusing an earlier result. The default is :func:`fit_shape`. It is given
-    large images at a lower resolution.
+    large images at a lower resolution. ``each`` applies it to the segments that stand equally far up in a pile, which
+    it may fit at the same time.
 
     Returns:
         The fitted shapes by segment number, the number of the support of each segment (0 for the table), and a finding
@@ -109,31 +115,37 @@ def fit_segments(
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
     findings = []
-    order, whole = _bottom_up(segmentation), segmentation
+    layers, whole = _bottom_up(segmentation), segmentation
     step = reduction(frame.depth.shape)
     frame, segmentation = reduced_frame(frame, step), reduced_segmentation(segmentation, step)
-    for done, k in enumerate(order):
-        report(f"shape {k}", done / len(order))
-        if k in segmentation.surfaces:
-            shapes[k], carriers[k] = level_shape(frame, support, support.levels[segmentation.surfaces[k]], ()), 0
-            continue
-        carriers[k], base_z = _carrier(frame, support, segmentation, shapes, k)
+    for k, index in segmentation.surfaces.items():
+        shapes[k], carriers[k] = level_shape(frame, support, support.levels[index], ()), 0
+
+    def fitted(k: int) -> Fitted:
+        seen, mask = without_occluders(frame, segmentation, k), segmentation.labels == k
+        others = nearby_labels(segmentation.labels, k)
         try:
-            seen = without_occluders(frame, segmentation, k)
-            mask, others = segmentation.labels == k, nearby_labels(segmentation.labels, k)
-            shape = (
-                fit_shape(seen, support, mask, base_z, labels=others)
-                if fit is None
-                else fit(seen, mask, base_z, others, k)
-            )
+            if fit is None:
+                return fit_shape(seen, support, mask, heights[k], labels=others)
+            return fit(seen, mask, heights[k], others, k)
         except CaptureError as error:
-            findings.append(left_out(whole, k, error.message))
-            continue
-        if shape.confidence < DOUBTFUL:
-            findings.append(unsure(whole, k, shape.confidence))
-        shapes[k] = shape
-        if carriers[k]:
-            shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
+            return left_out(whole, k, error.message)
+
+    for layer in layers:
+        numbers = [k for k in layer if k not in segmentation.surfaces]
+        standing = {k: _carrier(frame, support, segmentation, shapes, k) for k in numbers}
+        heights = {k: base_z for k, (_, base_z) in standing.items()}
+        for k, shape in zip(numbers, each(fitted, numbers), strict=True):
+            report(f"shape {k}", len(carriers) / sum(map(len, layers)))
+            carriers[k] = standing[k][0]
+            if isinstance(shape, CaptureFinding):
+                findings.append(shape)
+                continue
+            if shape.confidence < DOUBTFUL:
+                findings.append(unsure(whole, k, shape.confidence))
+            shapes[k] = shape
+            if carriers[k]:
+                shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
     for k, index in segmentation.surfaces.items():
         carried = [footprint(shapes[on]) for on, carrier in carriers.items() if carrier == k and on in shapes]
         shapes[k] = level_shape(frame, support, support.levels[index], carried)
@@ -176,15 +188,16 @@ def unsure(segmentation: Segmentation, k: int, confidence: float) -> CaptureFind
     return CaptureFinding(UNSURE, message, hint, outline=outline_of(segmentation.labels == k))
 
 
-def _bottom_up(segmentation: Segmentation) -> list[int]:
-    """Return the object numbers in an order in which every object comes after its support."""
+def _bottom_up(segmentation: Segmentation) -> list[list[int]]:
+    """Return the object numbers in layers: those on the table, those on these, and so on."""
     numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
 
     def level(k: int, seen: frozenset[int] = frozenset()) -> int:
         on = segmentation.supports.get(k, 0)
         return 0 if on == 0 or k in seen else 1 + level(on, seen | {k})
 
-    return sorted(numbers, key=lambda k: (level(k), k))
+    levels = {k: level(k) for k in numbers}
+    return [[k for k in numbers if levels[k] == each] for each in sorted(set(levels.values()))]
 
 
 def _carrier(

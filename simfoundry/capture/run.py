@@ -32,6 +32,7 @@ from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
 from simfoundry.render.raycast import raycast
 from simfoundry.runtime.files import file_digests, write_file, write_files
+from simfoundry.runtime.process_pair import ProcessPair
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.spec.diagnostics import SpecError
@@ -81,6 +82,7 @@ class CaptureOptions:
         setup: The models to ask; by default, those that are configured for the capture.
         tasks: A request for tasks in the scene.
         cad: A folder of CAD models, instead of the one that the capture states.
+        processes: The processes that share long work, or None for this one.
     """
 
     frame: str | None = None
@@ -93,6 +95,7 @@ class CaptureOptions:
     setup: ModelSetup | None = None
     tasks: TaskRequest | None = None
     cad: Path | None = None
+    processes: ProcessPair | None = None
 
 
 def run_capture(
@@ -129,7 +132,8 @@ def run_capture(
     try:
         with stage_store(previous.folder) as store:
             write_source(store.folder, loaded.path, frame_name, options.cad)
-            stages = StageRunner(store, options.redo_from or ("shape" if options.only else None), labels)
+            redo_from = options.redo_from or ("shape" if options.only else None)
+            stages = StageRunner(store, redo_from, labels, processes=options.processes)
             source = load_stage(loaded, frame_name, stages, models)
             views = partial(posed_views, loaded, frame_name, models)
             stated = statements(loaded, frame_name, previous, source.value)

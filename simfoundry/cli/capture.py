@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +61,7 @@ class _WithStatus(click.Command):
 @click.option("--cad", type=FOLDER, help="Folder of meshes, in meters, that objects may be, instead of the stated one.")
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 @click.option("--tasks", type=click.IntRange(1, 1000), metavar="N", help="Also write N tasks that the scene affords.")
+@click.option("--watch", is_flag=True, help="Stay, and run again after each change of the capture or of your edits.")
 @commercial_only_option
 def capture_command(
     capture: Path,
@@ -70,6 +74,7 @@ def capture_command(
     cad: Path | None,
     codes: tuple[str, ...],
     tasks: int | None,
+    watch: bool,
     commercial_only: bool,
     as_json: bool,
 ) -> int:
@@ -80,7 +85,7 @@ def capture_command(
     printed and added to the report, and the exit code is 1. `--accept` goes on without the findings of one code.
 
     A new run repeats only what depends on what has changed, and keeps your edits of the scene, of masks.png and of
-    masks.yaml. `simfoundry capture status OUT` lists the stages.
+    masks.yaml. `simfoundry capture status OUT` lists the stages. `--watch` stays and does so after each change.
 
     No model is needed. One that is configured for `read_scene` names the objects, and estimates their masses.
 
@@ -93,22 +98,55 @@ def capture_command(
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.findings import accepted_codes
+    from simfoundry.capture.pipeline import SHARED_MODULES
     from simfoundry.capture.run import CaptureOptions, run_capture
     from simfoundry.models.setup import load_setup
     from simfoundry.reports.capture import capture_page
+    from simfoundry.runtime.process_pair import ProcessPair
 
     accepted, models = accepted_codes(codes), load_setup(capture, commercial_only=commercial_only)
     request = None if tasks is None else _task_request(tasks, models)
-    options = CaptureOptions(frame, force, accepted, redo_from, only, against, capture_page, models, request, cad)
-    with output.progress_bar(as_json) as progress:
-        run = run_capture(capture, out or _default_out(capture), progress, Cache.default(), options)
-    verdict = output.DONE if run.report["passed"] else output.FINDINGS
-    if as_json:
-        stages = [{"stage": name, "object": label, "state": state} for (name, label), state in run.states.items()]
-        output.print_json({"scene": str(run.scene_file), **run.report, "stages": stages})
-        return verdict
-    _print_run(run, accepted)
-    return verdict
+    with ProcessPair() as pair:
+        options = CaptureOptions(
+            frame, force, accepted, redo_from, only, against, capture_page, models, request, cad, pair
+        )
+
+        def reconstruct(options: CaptureOptions) -> CaptureRun:
+            with output.progress_bar(as_json) as progress:
+                run = run_capture(capture, out or _default_out(capture), progress, Cache.default(), options)
+            _print_run(run, accepted, as_json)
+            return run
+
+        run = reconstruct(options)
+        if watch:
+            pair.start(SHARED_MODULES)
+            again = partial(reconstruct, replace(options, force=False, redo_from=None, only=()))
+            run = _follow(run, again, as_json)
+    return output.DONE if run.report["passed"] else output.FINDINGS
+
+
+def _follow(run: CaptureRun, again: Callable[[], CaptureRun], as_json: bool) -> CaptureRun:
+    """Run a capture again after each change, until the user interrupts it, and return the last run."""
+    from simfoundry.capture.watch import follow
+
+    last = run
+
+    def attempt(**_options: bool) -> None:
+        nonlocal last
+        last = again()
+
+    def once_more() -> CaptureRun | None:
+        before = last
+        try:
+            output.reporting(attempt)(as_json=as_json)
+        except click.ClickException as error:  # what cannot be used now may be complete after the next change
+            error.show()
+        return None if last is before else last
+
+    click.echo("watching for changes; press Ctrl-C to end", err=True)
+    with suppress(KeyboardInterrupt):
+        follow(run, once_more)
+    return last
 
 
 def _default_out(capture: Path) -> Path:
@@ -118,10 +156,14 @@ def _default_out(capture: Path) -> Path:
     return Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
 
 
-def _print_run(run: CaptureRun, accepted: Collection[str]) -> None:
+def _print_run(run: CaptureRun, accepted: Collection[str], as_json: bool) -> None:
     """Print how the objects settled, the findings, the accuracy and the tasks if there are any, and the files."""
     from simfoundry.reports.capture import accuracy_text
 
+    if as_json:
+        stages = [{"stage": name, "object": label, "state": state} for (name, label), state in run.states.items()]
+        output.print_json({"scene": str(run.scene_file), **run.report, "stages": stages})
+        return
     click.echo(settle_table(run.settled.objects))
     for finding in run.findings:
         click.echo(finding.text() + (" (accepted)" if finding.code in accepted else ""))

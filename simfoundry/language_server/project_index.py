@@ -6,11 +6,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from simfoundry.runtime.file_changes import Stamp
 from simfoundry.spec.diagnostics import Severity, SpecError
 from simfoundry.spec.names.mentions import DocumentNames
 from simfoundry.spec.names.project import ProjectNames
 from simfoundry.spec.names.rename import DocumentEdit, RenameError, new_findings, rename_edits, shown_path
-from simfoundry.spec.open_documents import OpenDocuments, Stamp
+from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.project import document_files
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+from simfoundry.runtime.file_changes import Stamp, file_stamp
 from simfoundry.spec.diagnostics import Severity
 from simfoundry.spec.files import Loaded, resolved
 from simfoundry.spec.load import Known, load
@@ -15,9 +16,6 @@ from simfoundry.spec.yaml.text import Document, parse, read
 
 # Maximum number of documents that are kept, which limits the memory; a project of 100 objects has about as many.
 MAX_KEPT = 256
-
-# What identifies a state of a file: the version of its open text, or its inode, size and time of change on disk.
-Stamp = tuple[int, ...]
 
 
 class _Text(NamedTuple):
@@ -74,7 +72,7 @@ class OpenDocuments:
         """Return what identifies the text of a file, which differs after each edit and each change on disk."""
         file = os.path.realpath(path)
         shown = self._texts.get(file)
-        return _stamp(file) if shown is None else (shown.version,)
+        return file_stamp(Path(file)) if shown is None else (shown.version,)
 
     def load(self, path: Path) -> Loaded:
         """Read and check one document; see :func:`simfoundry.spec.load.load`."""
@@ -134,11 +132,3 @@ class OpenDocuments:
         if path not in found:
             found[path] = self.stamp(Path(path))
         return found[path]
-
-
-def _stamp(file: str) -> Stamp:
-    try:
-        found = Path(file).stat()
-    except OSError:
-        return ()
-    return found.st_ino, found.st_size, found.st_mtime_ns

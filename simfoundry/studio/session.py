@@ -12,11 +12,12 @@ from threading import RLock
 from types import MappingProxyType
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.file_changes import Stamp
 from simfoundry.spec.change.edit_data import edited_text
 from simfoundry.spec.change.edit_text import prepare_edit
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
-from simfoundry.spec.open_documents import OpenDocuments, Stamp
+from simfoundry.spec.open_documents import OpenDocuments
 from simfoundry.spec.project import project_root
 from simfoundry.studio.acts.act import Act, ActEdits, ActError, resolved_path
 from simfoundry.studio.disk import DiskQuestion, answered

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.reconstruct import Progress
 from simfoundry.capture.run import CaptureOptions, CaptureRun, run_capture
 
 
-def again(folder: Path, **options: Any) -> CaptureRun:
-    return run_capture(
-        folder / "capture", folder / "out", cache=Cache(folder / "cache"), options=CaptureOptions(**options)
-    )
+def again(folder: Path, progress: Progress = lambda stage, share: None, **options: Any) -> CaptureRun:
+    cache = Cache(folder / "cache")
+    return run_capture(folder / "capture", folder / "out", progress, cache, CaptureOptions(**options))
 
 
 def ran(run: CaptureRun) -> set[tuple[str, str]]:

@@ -14,6 +14,7 @@ from typing import Any
 
 from simfoundry.capture.stages.store import StageStore
 from simfoundry.errors import OutputError, PicklableError
+from simfoundry.runtime.file_changes import Stamp, folder_stamps
 from simfoundry.runtime.files import LISTED, locked_folder, replace_folder, scratch, strangers
 
 # Folder in the output with the results of stages.
@@ -42,6 +43,7 @@ class PreviousOutput:
         edited: Files among them that a person has edited since.
         foreign: Relative paths of the files that no run wrote.
         numbers: Numbers of the objects in the last run, by name.
+        stamps: Stamps of all files, by which an edit during the run is noticed.
     """
 
     folder: Path
@@ -50,6 +52,7 @@ class PreviousOutput:
     edited: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict)
+    stamps: Mapping[Path, Stamp] = field(default_factory=dict)
 
     def edited_masks(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Return which of the files ``names`` contain edits, from before or since the last run."""
@@ -73,8 +76,9 @@ def previous_output(out: Path, document: Path, scene: str, force: bool) -> Previ
     """
     if document.resolve().is_relative_to(out):
         raise OutputError(f"{out} contains the capture itself; choose another output folder")
+    stamps = output_stamps(out)
     if force or not out.is_dir():
-        return PreviousOutput(out)
+        return PreviousOutput(out, stamps=stamps)
     report = _report_of(out)
     written = {str(path): str(digest) for path, digest in report.get("files", {}).items()}
     known = [*written, *([REPORT] if written else [])]
@@ -96,7 +100,12 @@ def previous_output(out: Path, document: Path, scene: str, force: bool) -> Previ
             f"{LAST_SCENE} exists, are merged), choose another folder, or discard the edits with --force"
         )
     kept = tuple(str(path) for path in report.get("edited", ()))
-    return PreviousOutput(out, written, kept, tuple(edited), tuple(foreign), numbers_in(report))
+    return PreviousOutput(out, written, kept, tuple(edited), tuple(foreign), numbers_in(report), stamps)
+
+
+def output_stamps(out: Path) -> dict[Path, Stamp]:
+    """Return the stamps of the files in ``out``, without the results of stages."""
+    return folder_stamps(out, (STAGES_FOLDER,))
 
 
 def numbers_in(report: Mapping[str, Any]) -> dict[str, int]:
@@ -151,11 +160,14 @@ def staged_output(previous: PreviousOutput) -> Iterator[Path]:
     The results of stages and the files that no run wrote stay in the output folder.
 
     Raises:
-        OutputError: The run wrote a file whose name one of these files has.
+        OutputError: The run wrote a file whose name one of these files has, or someone edited files meanwhile.
     """
     out = previous.folder
     with scratch(out.parent, out.name) as staging:
         yield staging
+        changed = [str(path) for path, _ in {*output_stamps(out).items()} ^ {*previous.stamps.items()}]
+        if changed:
+            raise OutputError(f"{min(changed)} was changed during the run; run the command again to use it")
         for path in previous.foreign:
             if (staging / path).exists():
                 raise OutputError(f"{out / path} was not written by a capture and would be replaced; move it away")

@@ -80,15 +80,15 @@ def settle_objects(
             will_rest = not settled.lost and not toppled
             with in_background(partial(draw, scene, settled.state)) if will_rest else nullcontext():
                 lost = settled.lost or _leaving(world, spec)
+                if will_rest and not lost:
+                    supports = {o.name: o.supports for o in settled.objects}
+                    spec = with_containers(with_supports(spec, supports), scene)
+                    break
         toppled = tuple(name for name in toppled if name not in lost)
-        if not lost and not toppled:
-            break
         for name in _suspects(built, (*lost, *toppled)):
             built = _supported(built, name, frame)
         for folder in ("meshes", ARTICULATED):
             shutil.rmtree(scene_file.parent / folder, ignore_errors=True)
-    supports = {o.name: o.supports for o in settled.objects}
-    spec = with_containers(with_supports(spec, supports), scene)
     write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
 

@@ -130,13 +130,18 @@ def fit_shape(
         message = f"an object has depth at only {count} pixels; fitting a shape requires {MIN_POINTS}"
         hint = "provide a mask for it, move the camera closer, or leave the object out"
         raise CaptureError("SF505", message, hint)
-    reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = [with_handle(candidate, evidence) for candidate in candidates(evidence)]
     known = [] if suggest is None else [c for c in suggest(evidence) if _is_likely(c.agreement)]
-    best = choose([*(c for c in found if max(size_of(c.geometry)) <= reach), *known] or found[:1])
+    best = choose([*(c for c in found if _is_plausible(c, evidence)), *known] or [fit_box(evidence)])
     others = sorted((c for c in found if c is not best and c.family in STABLE), key=lambda c: c.cost)
     kept = [*others[:MAX_ALTERNATIVES], *(c for c in known if c is not best)]
     return replace(_fitted(best, evidence), alternatives=tuple(_fitted(c, evidence) for c in kept))
+
+
+def _is_plausible(candidate: FitCandidate, evidence: Evidence) -> bool:
+    """Return True if a solid is not much larger than the visible part of the object."""
+    reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
+    return max(size_of(candidate.geometry)) <= reach
 
 
 def _is_likely(result: RayAgreement) -> bool:
@@ -179,26 +184,32 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
     return best if new - old >= GAIN or best.cost < simple.cost - COST_GAIN else simple
 
 
+# Fits of solids that do not follow the visible points: those that take little time or are often right come first.
+RIGID = (
+    fit_cylinder,
+    fit_sphere,
+    fit_hollow,
+    fit_box,
+    fit_lathe,
+    fit_lying_cylinder,
+    fit_open_box,
+    fit_leaning_box,
+)
+
+
 def candidates(evidence: Evidence) -> list[FitCandidate]:
     """Fit every family of shapes that the evidence supports.
 
-    If there are only a few points, these families are boxes and cylinders.
+    If there are only a few points, these families are boxes and cylinders. The search for a solid ends early if it is
+    not expected to cost less than the best one before.
     """
-    found = [fit_box(evidence), fit_cylinder(evidence)]
+    few, found = (fit_cylinder, fit_box), list[FitCandidate]()
+    for fit in RIGID if len(evidence.points) >= FEW_POINTS else few:
+        one = fit(evidence, min((c.cost for c in found if _is_plausible(c, evidence)), default=math.inf))
+        found += [] if one is None else [one]
     if len(evidence.points) < FEW_POINTS:
         return found
-    families = (
-        fit_lying_cylinder,
-        fit_sphere,
-        fit_lathe,
-        fit_hollow,
-        fit_open_box,
-        complete,
-        fit_leaning_box,
-        fit_relief,
-        fit_mirrored_relief,
-    )
-    found += filter(None, (fit(evidence) for fit in families))
+    found += filter(None, (fit(evidence) for fit in (complete, fit_relief, fit_mirrored_relief)))
     if min(c.cost for c in found if c.family not in FLEXIBLE) > POOR:
         found += filter(None, (fit(evidence) for fit in (fit_tilted, fit_tilted_hollow)))
     return found

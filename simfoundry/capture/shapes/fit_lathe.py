@@ -5,13 +5,14 @@ Bottles and jars are solid, whereas bowls, cups and pots are hollow.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from simfoundry.capture.segment.masks import Mask
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, binned_medians, smooth_gaps
-from simfoundry.capture.shapes.fit_primitives import search, start_axis
+from simfoundry.capture.shapes.fit_primitives import promising_cost, search, start_axis
 from simfoundry.capture.shapes.solid_casts import cast_lathe
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import revolved
@@ -26,15 +27,16 @@ _MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
 _MIN_IN_LEVEL = 4  # minimum number of points in a level for computing a median
 
 
-def fit_lathe(evidence: Evidence) -> FitCandidate | None:
+def fit_lathe(evidence: Evidence, rival: float = math.inf) -> FitCandidate | None:
     """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence.
 
     The result is None if its profile would cross itself.
     """
-    return body_of_revolution("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile))
+    most = promising_cost("lathe", rival)
+    return body_of_revolution("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile, most))
 
 
-def fit_hollow(evidence: Evidence) -> FitCandidate | None:
+def fit_hollow(evidence: Evidence, rival: float = math.inf) -> FitCandidate | None:
     """Fit the open container of revolution that best explains the evidence.
 
     The result is None if there are no points inside a rim.
@@ -42,22 +44,25 @@ def fit_hollow(evidence: Evidence) -> FitCandidate | None:
     axis, radius = rim_axis(evidence)
     if not is_open(evidence, axis, radius):
         return None
-    axis, profile = _fit(evidence, axis, radius, hollow_profile)
+    axis, profile = _fit(evidence, axis, radius, hollow_profile, promising_cost("hollow", rival))
     if not is_open(evidence, axis, float(profile[:, 0].max())):
         return None
     return body_of_revolution("hollow", evidence, axis, profile)
 
 
 def _fit(
-    evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array]
+    evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array], most: float
 ) -> tuple[Array, Array]:
-    """Search for the best axis near ``axis`` [m], and return it along with the profile about it."""
+    """Search for the best axis near ``axis`` [m], and return it along with the profile about it.
+
+    The search ends early if the cost remains above ``most``.
+    """
 
     def cost(x: Array) -> float:
         return profile_cost(evidence, x, profile_of(evidence, x))
 
     start = min((axis + shift * radius * evidence.view for shift in (-0.3, 0.0, 0.3)), key=cost)
-    _, best = search(cost, start, np.array([0.15 * radius, 0.15 * radius]), 60)
+    _, best = search(cost, start, np.array([0.15 * radius, 0.15 * radius]), 60, most)
     return best, profile_of(evidence, best)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.capture.shapes.closest_points import rotations_about
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate
-from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR, SMALLEST, search
+from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR, SMALLEST, promising_cost, search
 from simfoundry.capture.shapes.register_mesh import misplacement
 from simfoundry.capture.shapes.solid_casts import cast_box
 from simfoundry.capture.shapes.visible_cloud import VisibleCloud
@@ -31,7 +31,7 @@ UPRIGHT_DEG = 7.0
 STEPS, EVALUATIONS = (0.006,) * 3 + (0.07,) * 3 + (0.01,) * 3, 220
 
 
-def fit_leaning_box(evidence: Evidence) -> FitCandidate | None:
+def fit_leaning_box(evidence: Evidence, rival: float = math.inf) -> FitCandidate | None:
     """Return the box in any orientation that explains the evidence best, or None if it is upright."""
     cloud = VisibleCloud.of(evidence, POINTS)
     axes, is_deep = _axes(cloud)
@@ -56,7 +56,7 @@ def fit_leaning_box(evidence: Evidence) -> FitCandidate | None:
 
     x = np.zeros(len(STEPS))
     for scale in (1.0, 0.4):
-        value, x = search(cost, x, scale * np.array(STEPS), EVALUATIONS)
+        value, x = search(cost, x, scale * np.array(STEPS), EVALUATIONS, promising_cost("leaning", rival))
     size, X_WO = box(x)
     if np.abs(X_WO.rotation[2]).max() > math.cos(math.radians(UPRIGHT_DEG)):
         return None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from simfoundry.capture.segment.masks import Mask
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement
-from simfoundry.capture.shapes.fit_primitives import SMALLEST, box_around, search, upright_box, walk
+from simfoundry.capture.shapes.fit_primitives import SMALLEST, box_around, promising_cost, search, upright_box, walk
 from simfoundry.capture.shapes.solid_casts import cast_open_box
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
@@ -19,7 +21,7 @@ YAW_STEP_DEG = 6.0  # [deg] between starts; the search turns a box by more than 
 EVALUATIONS = 320
 
 
-def fit_open_box(evidence: Evidence) -> FitCandidate | None:
+def fit_open_box(evidence: Evidence, rival: float = math.inf) -> FitCandidate | None:
     """Return the open box on ``base_z`` that best explains the evidence, or None if no point is inside its walls."""
 
     def cost(x: Array) -> float:
@@ -32,8 +34,9 @@ def fit_open_box(evidence: Evidence) -> FitCandidate | None:
     if _inside(evidence, start).mean() < SEEN_INSIDE:
         return None
     steps = np.array([0.006, 0.006, np.radians(4), 0.008, 0.008, 0.006, 0.003])
-    value, best = search(cost, start, steps, EVALUATIONS)
-    best = walk(cost, value, best)
+    most = promising_cost("open_box", rival)
+    value, best = search(cost, start, steps, EVALUATIONS, most)
+    best = walk(cost, value, best) if value <= most else best
     if _inside(evidence, best).mean() < SEEN_INSIDE:
         return None
     size, wall, X_WO = _solid(evidence, best)

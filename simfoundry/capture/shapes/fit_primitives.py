@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import count
 
 import numpy as np
 
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement
-from simfoundry.capture.shapes.solid_casts import SolidHits, cast_box, cast_lathe, cast_sphere
+from simfoundry.capture.shapes.evidence import PRIOR, Evidence, FitCandidate, RayAgreement
+from simfoundry.capture.shapes.solid_casts import SolidHits, cast_box, cast_cylinder, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
@@ -23,20 +24,39 @@ _WORTH = 1e-5  # minimum cost reduction for accepting a step
 Solid = tuple[Cylinder | Sphere, Pose]
 
 
-def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
+# Iterations of a search after which it ends unless it may still find less than the rival's cost, and how much lower the
+# cost may still become. After 20 iterations, it becomes at most 0.07 lower for 95 of 100 cylinders, and 0.19 for all.
+EARLY, HOPE = 20, 0.15
+
+
+def search(
+    cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int, most: float = math.inf
+) -> tuple[float, Array]:
     """Minimize ``cost`` with the Nelder-Mead method, starting from ``start``.
 
-    ``steps`` are the edges of the initial simplex. The result is deterministic.
+    ``steps`` are the edges of the initial simplex. The search ends early if the cost remains above ``most`` for
+    :data:`EARLY` iterations. The result is deterministic.
 
     Returns:
         The minimum cost and its parameters.
     """
-    from scipy.optimize import minimize
+    from scipy.optimize import OptimizeResult, minimize
+
+    iterations = count(1)
+
+    def end_early(intermediate_result: OptimizeResult) -> None:
+        if next(iterations) == EARLY and intermediate_result.fun > most:
+            raise StopIteration
 
     simplex = np.vstack([start, start + np.diag(steps)])
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 2e-4, "fatol": 1e-4}
-    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    found = minimize(cost, start, method="Nelder-Mead", options=options, callback=end_early)
     return float(found.fun), np.asarray(found.x, dtype=np.float64)
+
+
+def promising_cost(family: str, rival: float) -> float:
+    """Return the cost above which a search for a solid of a family is not expected to beat a rival's cost."""
+    return rival - PRIOR[family] + HOPE
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
@@ -54,7 +74,7 @@ def start_axis(evidence: Evidence) -> tuple[Array, float]:
     return across * (low + high) / 2 + view * (np.percentile(s, 2.0) + radius), float(radius)
 
 
-def fit_cylinder(evidence: Evidence) -> FitCandidate:
+def fit_cylinder(evidence: Evidence, rival: float = math.inf) -> FitCandidate:
     """Fit the upright cylinder on ``base_z`` that best explains the evidence."""
     axis, radius = start_axis(evidence)
 
@@ -69,10 +89,10 @@ def fit_cylinder(evidence: Evidence) -> FitCandidate:
         middle = axis + radius * (shift * evidence.across + (growth - 1) * evidence.view)
         starts.append(np.array([*middle, growth * radius, evidence.top - evidence.base_z]))
     steps = np.array([0.25 * radius, 0.25 * radius, 0.12 * radius, 0.008])
-    return _fit_round("cylinder", evidence, solid, starts, steps, 220)
+    return _fit_round("cylinder", evidence, solid, starts, steps, 220, rival)
 
 
-def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
+def fit_lying_cylinder(evidence: Evidence, rival: float = math.inf) -> FitCandidate:
     """Fit the cylinder lying on ``base_z`` that best explains the evidence.
 
     The axis of the cylinder is horizontal.
@@ -95,10 +115,10 @@ def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
         offset = float(np.median(ridge[:, :2] @ side))
         starts.append(np.array([*(along * (low + high) / 2 + side * offset), yaw, radius, high - low]))
     steps = np.array([0.008, 0.008, 0.12, 0.15 * radius, 0.01])
-    return _fit_round("lying", evidence, solid, starts, steps, 220)
+    return _fit_round("lying", evidence, solid, starts, steps, 220, rival)
 
 
-def fit_sphere(evidence: Evidence) -> FitCandidate:
+def fit_sphere(evidence: Evidence, rival: float = math.inf) -> FitCandidate:
     """Fit the sphere resting on ``base_z`` that best explains the evidence."""
     axis, radius = start_axis(evidence)
 
@@ -108,7 +128,7 @@ def fit_sphere(evidence: Evidence) -> FitCandidate:
 
     starts = [np.array([*axis, r]) for r in (radius, max((evidence.top - evidence.base_z) / 2, SMALLEST))]
     steps = np.array([0.25 * radius, 0.25 * radius, 0.12 * radius])
-    return _fit_round("sphere", evidence, solid, starts, steps, 150)
+    return _fit_round("sphere", evidence, solid, starts, steps, 150, rival)
 
 
 def _fit_round(
@@ -118,23 +138,23 @@ def _fit_round(
     starts: list[Array],
     steps: Array,
     evaluations: int,
+    rival: float,
 ) -> FitCandidate:
     """Optimize the parameters of ``solid``, starting from the best of ``starts``."""
 
     def cast(eye: Array, rays: Array, shape: Cylinder | Sphere, X_WO: Pose) -> SolidHits:
         if isinstance(shape, Sphere):
             return cast_sphere(eye, rays, shape.radius, X_WO.p)
-        r, z = shape.radius, shape.height / 2
-        return cast_lathe(eye, rays, np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]]), X_WO)
+        return cast_cylinder(eye, rays, shape.radius, shape.height, X_WO)
 
     def cost(x: Array) -> float:
         return evidence.cost(cast, *solid(x))
 
-    _, best = search(cost, min(starts, key=cost), steps, evaluations)
+    _, best = search(cost, min(starts, key=cost), steps, evaluations, promising_cost(family, rival))
     return FitCandidate(family, *solid(best), evidence.judge(cast, *solid(best)))
 
 
-def fit_box(evidence: Evidence) -> FitCandidate:
+def fit_box(evidence: Evidence, rival: float = math.inf) -> FitCandidate:
     """Fit the upright box on ``base_z`` that best explains the evidence."""
 
     def cost(x: Array) -> float:
@@ -144,8 +164,10 @@ def fit_box(evidence: Evidence) -> FitCandidate:
     yaws = (box_around(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0)))
     starts = sorted(((cost(x), x) for x in yaws), key=lambda start: start[0])
     steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
-    tried = [search(cost, start, steps, 260) for start in _distinct([x for _, x in starts])]
-    best = walk(cost, *min(tried, key=lambda found: found[0]))
+    most = promising_cost("box", rival)
+    tried = [search(cost, start, steps, 260, most) for start in _distinct([x for _, x in starts])]
+    value, best = min(tried, key=lambda found: found[0])
+    best = walk(cost, value, best) if value <= most else best
     guessed, best = _supply_depth(evidence, best)
     size, X_WO = upright_box(best, evidence.base_z)
     return FitCandidate("box", Box(size), X_WO, _box_agreement(evidence, best), guessed)

@@ -11,6 +11,7 @@ from simfoundry.assets.cache import key_of
 from simfoundry.capture.frame import CaptureError
 from simfoundry.capture.stages.stage import STAGES, stage_index
 from simfoundry.capture.stages.store import StageStore, encoded
+from simfoundry.runtime.process_pair import ProcessPair
 
 T = TypeVar("T")
 
@@ -43,6 +44,7 @@ class StageRunner:
         examine: True to run and write nothing: :class:`StaleStageError` is raised instead.
         states: What happened in each stage, by stage and label.
         overridden: Stages and labels whose results contain statements of a person.
+        processes: The processes that share long work, or None for this one.
     """
 
     store: StageStore | None = None
@@ -51,6 +53,12 @@ class StageRunner:
     examine: bool = False
     states: dict[tuple[str, str], StageState] = field(default_factory=dict)
     overridden: set[tuple[str, str]] = field(default_factory=set)
+    processes: ProcessPair | None = None
+
+    @property
+    def size(self) -> int:
+        """The number of processes that run long work at the same time."""
+        return 1 if self.processes is None else self.processes.size
 
     def run(
         self,
@@ -60,6 +68,7 @@ class StageRunner:
         label: str = "",
         quick: bool = False,
         provisional: Callable[[T], bool] | None = None,
+        shared: bool = False,
     ) -> StageResult[T]:
         """Return the result of the stage ``name``, reusing an earlier one with equal inputs.
 
@@ -70,6 +79,7 @@ class StageRunner:
             label: The object, for a stage that runs once for each object.
             quick: True if the result takes so little time that a runner that only examines computes it too.
             provisional: Tells whether a result is to be computed again by the next run. The default keeps all results.
+            shared: True if ``compute`` is long, and a partial of a module-level function, which any process can run.
 
         Raises:
             StaleStageError: The runner only examines, and there is no earlier result with equal inputs.
@@ -86,7 +96,7 @@ class StageRunner:
                 raise StaleStageError(name, label)
             value = compute()
             return StageResult(value, encoded(value)[2])
-        value = compute()
+        value = self.processes.run(compute) if shared and self.processes is not None else compute()
         self.states[name, label] = "ran"
         if provisional is not None and provisional(value):
             return StageResult(value, encoded(value)[2])

@@ -1,0 +1,81 @@
+"""A second process beside this one, so that work in Python uses two cores."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import import_module
+from types import TracebackType
+from typing import Self, TypeVar
+
+from simfoundry.runtime.parallel import SILENCE_S, usable_cores
+from simfoundry.runtime.workers import Limits, Worker, WorkerError
+
+R = TypeVar("R")
+
+# The two processes, in the order in which they are chosen if both are free: this one may have other threads.
+_BESIDE, _HERE = 0, 1
+
+
+class ProcessPair:
+    """This process and one beside it, each of which runs one call at a time.
+
+    A call returns the same in both. Until :meth:`start`, and on a machine with a single core, calls run at once in this
+    process.
+    """
+
+    def __init__(self) -> None:
+        self._free: queue.PriorityQueue[int] = queue.PriorityQueue()
+        self._free.put(_HERE)
+        self._worker = Worker(Limits.shared(SILENCE_S, 2))
+        self.size = 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._worker.close()
+
+    def start(self, modules: Sequence[str]) -> None:
+        """Start the other process, which first imports ``modules``. It is not free until then, but nothing waits."""
+        if self.size < min(2, usable_cores()):
+            self.size = 2
+            threading.Thread(target=self._start, args=(tuple(modules),), daemon=True).start()
+
+    def run(self, call: Callable[[], R]) -> R:
+        """Return the result of a call in the process that is free first.
+
+        ``call`` is a partial of a module-level function, which does not use the pair itself. A failure in the other
+        process, such as too little memory, leads to the same call in this one.
+        """
+        if self.size == 1:
+            return call()
+        process = self._free.get()
+        try:
+            if process == _BESIDE:
+                with suppress(WorkerError):
+                    result: R = self._worker.call(f"{__name__}:evaluate", call)
+                    return result
+            return call()
+        finally:
+            self._free.put(process)
+
+    def _start(self, modules: tuple[str, ...]) -> None:
+        with suppress(WorkerError):
+            self._worker.call(f"{__name__}:import_modules", modules)
+            self._free.put(_BESIDE)
+
+
+def evaluate(call: Callable[[], R]) -> R:
+    """Return the result of a call, in the other process."""
+    return call()
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Import modules, so that the first call does not need to."""
+    for name in names:
+        import_module(name)
