@@ -13,7 +13,7 @@ from simfoundry.capture.cad.match import CadLookup
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.geometry.frames import Pose, frozen_array, look_at
-from simfoundry.geometry.shapes import Box, Cylinder, Mesh, tessellate
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, revolved, tessellate
 from simfoundry.render.raycast import raycast
 from simfoundry.scene.model import Camera, Link, Scene, SceneObject, Visual
 from tests.capture.test_cad import save
@@ -82,3 +82,13 @@ def test_two_of_a_kind_in_one_region(tmp_path: Path) -> None:
     for (y, k), (pose, number) in zip(places, ((beside, 2), (X_CAN, 1)), strict=True):
         assert y == pytest.approx(pose.p[1], abs=0.003)
         assert overlap(found.segmentation.labels == k, truth == number) > 0.95
+
+
+@pytest.mark.slow
+def test_the_floor_of_a_thin_bowl_is_part_of_it(tmp_path: Path) -> None:
+    bowl = revolved([(0, 0.003), (0.05, 0.003), (0.08, 0.05), (0.083, 0.05), (0.055, 0.0), (0, 0)])
+    frame, support, truth = picture(item("bowl", bowl, Pose.of((0, 0, 0))))
+    save(tmp_path, "bowl", bowl)
+    found = explained_segmentation(frame, support, Segmentation(truth, {1: 0}), open_library(tmp_path))
+    assert [(m.model, m.is_sure) for m in found.matches.values()] == [("bowl", True)]
+    assert overlap(found.segmentation.labels == 1, truth == 1) > 0.97

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -27,9 +28,16 @@ def test_stamps_tell_written_files_apart(tmp_path: Path) -> None:
 
 def test_waiting_ends_when_nothing_is_written_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(file_changes, "INTERVAL_S", 0.0)
-    path = Path("masks.png")
     written: list[Stamp] = [(1, 1, 1), (1, 1, 1), (1, 2, 2), (1, 3, 3), (1, 3, 3)]
     undone: list[Stamp] = [(1, 2, 2), (1, 1, 1), (1, 1, 1), (), ()]
     for stamps, last in ((written, (1, 3, 3)), (undone, ())):
-        looks = iter(stamps)
-        assert wait_for_change(lambda looks=looks: {path: next(looks)}, {path: (1, 1, 1)}) == {path: last}
+        assert wait_for_change(looks_at(stamps), {MASKS: (1, 1, 1)}) == {MASKS: last}
+
+
+MASKS = Path("masks.png")
+
+
+def looks_at(stamps: list[Stamp]) -> Callable[[], dict[Path, Stamp]]:
+    """Return a function that sees one stamp of a file after the other."""
+    left = iter(stamps)
+    return lambda: {MASKS: next(left)}

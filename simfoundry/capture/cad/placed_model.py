@@ -132,7 +132,9 @@ class ObservedScene:
         hit, known = np.isfinite(depth), np.isfinite(measured)
         gap = np.where(hit & known, np.where(known, measured, 0) - np.where(hit, depth, 0), 0)
         scale = depth_scale(float(np.median(measured[hit & known]))) if (hit & known).any() else 0.01
-        near = hit & known & (np.abs(gap) * slant < scale) & self.standing[window]
+        # Pixels of a region belong to an object even if they are as low as the support, like the floor of a bowl.
+        own = self.standing | seed if source == "region" else self.standing
+        near = hit & known & (np.abs(gap) * slant < scale) & own[window]
         missed = hit & known & ~near & (gap > scale)  # the camera saw through the model
         distance = np.full(frame.depth.shape, np.inf)
         distance[window] = np.where(near, np.abs(gap) * slant, np.inf)

@@ -29,10 +29,11 @@ def with_containers(spec: SceneSpec, scene: Scene) -> SceneSpec:
     bounds = {o.name: world_bounds(o, state.poses[o.name]) for o in scene.objects}
     found: dict[str, list[str]] = {}
     for upper in (o.name for o in scene.objects if not o.fixed):
-        middle = (bounds[upper][0] + bounds[upper][1]) / 2
+        base, middle = bounds[upper][0][2], (bounds[upper][0] + bounds[upper][1]) / 2
         for lower in (name for name in bounds if name != upper):
             low, high = bounds[lower]
-            if ((low < middle) & (middle < high))[:2].all() and _is_inside(judge, state, upper, lower):
+            is_above = ((low < middle) & (middle < high))[:2].all()
+            if is_above and base < high[2] - CLEAR and _is_inside(judge, state, upper, lower):
                 found.setdefault(upper, []).append(f"Inside({upper}, {lower})")
     relations: list[str] = []
     for text in spec.relations:
