@@ -6,14 +6,15 @@ explosions. The second phase runs normal dynamics until everything is at rest, b
 appears to be still in the first phase.
 
 If the second phase does not end because an object rolls away or falls off an edge, settling is repeated from the same
-poses with damped motion, so that an object that is unstable in its fitted pose falls over but stays in place. Finally,
-objects that rest on a very small base are nudged, because a simulator can balance a pencil on its tip forever.
+poses with damped motion, so that an object that is unstable in its fitted pose falls over but stays in place. If
+objects are stuck in each other, it ends at once, because they will not come to rest in any way. Finally, objects that
+rest on a very small base are nudged, because a simulator can balance a pencil on its tip forever.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -30,6 +31,10 @@ Progress = Callable[[str, float], None]
 
 # Distance [m] below the lowest point of the initial scene at which an object counts as fallen off.
 FALLEN = 0.3
+
+# Depth [m] to which a moving object penetrates another after this time of dynamics [s] if the two are stuck: their
+# convex parts interlock, and push each other to and fro. What comes to rest later penetrates less than 5 mm by then.
+STUCK_M, STUCK_S = 0.01, 3.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ def settle(
     opened = world.state()
     dynamics = options.rest_s, options.min_dynamic_s, options.max_dynamic_s
     restless = run("rest", *dynamics)
-    if restless or _fallen(world, world.state()):
+    if not _stuck(world, restless) and (restless or _fallen(world, world.state())):
         world.reset(opened)
         run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
         calmed = world.state()
@@ -173,11 +178,17 @@ def _run(
 ) -> set[str]:  # fmt: skip
     """Run a phase and return the objects that did not come to rest, except those that fell off the scene."""
 
-    def report(elapsed: float, _: set[str]) -> None:
+    def report(elapsed: float, moving: set[str]) -> bool:
         if progress is not None:
             progress(stage, elapsed / most_s)
+        return halt_s is None and elapsed >= STUCK_S and _stuck(world, moving)
 
     return rest.run_to_rest(world, window_s, least_s, most_s, partial(_fallen, world), report, halt_s)
+
+
+def _stuck(world: World, moving: Collection[str]) -> bool:
+    """Return True if a moving object penetrates another so deeply that it will not come to rest."""
+    return any(c.depth > STUCK_M and {c.a, c.b} & set(moving) for c in world.contacts())
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:

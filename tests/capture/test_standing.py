@@ -19,7 +19,7 @@ from simfoundry.capture.settling.standing import StandingScene, settle_objects
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.geometry.frames import Pose, frozen_array, quat_from_rpy
-from simfoundry.geometry.shapes import Box, Cylinder, hull_mesh
+from simfoundry.geometry.shapes import Box, Cylinder, hull_mesh, revolved
 from simfoundry.runtime.files import write_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.models.base import Material
@@ -37,6 +37,13 @@ BESIDE = Pose.of((2.0, 0.0, 0.0))  # where there is no table
 CORNERS = [(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0.12, 0.1, 0.15), (0.12, -0.1, 0.15), (-0.02, 0, 0.15)]
 """A solid on a base of 1 cm whose center of mass is beside it [m]."""
 
+PLATE = [
+    *((0, 0.005), (0.0522, 0.005), (0.0536, 0.008), (0.0609, 0.0116), (0.0631, 0.0152), (0.0734, 0.0205)),
+    *((0.0793, 0.025), (0.0833, 0.025), (0.0774, 0.0205), (0.0671, 0.0152), (0.0649, 0.0116), (0.0576, 0.008)),
+    *((0.0562, 0.0062), (0.0562, 0), (0, 0)),
+]
+"""The profile of a plate whose convex parts hold a disk in their middle [m]."""
+
 
 def tower(X_WO: Pose) -> FittedShape:
     mesh = hull_mesh(np.array(CORNERS))
@@ -45,23 +52,25 @@ def tower(X_WO: Pose) -> FittedShape:
 
 
 def settled(folder: Path, X_WO: Pose, alternatives: tuple[FittedShape, ...]) -> StandingScene:
+    return settled_scene(folder, {"tower": replace(tower(X_WO), alternatives=alternatives)})
+
+
+def settled_scene(folder: Path, shapes: dict[str, FittedShape]) -> StandingScene:
     frame, labels = pictures.photograph(SETUP)
     support = find_support(frame)
-    shape = replace(tower(X_WO), alternatives=alternatives)
-    prior = kind_of(shape).material
-    names = {prior.name: prior, SUPPORT.name: SUPPORT}
+    priors = (SUPPORT, *(kind_of(shape).material for shape in shapes.values()))
+    objects = {name: describe.object_spec("tower", name, shape, 1) for name, shape in shapes.items()}
     spec = SceneSpec(
         simfoundry="scene/1",
         name="tower",
-        materials={name: p.material for name, p in names.items()},
-        objects={
-            "table": describe.support_spec("tower", support, None).model_copy(update={"visual": None}),
-            "tower": describe.object_spec("tower", "tower", shape, 1),
-        },
-        relations=("OnTop(tower, table)",),
+        materials={prior.name: prior.material for prior in priors},
+        objects={"table": describe.support_spec("tower", support, None).model_copy(update={"visual": None}), **objects},
+        relations=tuple(f"OnTop({name}, table)" for name in shapes),
     )
-    files = describe.mesh_files("tower", textured_mesh(shape, frame, support, labels == 1))
-    built = Reconstruction(spec, files, support, Segmentation(labels, {1: 0}), {"tower": 1}, {"tower": shape}, ())
+    files: dict[str, bytes] = {}
+    for name, shape in shapes.items():
+        files |= describe.mesh_files(name, textured_mesh(shape, frame, support, labels == 1))
+    built = Reconstruction(spec, files, support, Segmentation(labels, {1: 0}), dict.fromkeys(shapes, 1), shapes, ())
     return settle_objects(built, frame, folder / "tower.scene.yaml", None, lambda stage, share: None)
 
 
@@ -83,6 +92,24 @@ def test_what_finds_no_rest_is_held_in_place_and_reported(tmp_path: Path) -> Non
     assert held.fixed and held.origin is not None and "held in place" in (held.origin.note or "")
     (item,) = (o for o in standing.scene.objects if o.name == "tower")
     assert item.fixed and np.allclose(item.X_WO.p, BESIDE.p, atol=1e-4)
+
+
+@pytest.mark.parametrize("has_another", [True, False])
+def test_one_of_two_solids_that_are_wedged_gets_another_or_is_held(tmp_path: Path, has_another: bool) -> None:
+    plate = FittedShape(revolved(PLATE, 32), Pose.of((0, 0, 0)), 0.002, 0.95, True, np.array(PLATE))
+    disk = FittedShape(Cylinder(0.0844, 0.0195), Pose.of((0.005, 0.0068, 0.0096)), 0.002, 0.8, False)
+    thin = FittedShape(Box(frozen_array([0.04, 0.04, 0.03])), Pose.of((0, 0, 0.015)), 0.003, 0.5, False)
+    shapes = {"plate": plate, "disk": replace(disk, alternatives=(thin,) * has_another)}
+    standing = settled_scene(tmp_path, shapes)
+    built = standing.reconstruction
+    assert built.shapes["plate"] is plate
+    if has_another:
+        assert isinstance(built.shapes["disk"].geometry, Box) and not built.findings and standing.settled.at_rest
+    else:
+        assert {f.code for f in built.findings} == {HELD} and built.spec.objects["disk"].fixed
+    pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    with open_world(lower_file(tmp_path / "tower.scene.yaml"), "pybullet") as world:
+        assert all(motion.stays for motion in simulate(world, 2.0))
 
 
 @pytest.mark.parametrize("resists", [True, False])

@@ -34,6 +34,10 @@ from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
 
 TOPPLED_DEG, TOPPLED_M = 20.0, 0.03  # tilt and drift beyond which a solid is wrong; fitted poses are off by less
+# Depth [m] to which two solids penetrate each other if they are wedged: MuJoCo keeps their convex parts in place, but
+# PyBullet throws them out, from 5 mm on. What rests penetrates less than 1 mm.
+WEDGED_M = 0.002
+
 OF_SHAPE = ("mesh", "pose", "parts", "articulate")  # tasks of models whose shape is replaced
 HELD_HINT = "correct its shape or pose in the studio, and remove `fixed`"
 HELD_NOTE = "held in place: none of its fitted solids comes to rest"
@@ -61,9 +65,10 @@ def settle_objects(
     Relations state what supports each object, and which container holds it.
 
     An object whose solid does not come to rest, topples, or moves away from the pose that was written, gets its next
-    best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. One
-    that topples with all of them lies where it fell. One that does not rest with any of them is held in place by
-    ``fixed``, so that nothing that was seen is missing, and reported as a finding.
+    best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. If two
+    are wedged into each other, the one with less confidence gets another solid. An object that topples with all of its
+    solids lies where it fell. One that does not rest with any of them is held in place by ``fixed``, so that nothing
+    that was seen is missing, and reported as a finding.
 
     ``draw`` is called with each scene that rests, in a thread beside the simulation that finds out if it remains.
     """
@@ -77,9 +82,10 @@ def settle_objects(
             settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
             spec = with_poses(built.spec, settled.state.poses)
             toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives)
-            will_rest = not settled.lost and not toppled
+            wedged = () if settled.lost or toppled else _wedged(built, world)
+            will_rest = not (settled.lost or toppled or wedged)
             with in_background(partial(draw, scene, settled.state)) if will_rest else nullcontext():
-                lost = settled.lost or _leaving(world, spec)
+                lost = settled.lost or wedged or _leaving(world, spec)
                 if will_rest and not lost:
                     supports = {o.name: o.supports for o in settled.objects}
                     spec = with_containers(with_supports(spec, supports), scene)
@@ -119,6 +125,14 @@ def _is_model_mesh(built: Reconstruction, name: str) -> bool:
 def _toppled(settled: SettleResult) -> tuple[str, ...]:
     """Return the objects that rest, but not as they were seen."""
     return tuple(o.name for o in settled.objects if o.problems and (o.tilt_deg > TOPPLED_DEG or o.drift > TOPPLED_M))
+
+
+def _wedged(built: Reconstruction, world: World) -> tuple[str, ...]:
+    """Return the less certain one of each two objects that are wedged into each other, unless it is held in place."""
+    pairs = {tuple(sorted((c.a, c.b))) for c in world.contacts() if c.depth > WEDGED_M}
+    free = {name for name in built.shapes if not built.spec.objects[name].fixed}
+    sure = {name: (built.shapes[name].confidence, name) for name in free}
+    return tuple(sorted({min(free.intersection(pair), key=sure.__getitem__) for pair in pairs if free & {*pair}}))
 
 
 def _supported(built: Reconstruction, name: str, frame: Frame) -> Reconstruction:
