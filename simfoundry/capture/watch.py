@@ -19,13 +19,14 @@ from simfoundry.spec.models.capture import CaptureSpec
 SETTLING_MODULES = ("cv2", "mujoco", "simfoundry.worlds.mujoco_world", "trimesh")
 
 
-def follow(run: CaptureRun, again: Callable[[], CaptureRun | None]) -> None:
+def follow(run: CaptureRun, again: Callable[[], CaptureRun | None], ready: Callable[[], object]) -> None:
     """Call ``again`` after each change of the files that the run read, or wrote for a person to edit. This never ends.
 
     ``again`` returns None if it failed, for example because a document is not valid yet. A change during a run leads to
-    another run.
+    another run. ``ready`` is called once, when changes are noticed from then on.
     """
     seen = _stamps(run)
+    ready()
     import_modules((*SHARED_MODULES, *SETTLING_MODULES))
     while True:
         seen = wait_for_change(partial(_stamps, run), seen)

@@ -143,9 +143,8 @@ def _follow(run: CaptureRun, again: Callable[[], CaptureRun], as_json: bool) -> 
             error.show()
         return None if last is before else last
 
-    click.echo("watching for changes; press Ctrl-C to end", err=True)
     with suppress(KeyboardInterrupt):
-        follow(run, once_more)
+        follow(run, once_more, lambda: click.echo("watching for changes; press Ctrl-C to end", err=True))
     return last
 
 

@@ -127,7 +127,10 @@ def settle(
     opened = world.state()
     dynamics = options.rest_s, options.min_dynamic_s, options.max_dynamic_s
     restless = run("rest", *dynamics)
-    if not _stuck(world, restless) and (restless or _fallen(world, world.state())):
+    stuck = _stuck(world, restless)
+    if stuck:
+        restless = stuck  # what else moves is pushed by these
+    elif restless or _fallen(world, world.state()):
         world.reset(opened)
         run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
         calmed = world.state()
@@ -181,14 +184,14 @@ def _run(
     def report(elapsed: float, moving: set[str]) -> bool:
         if progress is not None:
             progress(stage, elapsed / most_s)
-        return halt_s is None and elapsed >= STUCK_S and _stuck(world, moving)
+        return halt_s is None and elapsed >= STUCK_S and bool(_stuck(world, moving))
 
     return rest.run_to_rest(world, window_s, least_s, most_s, partial(_fallen, world), report, halt_s)
 
 
-def _stuck(world: World, moving: Collection[str]) -> bool:
-    """Return True if a moving object penetrates another so deeply that it will not come to rest."""
-    return any(c.depth > STUCK_M and {c.a, c.b} & set(moving) for c in world.contacts())
+def _stuck(world: World, moving: Collection[str]) -> set[str]:
+    """Return the moving objects that penetrate others so deeply that they will not come to rest."""
+    return {name for c in world.contacts() if c.depth > STUCK_M for name in (c.a, c.b) if name in moving}
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,6 +61,8 @@ def test_a_watched_capture_runs_again_until_it_is_interrupted(folder: Path) -> N
     command = [sys.executable, "-m", "simfoundry", "capture", str(capture), "-o", str(out), "--watch"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         assert process.stdout is not None
+        limit = threading.Timer(120, process.kill)  # then a line is missing
+        limit.start()
         lines = iter(process.stdout)
         assert "pictures in" in until(lines, "watching for changes")
         clear_row(out / "masks.png")
@@ -71,6 +74,7 @@ def test_a_watched_capture_runs_again_until_it_is_interrupted(folder: Path) -> N
         assert "[ok]" in until(lines, "pictures in")
         process.send_signal(signal.SIGINT)
         assert process.wait(20) in (0, 1)
+        limit.cancel()
 
 
 def until(lines: Iterator[str], end: str) -> str:

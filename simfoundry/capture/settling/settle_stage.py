@@ -63,7 +63,7 @@ def resting_scene(
             drawn[0].seen(1)
 
     def compute() -> _Kept:
-        standing = settle_objects(built, frame, scene_file, cache, progress, draw)
+        standing = settle_objects(built, frame, scene_file, cache, progress, draw, stages.processes)
         return _kept(built, standing, scene_file)
 
     inputs = settle_inputs(built)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from contextlib import nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from simfoundry.assets.cache import Cache
+from simfoundry.assets.convex import file_key
+from simfoundry.assets.errors import MeshError, Scale
 from simfoundry.capture.description import describe
 from simfoundry.capture.description.describe import mesh_files
 from simfoundry.capture.description.kinds import kind_of
@@ -22,9 +25,13 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.runtime.files import write_file
 from simfoundry.runtime.parallel import in_background
+from simfoundry.runtime.process_pair import ProcessPair
+from simfoundry.scene.bodies import MeshUse
 from simfoundry.scene.lower import lower, pose
+from simfoundry.scene.mesh_bodies import read_body
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
+from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import SceneSpec
@@ -59,6 +66,7 @@ def settle_objects(
     cache: Cache | None,
     progress: Progress,
     draw: Callable[[Scene, SceneState], object] = lambda scene, state: None,
+    processes: ProcessPair | None = None,
 ) -> StandingScene:
     """Settle a scene, and write it with its meshes and the poses and relations at rest to ``scene_file``.
 
@@ -66,37 +74,57 @@ def settle_objects(
 
     An object whose solid does not come to rest, topples, or moves away from the pose that was written, gets its next
     best solid. Rounding by 0.1 mm, for example, may tip over an object that is balanced on the edge of its base. If two
-    are wedged into each other, the one with less confidence gets another solid. An object that topples with all of its
+    rest wedged into each other, the one with less confidence gets another solid. One that topples with all of its
     solids lies where it fell. One that does not rest with any of them is held in place by ``fixed``, so that nothing
     that was seen is missing, and reported as a finding.
 
     ``draw`` is called with each scene that rests, in a thread beside the simulation that finds out if it remains.
+    ``processes`` decompose meshes into convex parts.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
     while True:
         write_scene(built, scene_file, built.spec)
         loaded = load_scene(scene_file)
+        if processes is not None and cache is not None:
+            _decompose_meshes(loaded, cache, processes)
         scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
         with MujocoWorld(scene) as world:
             settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
             spec = with_poses(built.spec, settled.state.poses)
             toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives)
-            wedged = () if settled.lost or toppled else _wedged(built, world)
-            will_rest = not (settled.lost or toppled or wedged)
-            with in_background(partial(draw, scene, settled.state)) if will_rest else nullcontext():
-                lost = settled.lost or wedged or _leaving(world, spec)
-                if will_rest and not lost:
+            fallen = tuple(dict.fromkeys((*settled.lost, *toppled))) or _wedged(built, world)
+            with nullcontext() if fallen else in_background(partial(draw, scene, settled.state)):
+                fallen = fallen or _leaving(world, spec)
+                if not fallen:
                     supports = {o.name: o.supports for o in settled.objects}
                     spec = with_containers(with_supports(spec, supports), scene)
                     break
-        toppled = tuple(name for name in toppled if name not in lost)
-        for name in _suspects(built, (*lost, *toppled)):
+        for name in _suspects(built, fallen):
             built = _supported(built, name, frame)
         for folder in ("meshes", ARTICULATED):
             shutil.rmtree(scene_file.parent / folder, ignore_errors=True)
     write_scene(built, scene_file, spec)
     return StandingScene(replace(built, spec=spec), scene, settled)
+
+
+def _decompose_meshes(loaded: Loaded, cache: Cache, processes: ProcessPair) -> None:
+    """Put the convex parts of the meshes of a scene into the cache, if there are several that it lacks.
+
+    Each takes seconds.
+    """
+    assert isinstance(loaded.spec, SceneSpec)
+    uses = ((loaded.file(o.asset), o) for o in loaded.spec.objects.values() if o.asset and not is_document(o.asset))
+    missing = [(path, o) for path, o in uses if cache.get(file_key(path, o.scale, o.collision)) is None]
+    if len(missing) > 1:
+        with ThreadPoolExecutor(processes.size) as threads:
+            calls = [partial(_decompose_mesh, path, o.scale, o.collision, cache) for path, o in missing]
+            list(threads.map(processes.run, calls))
+
+
+def _decompose_mesh(path: Path, scale: Scale, how: str, cache: Cache) -> None:
+    with suppress(MeshError):  # reported when the scene is lowered
+        read_body(path, MeshUse(scale, solid="given", collision=how), cache, lambda step: None)
 
 
 def _suspects(built: Reconstruction, fallen: tuple[str, ...]) -> tuple[str, ...]:
