@@ -94,6 +94,7 @@ def test_what_finds_no_rest_is_held_in_place_and_reported(tmp_path: Path) -> Non
     assert item.fixed and np.allclose(item.X_WO.p, BESIDE.p, atol=1e-4)
 
 
+@pytest.mark.slow  # 2.5 s: several settlings
 @pytest.mark.parametrize("has_another", [True, False])
 def test_one_of_two_solids_that_are_wedged_gets_another_or_is_held(tmp_path: Path, has_another: bool) -> None:
     plate = FittedShape(revolved(PLATE, 32), Pose.of((0, 0, 0)), 0.002, 0.95, True, np.array(PLATE))
