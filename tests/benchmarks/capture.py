@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import statistics
 import subprocess
 import sys
@@ -179,8 +178,7 @@ def watched(folder: Path, out: Path) -> Run:
         start = time.perf_counter()
         line = next(line for line in process.stdout if "pictures in" in line)
         wall = time.perf_counter() - start
-        process.send_signal(signal.SIGINT)
-        process.stdout.read()
+        process.terminate()
     return Run(wall, wall, 0.0, objects_in(line))
 
 

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,8 @@ def test_two_processes_write_what_one_writes(folder: Path) -> None:
 def test_a_watched_capture_runs_again_until_it_is_interrupted(folder: Path) -> None:
     capture, out = folder / "capture" / "capture.yaml", folder / "out"
     command = [sys.executable, "-m", "simfoundry", "capture", str(capture), "-o", str(out), "--watch"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen(command, **pipes, preexec_fn=heed_interrupts) as process:
         assert process.stdout is not None
         limit = threading.Timer(120, process.kill)  # then a line is missing
         limit.start()
@@ -75,6 +77,11 @@ def test_a_watched_capture_runs_again_until_it_is_interrupted(folder: Path) -> N
         process.send_signal(signal.SIGINT)
         assert process.wait(20) in (0, 1)
         limit.cancel()
+
+
+def heed_interrupts() -> None:
+    """Undo that shells make processes in the background, such as those of a test run, ignore interrupts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def until(lines: Iterator[str], end: str) -> str:
