@@ -97,6 +97,11 @@ class CaptureOptions:
     cad: Path | None = None
     processes: ProcessPair | None = None
 
+    @property
+    def first_redone(self) -> str | None:
+        """The first stage that runs again although its inputs have not changed, or None."""
+        return self.redo_from or ("shape" if self.only else None)
+
 
 def run_capture(
     path: Path,
@@ -132,8 +137,7 @@ def run_capture(
     try:
         with stage_store(previous.folder) as store:
             write_source(store.folder, loaded.path, frame_name, options.cad)
-            redo_from = options.redo_from or ("shape" if options.only else None)
-            stages = StageRunner(store, redo_from, labels, processes=options.processes)
+            stages = StageRunner(store, options.first_redone, labels, processes=options.processes)
             source = load_stage(loaded, frame_name, stages, models)
             views = partial(posed_views, loaded, frame_name, models)
             stated = statements(loaded, frame_name, previous, source.value)

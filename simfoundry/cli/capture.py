@@ -61,7 +61,7 @@ class _WithStatus(click.Command):
 @click.option("--cad", type=FOLDER, help="Folder of meshes, in meters, that objects may be, instead of the stated one.")
 @click.option("--accept", "codes", multiple=True, metavar="CODE", help="Accept findings with this code. Repeatable.")
 @click.option("--tasks", type=click.IntRange(1, 1000), metavar="N", help="Also write N tasks that the scene affords.")
-@click.option("--watch", is_flag=True, help="Stay, and run again after each change of the capture or of your edits.")
+@click.option("--watch", is_flag=True, help="Keep running, and reconstruct again after each change that you save.")
 @commercial_only_option
 def capture_command(
     capture: Path,
@@ -85,7 +85,8 @@ def capture_command(
     printed and added to the report, and the exit code is 1. `--accept` goes on without the findings of one code.
 
     A new run repeats only what depends on what has changed, and keeps your edits of the scene, of masks.png and of
-    masks.yaml. `simfoundry capture status OUT` lists the stages. `--watch` stays and does so after each change.
+    masks.yaml. `simfoundry capture status OUT` lists the stages. `--watch` keeps running, and does this after each
+    change.
 
     No model is needed. One that is configured for `read_scene` names the objects, and estimates their masses.
 

@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
-# Number, size and time of modification [ns] of a file; empty if it is missing.
+# Inode number, size and time of modification [ns] of a file; empty if the file is missing.
 Stamp = tuple[int, ...]
 
-# Time [s] between two looks at files, during which a program finishes to write them.
+# Time [s] between two looks at the files. A program that saves one of them has finished writing by the next look.
 INTERVAL_S = 0.2
 
 
 def file_stamp(path: Path) -> Stamp:
-    """Return the stamp of a file, which differs after it was written."""
+    """Return the stamp of a file, which changes whenever the file is written."""
     try:
         found = path.stat()
     except OSError:
@@ -34,9 +34,9 @@ def folder_stamps(folder: Path, ignored: Collection[str] = ()) -> dict[Path, Sta
 
 
 def wait_for_change(look: Callable[[], Mapping[Path, Stamp]], before: Mapping[Path, Stamp]) -> dict[Path, Stamp]:
-    """Wait until stamps differ from those before and remain the same for :data:`INTERVAL_S`, and return them.
+    """Wait until files have changed and then stay unchanged for :data:`INTERVAL_S`, and return their new stamps.
 
-    ``look`` returns the stamps of now.
+    ``look`` returns the current stamps.
     """
     last = dict(before)
     while True:

@@ -7,7 +7,7 @@ appears to be still in the first phase.
 
 If the second phase does not end because an object rolls away or falls off an edge, settling is repeated from the same
 poses with damped motion, so that an object that is unstable in its fitted pose falls over but stays in place. If
-objects are stuck in each other, it ends at once, because they will not come to rest in any way. Finally, objects that
+objects are stuck in each other, it ends at once, because they would keep moving. Finally, objects that
 rest on a very small base are nudged, because a simulator can balance a pencil on its tip forever.
 """
 
@@ -33,7 +33,7 @@ Progress = Callable[[str, float], None]
 FALLEN = 0.3
 
 # Depth [m] to which a moving object penetrates another after this time of dynamics [s] if the two are stuck: their
-# convex parts interlock, and push each other to and fro. What comes to rest later penetrates less than 5 mm by then.
+# convex parts interlock, and push each other to and fro. In three piles, the deepest penetrated 28 to 49 mm.
 STUCK_M, STUCK_S = 0.01, 3.0
 
 

@@ -30,7 +30,6 @@ UNSEEN, REMAINING = 0.03, 0.2
 # Smallest amount of motion [m, rad].
 LEAST = 1e-3
 
-
 # What refinement may change: the amount of a motion, the place and the direction of its axis, and the thickness of a
 # part whose back is seen.
 EVERYTHING = frozenset(("q", "pivot", "axis"))

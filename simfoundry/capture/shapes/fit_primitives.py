@@ -24,8 +24,8 @@ _WORTH = 1e-5  # minimum cost reduction for accepting a step
 Solid = tuple[Cylinder | Sphere, Pose]
 
 
-# Iterations of a search after which it ends unless it may still find less than the rival's cost, and how much lower the
-# cost may still become. After 20 iterations, it becomes at most 0.07 lower for 95 of 100 cylinders, and 0.19 for all.
+# Number of iterations after which a search ends if it is not expected to beat its rival, and how much lower its cost
+# may still become. From there, the cost of 95 of 100 upright cylinders fell by at most 0.07, and of all by 0.16.
 EARLY, HOPE = 20, 0.15
 
 
