@@ -133,25 +133,26 @@ def examine(out: Path) -> list[StageStatus]:
     frame_name = checked_frame_name(loaded, frame_name)
     name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
     previous = previous_output(out, loaded.path, f"{name}.scene.yaml", force=False)
-    stages = StageRunner(StageStore(out / STAGES_FOLDER), examine=True)
     complete = False
-    try:
-        setup = load_setup(loaded.path)
-        source = load_stage(loaded, frame_name, stages, setup)
-        known = replace(
-            statements(loaded, frame_name, previous, source.value),
-            setup=setup,
-            cad=stated_library(loaded, cad, Cache.default()),
-            views=partial(posed_views, loaded, frame_name, setup),
-        )
-        built = reconstruct(name, source, known, lambda stage, share: None, stages)
-        complete = True
-        if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing
-            inputs = settle_inputs(built)
-            settled = stages.run("settle", inputs, never)
-            if f"{name}.scene.yaml" not in (*previous.edited, *previous.kept):  # that is drawn in each run
-                shown = {"image": source.digest, **picture_inputs(built, inputs, settled.digest)}
-                stages.run("pictures", shown, never)
-    except CaptureError:
-        complete = ("name", "") in stages.states  # only the support's texture was stale
+    with StageRunner(StageStore(out / STAGES_FOLDER), examine=True) as stages:
+        try:
+            setup = load_setup(loaded.path)
+            source = load_stage(loaded, frame_name, stages, setup)
+            known = replace(
+                statements(loaded, frame_name, previous, source.value),
+                setup=setup,
+                cad=stated_library(loaded, cad, Cache.default()),
+                views=partial(posed_views, loaded, frame_name, setup),
+            )
+            built = reconstruct(name, source, known, lambda stage, share: None, stages)
+            complete = True
+            built.removal()
+            if all(state == "cached" for state in stages.states.values()):  # otherwise, meshes are missing
+                inputs = settle_inputs(built)
+                settled = stages.run("settle", inputs, never)
+                if f"{name}.scene.yaml" not in (*previous.edited, *previous.kept):  # that is drawn in each run
+                    shown = {"image": source.digest, **picture_inputs(built, inputs, settled.digest)}
+                    stages.run("pictures", shown, never)
+        except CaptureError:
+            complete = ("name", "") in stages.states  # only the support's texture was stale
     return listed_states(stages, {str(k): name for name, k in previous.numbers.items()}, complete)

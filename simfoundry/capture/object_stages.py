@@ -15,7 +15,7 @@ from simfoundry.capture.cad.library import CadLibrary
 from simfoundry.capture.cad.match import CadLookup, ModelMatch
 from simfoundry.capture.description.describe import SUPPORT_NAME
 from simfoundry.capture.description.level_object import level_outline, level_thickness
-from simfoundry.capture.description.support_object import DEFAULT_THICKNESS, beneath, measured_thickness, support_mesh
+from simfoundry.capture.description.support_object import beneath, painted_support, support_mesh
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.model_stages.ask import StageModels
@@ -138,7 +138,7 @@ def cleared_images_of(
     inputs |= {"supports": digest_of(view.segmentation.supports)}
     compute = partial(cleared_images, view.frame, view.support, view.segmentation, shapes)
     with suppress(StaleStageError):
-        cleared = view.stages.run("remove", inputs, compute, shared=True).value
+        cleared = view.stages.run("remove", inputs, compute, shared=True, beside=not models.asks("inpaint")).value
         painted = inpainted_images(view.frame, cleared, models)
         return (cleared, ()) if painted is None else (painted.value, painted.models)
     return (), ()
@@ -167,7 +167,8 @@ def fitted_shapes(
             lookup = CadLookup(cad, None if matches is None else matches.get(k))
             suggest, base_z = lookup.candidates, lookup.base_z(base_z)
             inputs |= {"cad": cad.digest, "known": digest_of(lookup.known)}
-        inputs |= {"base_z": repr(base_z), "occluded": digest_of(frame.depth)}
+        is_same = frame.depth is view.frame.depth
+        inputs |= {"base_z": repr(base_z), "occluded": "" if is_same else digest_of(frame.depth)}
         compute = partial(fit_shape, frame, view.support, mask, base_z, labels=others, suggest=suggest)
         return view.stages.run("shape", inputs, compute, str(k), shared=cad is None).value
 
@@ -216,17 +217,11 @@ def textured_objects(
     support = replace(view.support, outline=beneath(view.support.outline, grounded))
 
     inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels)}
-    paint = partial(_painted_support, frame, support, labels)
+    paint = partial(painted_support, frame, support, labels)
     with in_background(partial(view.stages.run, "texture", inputs, paint, SUPPORT_NAME, shared=True)) as painted:
         meshes = painted_meshes(view, shapes, given, progress)
     thickness, top = painted().value
     return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
-
-
-def _painted_support(frame: Frame, support: SupportSurface, labels: Labels) -> tuple[float | None, Mesh]:
-    """Return the measured thickness of the support [m], or None, and its textured mesh."""
-    thickness = measured_thickness(frame, support)
-    return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
 
 
 def painted_meshes(

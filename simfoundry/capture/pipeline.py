@@ -12,7 +12,8 @@ from simfoundry.capture.description import describe
 from simfoundry.capture.description.describe import SUPPORT_NAME, mesh_files
 from simfoundry.capture.description.kinds import SUPPORT
 from simfoundry.capture.description.naming import final_names, found_names, kept_names, matched_names
-from simfoundry.capture.doubts.image_doubts import image_doubts
+from simfoundry.capture.doubts.depth_faults import depth_faults
+from simfoundry.capture.doubts.image_doubts import segmentation_doubts
 from simfoundry.capture.findings import NOT_FOLLOWED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.model_objects import JointedObjects, jointed_objects, jointed_spec, model_shapes, weighed
@@ -38,19 +39,9 @@ from simfoundry.capture.stages.codec import digest_of
 from simfoundry.capture.stages.runner import StageResult, StageRunner
 from simfoundry.capture.statements.overrides import Overrides
 from simfoundry.models.setup import ModelSetup
-from simfoundry.runtime.parallel import in_background
 from simfoundry.spec.models.origin import ModelUse, Origin
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.surroundings import BackgroundSpec, LightSpec
-
-# What the long stages of objects need, which a second process may run.
-SHARED_MODULES = (
-    "simfoundry.capture.object_stages",
-    "scipy.ndimage",
-    "scipy.optimize",
-    "scipy.spatial",
-    "shapely",
-)
 
 CONSTRAINT_HINT = "compare the pixels under `decomposition` with segments.png"
 
@@ -103,16 +94,16 @@ def reconstruct(
     found = segmented_frame(measured, frame, support, seen, overrides, models, reading, known.cad)
     seen |= {} if completed is None else {"completed": completed.digest}
     view = SegmentedView(frame, support.value, found.value, seen | {"support": support.digest}, stages)
-    with in_background(partial(_image_doubts, view, measured)) as image_findings:
-        shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
-    with in_background(partial(cleared_images_of, view, shapes, models)) as clearing:
-        is_asked = any(map(models.asks, MODEL_STAGES))  # models are asked one after the other
-        modelled = model_shapes(view, shapes, clearing()[0] if is_asked else (), models)
-        read = None if reading is None else match_objects(reading, found.value.labels)
-        first_names, names = _named(view, modelled.shapes, known, read)
-        keys = {k: overrides.of((names[k], first_names[k]))[0] for k in shapes}
-        objects = _placed_objects(view, modelled.shapes, carriers, keys, overrides, progress)
-    cleared, painters = clearing()
+    image_findings = stages.begin(partial(_image_doubts, view, measured))
+    shapes, carriers, findings = fitted_shapes(view, progress, known.cad, found.matches)
+    clearing = stages.begin(partial(cleared_images_of, view, shapes, models))
+    is_asked = any(map(models.asks, MODEL_STAGES))  # models are asked one after the other
+    cleared, painters = clearing() if is_asked else ((), ())
+    modelled = model_shapes(view, shapes, cleared, models)
+    read = None if reading is None else match_objects(reading, found.value.labels)
+    first_names, names = _named(view, modelled.shapes, known, read)
+    keys = {k: overrides.of((names[k], first_names[k]))[0] for k in shapes}
+    objects = _placed_objects(view, modelled.shapes, carriers, keys, overrides, progress)
     moving = () if read is None else [k for k, each in read.objects.items() if each.is_articulated]
     jointed = jointed_objects(view, objects, names, moving, keys, overrides, models)
     splat = model_background(frame, objects.support, shapes, cleared[-1], known.views, models) if cleared else None
@@ -144,7 +135,7 @@ def reconstruct(
         {name: k for k, name in names.items()},
         {names[k]: shape for k, shape in objects.shapes.items()},
         findings,
-        removal_layers(cleared, names),
+        lambda: removal_layers(clearing()[0], names),
         modelled.files(names),
         modelled.report(names),
     )
@@ -152,14 +143,8 @@ def reconstruct(
 
 def _found_support(measured: Frame, seen: Mapping[str, str], stages: StageRunner) -> StageResult[SupportSurface]:
     """Find the support of an image as it was measured. ``seen`` is the digest of the image."""
-
-    def find() -> SupportSurface:
-        if stages.processes is not None:  # all objects of an image that was not seen before will be fitted
-            stages.processes.start(SHARED_MODULES)
-        return support_of(measured)
-
     chosen = "" if measured.support is None else measured.support.model_dump_json()
-    return stages.run("support", {**seen, "chosen": chosen}, find)
+    return stages.run("support", {**seen, "chosen": chosen}, partial(support_of, measured))
 
 
 def _placed_objects(
@@ -178,9 +163,11 @@ def _placed_objects(
 
 def _image_doubts(view: SegmentedView, measured: Frame) -> tuple[CaptureFinding, ...]:
     """Return what is doubtful about an image as it was measured."""
+    faults = partial(depth_faults, measured, view.support)
+    found = view.stages.run("faults", view.seen, faults, quick=True, shared=True, beside=True).value
     inputs = {**view.seen, "segments": digest_of(view.segmentation)}
-    look = partial(image_doubts, measured, view.support, view.segmentation)
-    return view.stages.run("doubts", inputs, look, quick=True, shared=True).value
+    look = partial(segmentation_doubts, measured, view.support, view.segmentation)
+    return found + view.stages.run("doubts", inputs, look, quick=True, shared=True, beside=True).value
 
 
 def _with_joints(

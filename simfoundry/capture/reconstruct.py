@@ -37,7 +37,8 @@ class Reconstruction:
         names: The number of each object in the segmentation, by its name in the scene.
         shapes: The solids of the objects, by name.
         findings: What is doubtful, such as segments that did not become objects.
-        removal: Names of the objects in the order in which they can be removed, those of a layer together.
+        removal: Returns the names of the objects in the order in which they are removed from the image, those of a
+            layer together, once the images without them are made.
         candidates: Files of shapes of models and of those that they were compared with, by relative path.
         compared: The costs by which the shapes of models were judged, by name of the object.
     """
@@ -49,7 +50,7 @@ class Reconstruction:
     names: dict[str, int]
     shapes: dict[str, FittedShape]
     findings: tuple[CaptureFinding, ...] = ()
-    removal: tuple[tuple[str, ...], ...] = ()
+    removal: Callable[[], tuple[tuple[str, ...], ...]] = tuple
     candidates: Mapping[str, bytes] = field(default_factory=dict)
     compared: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 

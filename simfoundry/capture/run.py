@@ -135,9 +135,11 @@ def run_capture(
     library = stated_library(loaded, options.cad, cache)
     real = None if options.truth is None else _GroundTruth.load(options.truth, frame_name, cache)
     try:
-        with stage_store(previous.folder) as store:
+        with (
+            stage_store(previous.folder) as store,
+            StageRunner(store, options.first_redone, labels, processes=options.processes) as stages,
+        ):
             write_source(store.folder, loaded.path, frame_name, options.cad)
-            stages = StageRunner(store, options.first_redone, labels, processes=options.processes)
             source = load_stage(loaded, frame_name, stages, models)
             views = partial(posed_views, loaded, frame_name, models)
             stated = statements(loaded, frame_name, previous, source.value)
@@ -273,6 +275,6 @@ def _report(
         "passed": all(f.code in accepted for f in findings),
         "support": {"residual": round(built.support.residual, 6), "corners": len(built.support.outline)},
         "objects": objects,
-        "removal": [list(layer) for layer in built.removal],
+        "removal": [list(layer) for layer in built.removal()],
         "findings": [f.to_json(accepted) for f in findings],
     }

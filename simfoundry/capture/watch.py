@@ -8,8 +8,8 @@ from pathlib import Path
 
 from simfoundry.capture.inputs import images_of
 from simfoundry.capture.outputs.output_folder import output_stamps
-from simfoundry.capture.pipeline import SHARED_MODULES
 from simfoundry.capture.run import CaptureRun
+from simfoundry.capture.shared_modules import SHARED_MODULES
 from simfoundry.capture.statements.overrides import OVERRIDES_FOLDER
 from simfoundry.runtime.file_changes import Stamp, file_stamp, folder_stamps, wait_for_change
 from simfoundry.runtime.process_pair import import_modules

@@ -97,17 +97,19 @@ def capture_command(
 
     `--against` prints the measures of the paper. The camera in TRUTH has the name of the frame, or is the only one.
     """
-    from simfoundry.assets.cache import Cache
-    from simfoundry.capture.findings import accepted_codes
-    from simfoundry.capture.pipeline import SHARED_MODULES
-    from simfoundry.capture.run import CaptureOptions, run_capture
-    from simfoundry.models.setup import load_setup
-    from simfoundry.reports.capture import capture_page
+    from simfoundry.capture.shared_modules import SHARED_MODULES
     from simfoundry.runtime.process_pair import ProcessPair
 
-    accepted, models = accepted_codes(codes), load_setup(capture, commercial_only=commercial_only)
-    request = None if tasks is None else _task_request(tasks, models)
     with ProcessPair() as pair:
+        pair.start(SHARED_MODULES)  # before this process imports as much
+        from simfoundry.assets.cache import Cache
+        from simfoundry.capture.findings import accepted_codes
+        from simfoundry.capture.run import CaptureOptions, run_capture
+        from simfoundry.models.setup import load_setup
+        from simfoundry.reports.capture import capture_page
+
+        accepted, models = accepted_codes(codes), load_setup(capture, commercial_only=commercial_only)
+        request = None if tasks is None else _task_request(tasks, models)
         options = CaptureOptions(
             frame, force, accepted, redo_from, only, against, capture_page, models, request, cad, pair
         )
@@ -120,7 +122,6 @@ def capture_command(
 
         run = reconstruct(options)
         if watch:
-            pair.start(SHARED_MODULES)
             again = partial(reconstruct, replace(options, force=False, redo_from=None, only=()))
             run = _follow(run, again, as_json)
     return output.DONE if run.report["passed"] else output.FINDINGS

@@ -20,9 +20,6 @@ from simfoundry.errors import SimfoundryError
 if TYPE_CHECKING:
     from simfoundry.targets.batch import CompileJob, CompileOutcome
 
-# NumPy starts a BLAS thread pool on import, which takes a tenth of the command's run time and is never useful here.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
 RECIPE_SUFFIX = ".cousins.yaml"

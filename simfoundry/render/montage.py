@@ -51,9 +51,10 @@ def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Im
     """
     if objects.shape != color.shape[:2]:
         raise ValueError(f"the labels have shape {objects.shape}, but the image has shape {color.shape[:2]}")
-    labels, index = np.unique(objects, return_inverse=True)
-    palette = np.array([label_color(int(k)) if k > 0 else (0, 0, 0) for k in labels], dtype=np.float64)
-    tint = palette[index.reshape(objects.shape)]
+    palette = np.zeros((int(objects.max(initial=0)) + 1, 3))
+    for k in np.unique(objects[objects > 0]):
+        palette[k] = label_color(int(k))
+    tint = palette[objects]
     strength = np.where(objects > 0, alpha, 0.0)[..., None]
     out = color * (1 - strength) + tint * strength
     outline = _outline(objects)

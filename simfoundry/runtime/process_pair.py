@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -27,8 +26,8 @@ class ProcessPair:
     """
 
     def __init__(self) -> None:
-        self._free: queue.PriorityQueue[int] = queue.PriorityQueue()
-        self._free.put(_HERE)
+        self._free, self._waiting = {_HERE}, 0
+        self._change = threading.Condition()
         self._worker = Worker(Limits.shared(SILENCE_S, 2))
         self.size = 1
 
@@ -46,15 +45,19 @@ class ProcessPair:
             self.size = 2
             threading.Thread(target=self._start, args=(tuple(modules),), daemon=True).start()
 
-    def run(self, call: Callable[[], R]) -> R:
+    def run(self, call: Callable[[], R], beside: bool = False) -> R:
         """Return the result of a call in the process that is free first.
 
-        ``call`` is a partial of a module-level function, which does not use the pair itself. A failure in the other
-        process, such as too little memory, leads to the same call in this one.
+        A failure in the other process, such as too little memory, leads to the same call in this one.
+
+        Args:
+            call: A partial of a module-level function, which does not use the pair itself.
+            beside: True to leave the call to the other process, if there is one, when no other call waits for it. It
+                is for results that are not needed soon, or that this process does not wait for.
         """
-        if self.size == 1:
+        process = self._take(beside)
+        if process is None:
             return call()
-        process = self._free.get()
         try:
             if process == _BESIDE:
                 with suppress(WorkerError):
@@ -62,12 +65,40 @@ class ProcessPair:
                     return result
             return call()
         finally:
-            self._free.put(process)
+            self._release(process)
+
+    def _take(self, beside: bool) -> int | None:
+        """Wait for a process that is free, and return it, or None if there is only this one, which needs no turns."""
+        with self._change:
+            self._waiting += not beside
+            self._change.wait_for(lambda: self.size == 1 or self._free_for(beside))
+            self._waiting -= not beside
+            self._change.notify_all()
+            if self.size == 1:
+                return None
+            process = min(self._free_for(beside))
+            self._free.remove(process)
+            return process
+
+    def _free_for(self, beside: bool) -> set[int]:
+        """Return the free processes that a call may take, if it is not the turn of others."""
+        if beside:
+            return set() if self._waiting else self._free & {_BESIDE}
+        return self._free
+
+    def _release(self, process: int) -> None:
+        with self._change:
+            self._free.add(process)
+            self._change.notify_all()
 
     def _start(self, modules: tuple[str, ...]) -> None:
-        with suppress(WorkerError):
+        try:
             self._worker.call(f"{__name__}:import_modules", modules)
-            self._free.put(_BESIDE)
+            self._release(_BESIDE)
+        except WorkerError:
+            with self._change:
+                self.size = 1
+                self._change.notify_all()
 
 
 def evaluate(call: Callable[[], R]) -> R:

@@ -117,30 +117,20 @@ def settle(
     options: SettleOptions | None = None,
     progress: Progress | None = None,
     state: SceneState | None = None,
+    is_hopeless: Callable[[], object] = lambda: False,
 ) -> SettleResult:
-    """Settle a scene from ``state``, or from its initial state, and leave the world in the settled state."""
+    """Settle a scene from ``state``, or from its initial state, and leave the world in the settled state.
+
+    ``is_hopeless`` is called when overlapping objects have been separated as far as they can be. If it returns
+    something true, the result is that of this moment, without dynamics.
+    """
     options = options or SettleOptions()
     world.reset(state)
     before = _Snapshot.of(world)
     run = partial(_run, world, progress)
     run("depenetrate", options.window_s, 0.0, options.max_quasi_static_s, halt_s=0.0)
-    opened = world.state()
-    dynamics = options.rest_s, options.min_dynamic_s, options.max_dynamic_s
-    restless = run("rest", *dynamics)
-    stuck = _stuck(world, restless)
-    if stuck:
-        restless = stuck  # what else moves is pushed by these
-    elif restless or _fallen(world, world.state()):
-        world.reset(opened)
-        run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
-        calmed = world.state()
-        restless = run("rest", *dynamics)
-        now = world.state().poses
-        restless -= {
-            o.name
-            for o in world.scene.objects
-            if o.name in restless and rest.is_confined(o, calmed.poses[o.name], now[o.name])
-        }
+    hopeless = bool(is_hopeless())
+    restless = set() if hopeless else _restless(world, run, options)
     world.halt()
     end = _Snapshot.of(world)
     fallen = _fallen(world, end.state)
@@ -148,7 +138,7 @@ def settle(
     after = SceneState.of(poses, end.state.joints, end.state.motions)
     free = [o for o in world.scene.objects if not o.fixed]
     standing = [o for o in free if o.name not in fallen | restless and not rest.is_ball(o)]
-    shaky = [o for o in standing if not rest.has_foot(o, after.poses[o.name], end.contacts)]
+    shaky = [o for o in standing if not hopeless and not rest.has_foot(o, after.poses[o.name], end.contacts)]
     toppling = {o.name for o in shaky if rest.topples(world, after, o)}
     if fallen or toppling:
         world.reset(after)
@@ -157,6 +147,23 @@ def settle(
     causes |= dict.fromkeys(fallen, "fell off the scene and keeps its fitted pose")
     reports = tuple(_report(world, o, before, end, options, causes.get(o.name)) for o in free)
     return SettleResult(after, reports, tuple(sorted(restless | fallen)))
+
+
+def _restless(world: World, run: Callable[..., set[str]], options: SettleOptions) -> set[str]:
+    """Simulate dynamics until all objects are at rest, and return those that do not come to rest."""
+    opened = world.state()
+    dynamics = options.rest_s, options.min_dynamic_s, options.max_dynamic_s
+    restless = run("rest", *dynamics)
+    if stuck := _stuck(world, restless):
+        return stuck  # what else moves is pushed by these
+    if not restless and not _fallen(world, world.state()):
+        return restless
+    world.reset(opened)
+    run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
+    calmed = world.state()
+    restless = run("rest", *dynamics)
+    now = world.state().poses
+    return {name for name in restless if not rest.is_confined(world.scene.object(name), calmed.poses[name], now[name])}
 
 
 class _Snapshot(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.doubts.color_match import color_match
-from simfoundry.capture.doubts.depth_faults import depth_doubts, depth_noise, repeated_edges, support_curve
+from simfoundry.capture.doubts.depth_faults import depth_faults, depth_noise, repeated_edges, support_curve
 from simfoundry.capture.doubts.depth_steps import depth_steps
 from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.image_doubts import image_doubts
@@ -163,11 +163,11 @@ def test_the_factor_of_a_wrong_focal_length_is_found(
     seen: tuple[Frame, SupportSurface, Segmentation], factor: float
 ) -> None:
     frame, support, segmentation = seen
-    assert focal_fit(frame, support, segmentation.labels).factor == 1
+    assert focal_fit(support, object_normals(frame, segmentation.labels)).factor == 1
     wrong = replace(frame, K=np.diag([factor, factor, 1.0]) @ (frame.K - [[0, 0, 158], [0, 0, 121], [0, 0, 0]])
                     + [[0, 0, 158], [0, 0, 121], [0, 0, 0]])  # fmt: skip
     support = find_support(wrong)
-    assert abs(focal_fit(wrong, support, segmentation.labels).factor * factor - 1) < 0.1
+    assert abs(focal_fit(support, object_normals(wrong, segmentation.labels)).factor * factor - 1) < 0.1
     found = image_doubts(wrong, support, segmentation)
     assert any("focal length" in f.message for f in found) and PARTS not in codes(found)
 
@@ -178,7 +178,7 @@ def test_round_objects_alone_tell_the_focal_length() -> None:
     )
     K = np.array([[0.7 * frame.K[0, 0], 0, frame.K[0, 2]], [0, 0.7 * frame.K[1, 1], frame.K[1, 2]], [0, 0, 1]])
     wrong = replace(frame, K=K)
-    assert abs(focal_fit(wrong, find_support(wrong), labels).factor * 0.7 - 1) < 0.15
+    assert abs(focal_fit(find_support(wrong), object_normals(wrong, labels)).factor * 0.7 - 1) < 0.15
 
 
 @pytest.mark.parametrize("spoiled", ["noise", "steps"])
@@ -269,7 +269,7 @@ def test_a_warped_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> N
     frame, support, _ = seen
     assert support_curve(frame, support) < 5e-4
     bent = replace(frame, depth=frame.depth * (1 + 0.1 * (np.arange(frame.depth.shape[1]) / 160 - 1) ** 2))
-    (doubt,) = depth_doubts(bent, support)
+    (doubt,) = depth_faults(bent, support)
     assert doubt.code == NOISY and "warped" in doubt.message
 
 
@@ -329,4 +329,4 @@ def test_the_edge_of_a_box_on_an_even_table_is_no_seam(
     even = Frame(color, np.full(labels.shape, 0.8), frame.K)
     edge, outside = seams(even, labels, axis)
     assert edge.share == 0.5 and edge.wrapped == 0 and outside.share == 0
-    assert not list(seam_doubts(even, support, labels))
+    assert not list(seam_doubts(even, support, labels, object_normals(even, labels)))

@@ -88,7 +88,7 @@ def test_stages_are_run_again_on_request(folder: Path) -> None:
     before = output(folder)
     red = number("red", folder)
     assert ran(again(folder, redo_from="texture", only=("red_box",))) == {("texture", red)}
-    later = {"name", "texture", "doubts", "settle", "pictures"}
+    later = {"name", "texture", "faults", "doubts", "settle", "pictures"}
     assert {stage for stage, _ in ran(again(folder, redo_from="name"))} == later
     assert ran(again(folder, only=("red_box",))) == {("shape", red), ("texture", red)}
     assert output(folder) == before

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simfoundry.capture.pipeline import SHARED_MODULES
+from simfoundry.capture.shared_modules import SHARED_MODULES
 from simfoundry.errors import OutputError
 from simfoundry.runtime.process_pair import ProcessPair
 from tests.capture.runs import again, output, ran

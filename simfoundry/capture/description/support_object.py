@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.frames.reduced import reduced_frame, reduction
-from simfoundry.capture.segment.masks import simplified
+from simfoundry.capture.segment.masks import Labels, simplified
 from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
@@ -69,7 +69,13 @@ def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:
     return None if not dense[0] or dense.all() or edges[end] < THINNEST else float(edges[end])
 
 
-def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
+def painted_support(frame: Frame, support: SupportSurface, labels: Labels) -> tuple[float | None, Mesh]:
+    """Return the measured thickness of the support [m], or None, and its textured mesh. See :func:`support_mesh`."""
+    thickness = measured_thickness(frame, support)
+    return thickness, support_mesh(frame, support, labels, thickness or DEFAULT_THICKNESS)
+
+
+def support_mesh(frame: Frame, support: SupportSurface, labels: Labels, height: float) -> Mesh:
     """Return the slab as a mesh whose top is at z = 0, with the image projected onto it.
 
     Texture coordinates are positions in the bounding rectangle of the outline, so the sides get the color of the
@@ -83,7 +89,7 @@ def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32
     return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, labels, low, high))
 
 
-def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
+def _texture(frame: Frame, support: SupportSurface, labels: Labels, low: Array, high: Array) -> bytes:
     """Return a PNG image of the top as seen from above, with +x to the right and +y up."""
     import cv2
 

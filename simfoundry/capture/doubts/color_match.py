@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,8 @@ def color_match(frame: Frame, labels: Labels) -> ColorMatch | None:
     color = cv2.blur(frame.color, (step, step))[::step, ::step] if step > 1 else frame.color
     small = labels[::step, ::step]
     smooth = cv2.GaussianBlur(color, (0, 0), 1.5).astype(np.float32)
-    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)).max(axis=-1)
+    slopes = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    slope = reduce(np.maximum, np.moveaxis(slopes, -1, 0))
     limit, edges = np.quantile(slope, [1 - STEEP, 1 - EDGE_SHARE])
     rims = [rim for k in np.unique(small[small > 0]) if len(rim := _rim(small == k))]
     lengths = np.array([len(rim) for rim in rims])

@@ -1,4 +1,4 @@
-"""Find faults of a depth image: noise that hides objects, and edges that appear twice."""
+"""Find faults of a depth image, such as noise that hides objects and edges that appear twice."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from simfoundry.capture.doubts.depth_steps import steps_doubt
 from simfoundry.capture.findings import NOISY, REPEATED, CaptureFinding
 from simfoundry.capture.frame import Frame, SupportSurface, depth_sigma
 from simfoundry.geometry.frames import Array
@@ -26,8 +27,14 @@ SMOOTH = 0.5  # [px] standard deviation over which slopes are averaged, so that 
 REPEATING = 0.14  # maximum correlation of edges with themselves at another place; it stays below 0.1 on real tables
 
 
-def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFinding]:
-    """Yield a finding for each fault of a depth image."""
+def depth_faults(frame: Frame, support: SupportSurface) -> tuple[CaptureFinding, ...]:
+    """Return a finding for each fault of a depth image, which does not depend on its division into objects."""
+    frame = frame.cleaned()
+    return (*_noise(frame, support), *_repetition(frame.depth), *steps_doubt(frame.depth))
+
+
+def _noise(frame: Frame, support: SupportSurface) -> Iterator[CaptureFinding]:
+    """Yield a finding if the support is noisy or warped."""
     expected = float(np.nanmedian(depth_sigma(frame.depth[support.inliers])))
     noise = depth_noise(frame, support) / expected
     curve = support_curve(frame, support)
@@ -46,7 +53,11 @@ def depth_doubts(frame: Frame, support: SupportSurface) -> Iterator[CaptureFindi
         message = f"the support seems to be warped by {curve * 1000:.1f} mm (standard deviation)"
         hint = "check that the depth is measured along the optical axis, and that the intrinsics and the lens are right"
         yield CaptureFinding(NOISY, message, hint)
-    shift, share = repeated_edges(frame.depth)
+
+
+def _repetition(depth: Array) -> Iterator[CaptureFinding]:
+    """Yield a finding if edges appear twice."""
+    shift, share = repeated_edges(depth)
     if share > REPEATING:
         message = f"edges in the depth image are smeared or appear again {shift} px (columns, rows) beside them"
         yield CaptureFinding(

@@ -48,7 +48,7 @@ def division_doubts(frame: Frame, segmentation: Segmentation, points_W: Array) -
     step = max(1, round(labels.shape[1] / WIDTH))
     small, depth, points = labels[::step, ::step], frame.depth[::step, ::step], points_W[::step, ::step]
     color = cv2.cvtColor(np.ascontiguousarray(frame.color[::step, ::step], np.float32) / 255, cv2.COLOR_RGB2LAB)
-    regions = {int(k): _region(small == k, np.asarray(color, np.float64), points) for k in np.unique(small[small > 0])}
+    regions = {int(k): _region(np.argwhere(small == k), color, points) for k in np.unique(small[small > 0])}
     for (a, one), (b, other) in combinations(regions.items(), 2):
         if {a, b} <= stated:
             continue
@@ -60,12 +60,13 @@ def division_doubts(frame: Frame, segmentation: Segmentation, points_W: Array) -
             yield CaptureFinding(DIVIDED, message, hint, outline=((int(u), int(v)), (int(x), int(y))))
 
 
-def _region(mask: NDArray[np.bool_], color: Array, points: Array) -> _Region:
-    own = points[mask & np.isfinite(points[..., 2])]
+def _region(pixels: NDArray[np.intp], color: NDArray[np.float32], points: Array) -> _Region:
+    own = points[tuple(pixels.T)]
+    own = own[np.isfinite(own[:, 2])]
     if not len(own):
         own = np.full((1, 3), np.nan)
-    tone = np.median(color[mask], axis=0) * [0.5, 1.0, 1.0]
-    return _Region(np.argwhere(mask), tone, np.median(own[:, :2], axis=0), float(np.quantile(own[:, 2], HIGHEST)))
+    tone = np.median(color[tuple(pixels.T)].astype(np.float64), axis=0) * [0.5, 1.0, 1.0]
+    return _Region(pixels, tone, np.median(own[:, :2], axis=0), float(np.quantile(own[:, 2], HIGHEST)))
 
 
 def _hidden(one: _Region, other: _Region, labels: Labels, depth: Array) -> float:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.capture.doubts.color_match import color_doubts
-from simfoundry.capture.doubts.depth_faults import depth_doubts
-from simfoundry.capture.doubts.depth_steps import steps_doubt
+from simfoundry.capture.doubts.depth_faults import depth_faults
 from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.intrinsics import intrinsics_doubt
+from simfoundry.capture.doubts.object_normals import object_normals
 from simfoundry.capture.doubts.seams import seam_doubts
 from simfoundry.capture.doubts.size_priors import scale_doubt
 from simfoundry.capture.findings import BORDER, HOLE, MERGED, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
@@ -41,8 +41,16 @@ BORDER_SHARE = 0.08  # minimum fraction of an object's outline along the border 
 
 def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentation) -> tuple[CaptureFinding, ...]:
     """Return what is doubtful about an image and its division into objects."""
+    return (*depth_faults(frame, support), *segmentation_doubts(frame, support, segmentation))
+
+
+def segmentation_doubts(
+    frame: Frame, support: SupportSurface, segmentation: Segmentation
+) -> tuple[CaptureFinding, ...]:
+    """Return what is doubtful about the division of an image into objects, or about the image given this division."""
     frame = frame.cleaned()
     labels, objects = segmentation.labels, segmentation.objects
+    normals = object_normals(frame, objects)
     points_W = support.X_WC.apply(frame.points)
     inside = _inside_outline(frame, support)
     return (
@@ -54,10 +62,8 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
         *_cut_off(objects),
         *color_doubts(frame, objects),
         *scale_doubt(frame, support, objects, points_W),
-        *intrinsics_doubt(frame, support, objects),
-        *depth_doubts(frame, support),
-        *steps_doubt(frame.depth),
-        *seam_doubts(frame, support, objects),
+        *intrinsics_doubt(frame, support, normals),
+        *seam_doubts(frame, support, objects, normals),
         *division_doubts(frame, replace(segmentation, labels=objects), points_W),
         *_merged(segmentation),
     )

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals, object_normals
+from simfoundry.capture.doubts.object_normals import RELATED, TYPICAL, ObjectNormals
 from simfoundry.capture.findings import IMPLAUSIBLE, CaptureFinding
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.segment.masks import Labels
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.ray_casts import unit
 
@@ -45,7 +44,7 @@ class FocalFit:
     gain: float
 
 
-def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> Iterator[CaptureFinding]:
+def intrinsics_doubt(frame: Frame, support: SupportSurface, seen: ObjectNormals) -> Iterator[CaptureFinding]:
     """Yield a finding if no depth camera has the intrinsics, or if another focal length suits the objects."""
     h, w = frame.depth.shape
     fx, fy, cx, cy = (float(frame.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -60,7 +59,7 @@ def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> I
     if faults:
         message = f"the camera has {' and '.join(faults)}, as after cropping or scaling the image"
         yield CaptureFinding(IMPLAUSIBLE, message, HINT)
-    fit = focal_fit(frame, support, labels)
+    fit = focal_fit(support, seen)
     if abs(math.log(fit.factor)) > WRONG and fit.gain > CERTAIN:
         message = (
             f"the sides of objects lean and round objects are oval, as if the focal length were {fit.factor:.2f} times "
@@ -69,9 +68,9 @@ def intrinsics_doubt(frame: Frame, support: SupportSurface, labels: Labels) -> I
         yield CaptureFinding(IMPLAUSIBLE, message, HINT)
 
 
-def focal_fit(frame: Frame, support: SupportSurface, labels: Labels) -> FocalFit:
+def focal_fit(support: SupportSurface, seen: ObjectNormals) -> FocalFit:
     """Return the factor of the focal length with which objects are most upright and round."""
-    seen, up = object_normals(frame, labels), support.X_WC.rotation[2]
+    up = support.X_WC.rotation[2]
     likelihood = [_log_likelihood(seen, up, factor) for factor in FACTORS]
     stated = len(FACTORS) // 2
     best = max(range(len(FACTORS)), key=lambda k: (likelihood[k], -abs(k - stated)))  # the stated one without objects

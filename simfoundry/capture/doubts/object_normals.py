@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.segment.masks import Labels
+from simfoundry.capture.segment.masks import Labels, window_around
 from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.geometry.frames import Array
 
@@ -45,11 +45,14 @@ def object_normals(frame: Frame, labels: Labels) -> ObjectNormals:
     """Return the normals of the objects of an image, which is reduced to :data:`WIDTH`."""
     step = max(1, round(frame.depth.shape[1] / WIDTH))
     small = labels[::step, ::step]
+    width, window = small.shape[1], window_around(small > 0, 0) if small.any() else np.s_[0:0, 0:0]
+    small = small[window]
     K = np.array(frame.K, dtype=np.float64)
     K[:2] /= step
-    depth = np.where(small > 0, frame.depth[::step, ::step], np.nan)
+    K[:2, 2] -= window[1].start, window[0].start
+    depth = np.where(small > 0, frame.depth[::step, ::step][window], np.nan)
     normals = normals_of(tangents(depth, RADIUS, 1, small), K)
     known = np.isfinite(normals[..., 2])
-    points = Frame(frame.color[::step, ::step], depth, K).points[known]
-    columns = np.nonzero(known)[1]
-    return ObjectNormals(points, normals[known], small[known], columns, depth.shape[1], step, float(K[0, 0]))
+    points = Frame(frame.color[::step, ::step][window], depth, K).points[known]
+    columns = np.nonzero(known)[1] + window[1].start
+    return ObjectNormals(points, normals[known], small[known], columns, width, step, float(K[0, 0]))

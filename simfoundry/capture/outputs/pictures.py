@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.frames.reduced import reduced, reduction
 from simfoundry.capture.segment.masks import Labels
-from simfoundry.render.montage import overlay, png_bytes, side_by_side
+from simfoundry.render.montage import Image, overlay, png_bytes, side_by_side
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
@@ -26,11 +26,13 @@ TINT = 0.45  # Opacity of the colors of objects: half, so that edges in the imag
 class RenderedScene:
     """A scene in a state, which is lowered and rendered only if needed, and then once.
 
-    ``lower`` returns the scene, whose first camera is that of the image.
+    ``lower`` returns the scene, whose first camera is that of the image. ``drawing`` waits for its picture, if someone
+    draws it already.
     """
 
     lower: Callable[[], Scene]
     state: SceneState
+    drawing: Callable[[], Image] | None = None
 
     @cached_property
     def scene(self) -> Scene:
@@ -42,15 +44,21 @@ class RenderedScene:
         """The scene as its first camera sees it."""
         return raycast(self.scene, self.scene.cameras[0], self.state)
 
-    def seen(self, step: int) -> NDArray[np.uint8]:
-        """Return every ``step``-th pixel of the scene as its first camera sees it, uint8, shape (h, w, 3)."""
-        if step == 1:
-            return self.ray.color
-        camera, middle = self.scene.cameras[0], step // 2
-        width, height = (len(range(middle, extent, step)) for extent in (camera.width, camera.height))
-        fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - middle) / step, (camera.cy - middle) / step
-        small = replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-        return raycast(self.scene, small, self.state).color
+    @cached_property
+    def picture(self) -> Image:
+        """What :func:`first_view` returns for the scene."""
+        return first_view(self.scene, self.state) if self.drawing is None else self.drawing()
+
+
+def first_view(scene: Scene, state: SceneState) -> Image:
+    """Return what the first camera of a scene sees, with the pixels that :func:`reduced` leaves of a large image."""
+    camera = scene.cameras[0]
+    step = reduction((camera.height, camera.width))
+    middle = step // 2
+    width, height = (len(range(middle, extent, step)) for extent in (camera.width, camera.height))
+    fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - middle) / step, (camera.cy - middle) / step
+    small = replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+    return raycast(scene, small, state).color
 
 
 def comparison_picture(color: NDArray[np.uint8], labels: Labels, rendered: RenderedScene) -> bytes:
@@ -60,5 +68,5 @@ def comparison_picture(color: NDArray[np.uint8], labels: Labels, rendered: Rende
     """
     step = reduction(labels.shape)
     color, labels = reduced(color, step), reduced(labels, step)
-    panels = [("capture", color), ("objects found", overlay(color, labels, TINT)), ("simulated", rendered.seen(step))]
+    panels = [("capture", color), ("objects found", overlay(color, labels, TINT)), ("simulated", rendered.picture)]
     return png_bytes(side_by_side(panels), FAST)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.findings import CaptureFinding
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.frames.reduced import reduction
 from simfoundry.capture.model_stages.joints import ARTICULATED
-from simfoundry.capture.outputs.pictures import RenderedScene
+from simfoundry.capture.outputs.pictures import RenderedScene, first_view
 from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.settling.standing import StandingScene, settle_objects
 from simfoundry.capture.shapes.fit import FittedShape
@@ -58,9 +58,9 @@ def resting_scene(
     drawn: list[RenderedScene] = []
 
     def draw(scene: Scene, state: SceneState) -> None:
-        drawn[:] = [RenderedScene(lambda: scene, state)]
-        if reduction(built.segmentation.labels.shape) == 1:  # else, a smaller picture is drawn later
-            drawn[0].seen(1)
+        look, processes = partial(first_view, scene, state), stages.processes
+        drawing = stages.begin(look if processes is None else partial(processes.run, look, beside=True))
+        drawn[:] = [RenderedScene(lambda: scene, state, drawing)]
 
     def compute() -> _Kept:
         standing = settle_objects(built, frame, scene_file, cache, progress, draw, stages.processes)

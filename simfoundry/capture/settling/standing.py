@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,6 @@ from simfoundry.capture.settling.containment import with_containers
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.runtime.files import write_file
-from simfoundry.runtime.parallel import in_background
 from simfoundry.runtime.process_pair import ProcessPair
 from simfoundry.scene.bodies import MeshUse
 from simfoundry.scene.lower import lower, pose
@@ -78,7 +77,7 @@ def settle_objects(
     solids lies where it fell. One that does not rest with any of them is held in place by ``fixed``, so that nothing
     that was seen is missing, and reported as a finding.
 
-    ``draw`` is called with each scene that rests, in a thread beside the simulation that finds out if it remains.
+    ``draw`` is called with each scene that rests, and starts to draw it while a simulation finds out if it remains.
     ``processes`` decompose meshes into convex parts.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -90,16 +89,21 @@ def settle_objects(
             _decompose_meshes(loaded, cache, processes)
         scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
         with MujocoWorld(scene) as world:
-            settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
+            settled = settle(
+                world,
+                progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share),
+                is_hopeless=partial(_wedged, built, world),
+            )
             spec = with_poses(built.spec, settled.state.poses)
             toppled = tuple(name for name in _toppled(settled) if built.shapes[name].alternatives)
             fallen = tuple(dict.fromkeys((*settled.lost, *toppled))) or _wedged(built, world)
-            with nullcontext() if fallen else in_background(partial(draw, scene, settled.state)):
-                fallen = fallen or _leaving(world, spec)
-                if not fallen:
-                    supports = {o.name: o.supports for o in settled.objects}
-                    spec = with_containers(with_supports(spec, supports), scene)
-                    break
+            if not fallen:
+                draw(scene, settled.state)
+                fallen = _leaving(world, spec)
+            if not fallen:
+                supports = {o.name: o.supports for o in settled.objects}
+                spec = with_containers(with_supports(spec, supports), scene)
+                break
         for name in _suspects(built, fallen):
             built = _supported(built, name, frame)
         for folder in ("meshes", ARTICULATED):

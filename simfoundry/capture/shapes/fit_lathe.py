@@ -111,9 +111,9 @@ def _level_radii(r: Array, z: Array, edges: Array) -> Array:
     return binned_medians(level, r, LEVELS, _MIN_IN_LEVEL)
 
 
-def _fill(z: Array, radii: Array, fallback: float) -> Array:
+def _fill(z: Array, radii: Array, fallback: Callable[[], float]) -> Array:
     """Interpolate levels that were not visible. Values beyond the ends are extrapolated as constants."""
-    filled = smooth_gaps(z, radii) if np.isfinite(radii).any() else np.full(len(z), fallback)
+    filled = smooth_gaps(z, radii) if np.isfinite(radii).any() else np.full(len(z), fallback())
     return np.maximum(filled, _MIN_RADIUS)
 
 
@@ -127,7 +127,7 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     side = z < height - 0.4 * evidence.scale  # points above this height are on the lid
     edges = np.linspace(0.0, height, LEVELS + 1)
     centers = (edges[:-1] + edges[1:]) / 2
-    radii = _fill(centers, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
+    radii = _fill(centers, _level_radii(r[side], z[side], edges), lambda: float(np.percentile(r, 95)))
     heights = np.concatenate([[height], centers[::-1], [0.0]])
     outline = np.concatenate([[radii[-1]], radii[::-1], [radii[0]]])
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
@@ -168,7 +168,7 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     centers = (edges[:-1] + edges[1:]) / 2
     outside = _level_radii(r[~inner], z[~inner], edges)
     inside = _level_radii(r[inner], z[inner], edges)
-    outer = _fill(centers, np.where(np.isfinite(outside), outside, inside + WALL), rim)
+    outer = _fill(centers, np.where(np.isfinite(outside), outside, inside + WALL), lambda: rim)
     floor = min(FLOOR, 0.3 * height)
     central = z[inner & (r < 0.4 * rim)]
     if len(central) >= 2 * _MIN_IN_LEVEL:

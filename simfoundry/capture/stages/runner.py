@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from typing import Generic, Literal, TypeVar
+from types import TracebackType
+from typing import Any, Generic, Literal, Self, TypeVar
 
 from simfoundry.assets.cache import key_of
 from simfoundry.capture.frame import CaptureError
@@ -54,6 +56,16 @@ class StageRunner:
     states: dict[tuple[str, str], StageState] = field(default_factory=dict)
     overridden: set[tuple[str, str]] = field(default_factory=set)
     processes: ProcessPair | None = None
+    _begun: list[Future[Any]] = field(default_factory=list)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Wait for everything that was begun, so that nothing is written later."""
+        wait(self._begun)
 
     @property
     def size(self) -> int:
@@ -69,6 +81,7 @@ class StageRunner:
         quick: bool = False,
         provisional: Callable[[T], bool] | None = None,
         shared: bool = False,
+        beside: bool = False,
     ) -> StageResult[T]:
         """Return the result of the stage ``name``, reusing an earlier one with equal inputs.
 
@@ -80,6 +93,7 @@ class StageRunner:
             quick: True if the result takes so little time that a runner that only examines computes it too.
             provisional: Tells whether a result is to be computed again by the next run. The default keeps all results.
             shared: True if ``compute`` is long, and a partial of a module-level function, which any process can run.
+            beside: True to leave what is shared to the second process, because nothing needs it soon.
 
         Raises:
             StaleStageError: The runner only examines, and there is no earlier result with equal inputs.
@@ -96,12 +110,23 @@ class StageRunner:
                 raise StaleStageError(name, label)
             value = compute()
             return StageResult(value, encoded(value)[2])
-        value = self.processes.run(compute) if shared and self.processes is not None else compute()
+        value = self.processes.run(compute, beside) if shared and self.processes is not None else compute()
         self.states[name, label] = "ran"
         if provisional is not None and provisional(value):
             return StageResult(value, encoded(value)[2])
         digest = key if self.store is None else self.store.write(stage, label, key, inputs, value)
         return StageResult(value, digest)
+
+    def begin(self, function: Callable[[], T]) -> Callable[[], T]:
+        """Start a function in a thread beside this one, and return one that waits for its result.
+
+        Threads take turns except in NumPy, OpenCV and MuJoCo, in the second process, and while they use files.
+        """
+        pool = ThreadPoolExecutor(1)
+        future = pool.submit(function)
+        pool.shutdown(wait=False)
+        self._begun.append(future)
+        return future.result
 
     def _is_redone(self, name: str, label: str) -> bool:
         if self.redo_from is None or stage_index(name) < stage_index(self.redo_from):

@@ -150,6 +150,7 @@ STAGES = (
         ("model_stages/background.py",),
         is_optional=True,
     ),
+    Stage("faults", "looks for faults of the depth image", ("doubts/depth_faults.py",)),
     Stage("doubts", "looks for signs in the image that the scene will be wrong", ("doubts/image_doubts.py",)),
     Stage(
         "settle",
