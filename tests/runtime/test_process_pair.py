@@ -52,6 +52,19 @@ def test_two_calls_run_at_once(pair: ProcessPair) -> None:
     assert len(used) == 2 and os.getpid() in used
 
 
+def test_what_is_left_to_the_other_process_waits_for_it(pair: ProcessPair) -> None:
+    with ThreadPoolExecutor(2) as threads:
+        busy = threads.submit(pair.run, partial(pid, 0.3))
+        time.sleep(0.1)
+        assert pair.run(pid, beside=True) == busy.result() != os.getpid()
+
+
+def test_nothing_waits_for_a_process_that_does_not_start() -> None:
+    with ProcessPair() as alone:
+        alone.start(("no_such_module",))
+        assert alone.run(pid, beside=True) == os.getpid()
+
+
 def test_errors_are_raised_and_crashes_are_made_up_for(pair: ProcessPair) -> None:
     with pytest.raises(ValueError, match="no such thing"):
         pair.run(wrong)

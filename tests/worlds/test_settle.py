@@ -321,6 +321,13 @@ def test_worlds_are_left_in_the_settled_state(scene_file: Path) -> None:
         assert math.isclose(now.poses[name].angle_to(X_WO), 0.0, abs_tol=1e-7)
 
 
+def test_what_is_hopeless_is_not_simulated_further(scene_file: Path) -> None:
+    stages: list[str] = []
+    with open_world(lower_file(scene_file), "mujoco") as world:
+        result = settle(world, progress=lambda stage, share: stages.append(stage), is_hopeless=lambda: True)
+    assert {*stages} == {"depenetrate"} and result.at_rest
+
+
 STACK = """\
 simfoundry: scene/1
 name: stack
