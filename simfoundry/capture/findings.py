@@ -70,8 +70,8 @@ IMPLAUSIBLE = "SF628"
 # An image that consists of parts which do not belong together, or that is rolled.
 PARTS = "SF630"
 
-# Two objects that may be the visible parts of one.
-DIVIDED = "SF631"
+# An object of parts that may be several objects, because something hides what is between them.
+JOINED = "SF631"
 
 # An object that may be several.
 MERGED = "SF632"

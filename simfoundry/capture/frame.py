@@ -185,7 +185,8 @@ class Segmentation:
     ``supports[k]`` is the number of the object that supports object ``k``, or 0 for the table.
     ``surfaces`` contains the numbers that are levels of the support and not objects, with the index of the level.
     ``pieces`` contains the numbers of the objects that the capture names in its decomposition, by name. ``unmet`` lists
-    the constraints that could not be respected, as sentences. ``doubted`` are the objects that may be several.
+    the constraints that could not be respected, as sentences. ``doubted`` are the objects that may be several, and
+    ``joined`` those of parts between which something else hides them.
     """
 
     labels: NDArray[np.int32]
@@ -194,6 +195,7 @@ class Segmentation:
     unmet: tuple[str, ...] = ()
     surfaces: Mapping[int, int] = field(default_factory=dict)
     doubted: tuple[int, ...] = ()
+    joined: tuple[int, ...] = ()
 
     @property
     def objects(self) -> NDArray[np.int32]:

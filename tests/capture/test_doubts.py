@@ -10,7 +10,6 @@ import pytest
 from simfoundry.capture.doubts.color_match import color_match
 from simfoundry.capture.doubts.depth_faults import depth_faults, depth_noise, repeated_edges, support_curve
 from simfoundry.capture.doubts.depth_steps import depth_steps
-from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.image_doubts import image_doubts
 from simfoundry.capture.doubts.intrinsics import focal_fit
 from simfoundry.capture.doubts.object_normals import object_normals
@@ -18,9 +17,9 @@ from simfoundry.capture.doubts.seams import roll_gain, seam_doubts, seams
 from simfoundry.capture.doubts.size_priors import scale_doubt, support_width
 from simfoundry.capture.findings import (
     BORDER,
-    DIVIDED,
     HOLE,
     IMPLAUSIBLE,
+    JOINED,
     MERGED,
     NOISY,
     OFFSET,
@@ -273,29 +272,6 @@ def test_a_warped_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> N
     assert doubt.code == NOISY and "warped" in doubt.message
 
 
-def test_two_parts_of_an_object_behind_another_one() -> None:
-    """A wide box whose middle is hidden is counted twice. Two boxes of different heights there are two."""
-    occluder = Box((-0.06, 0.0, 0.09), (0.05, 0.06, 0.18))
-    frame, labels = photograph(Setup((Box((0.08, 0.0, 0.04), (0.06, 0.24, 0.08)), occluder)))
-    support = find_support(frame)
-    points_W = support.X_WC.apply(frame.points)
-    right = (labels == 1) & (np.arange(labels.shape[1]) > np.nonzero(labels == 2)[1].mean())
-    assert right.any() and ((labels == 1) & ~right).any()
-    divided = np.where(right, 3, labels).astype(np.int32)
-    found = Segmentation(divided, {1: 0, 2: 0, 3: 0})
-    (doubt,) = division_doubts(frame, found, points_W)
-    assert doubt.code == DIVIDED and "1 and 3" in doubt.message
-    assert sorted(divided[v, u] for u, v in doubt.outline) == [1, 3]
-    higher = points_W + np.where(right, 0.01, 0.0)[..., None] * [0, 0, 1]
-    assert not list(division_doubts(frame, found, higher))
-    painted = replace(frame, color=np.where(right[..., None], np.uint8(250), np.uint8(90)) * np.ones(3, np.uint8))
-    assert not list(division_doubts(painted, found, points_W))
-    bare = replace(found, labels=np.where(labels == 2, 0, divided).astype(np.int32))
-    assert not list(division_doubts(frame, bare, points_W))
-    assert not list(division_doubts(frame, replace(found, pieces={"left": 1, "right": 3}), points_W))
-    assert not list(division_doubts(replace(frame, instances=divided), found, points_W))
-
-
 def test_something_at_the_border_that_hides_the_support(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
     """What reaches over the border of the image in front of the table is no object, and may hide some."""
     frame, support, segmentation = seen
@@ -315,6 +291,12 @@ def test_an_object_that_may_be_two(seen: tuple[Frame, SupportSurface, Segmentati
     assert doubt.code == MERGED and "the number 2" in doubt.message
     rows, columns = np.nonzero(segmentation.labels == 2)
     assert np.abs(np.mean(doubt.outline, axis=0) - (columns.mean(), rows.mean())).max() < 8
+
+
+def test_an_object_of_parts_that_may_be_several(seen: tuple[Frame, SupportSurface, Segmentation]) -> None:
+    frame, support, segmentation = seen
+    (doubt,) = image_doubts(frame, support, replace(segmentation, joined=(1,)))
+    assert doubt.code == JOINED and "the number 1" in doubt.message
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from simfoundry.capture.doubts.color_match import color_doubts
 from simfoundry.capture.doubts.depth_faults import depth_faults
-from simfoundry.capture.doubts.divided_objects import division_doubts
 from simfoundry.capture.doubts.intrinsics import intrinsics_doubt
 from simfoundry.capture.doubts.object_normals import object_normals
 from simfoundry.capture.doubts.seams import seam_doubts
 from simfoundry.capture.doubts.size_priors import scale_doubt
-from simfoundry.capture.findings import BORDER, HOLE, MERGED, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
+from simfoundry.capture.findings import BORDER, HOLE, JOINED, MERGED, SUPPORT_DOUBT, UNEXPLAINED, CaptureFinding
 from simfoundry.capture.frame import Frame, Segmentation, SupportSurface, depth_sigma
 from simfoundry.capture.segment.levels import carries_objects, has_level
 from simfoundry.capture.segment.masks import Labels, Mask, closed, components, disk, grown, opened, outline_of, shrunk
@@ -64,8 +62,8 @@ def segmentation_doubts(
         *scale_doubt(frame, support, objects, points_W),
         *intrinsics_doubt(frame, support, normals),
         *seam_doubts(frame, support, objects, normals),
-        *division_doubts(frame, replace(segmentation, labels=objects), points_W),
         *_merged(segmentation),
+        *_joined(segmentation),
     )
 
 
@@ -205,6 +203,14 @@ def _merged(segmentation: Segmentation) -> Iterator[CaptureFinding]:
         message = f"the object with the number {k} in segments.png may be two that touch"
         hint = "if so, state pixels on each of them under `pieces` in `decomposition`"
         yield CaptureFinding(MERGED, message, hint, outline=outline_of(segmentation.labels == k))
+
+
+def _joined(segmentation: Segmentation) -> Iterator[CaptureFinding]:
+    """Yield a finding for each object of several parts, which may be several objects."""
+    for k in segmentation.joined:
+        message = f"the object with the number {k} in segments.png may be several: what joins its parts is hidden"
+        hint = "if so, state pixels on each of them under `pieces` in `decomposition`"
+        yield CaptureFinding(JOINED, message, hint, outline=outline_of(segmentation.labels == k))
 
 
 def _cut_off(labels: Labels) -> Iterator[CaptureFinding]:

@@ -11,6 +11,7 @@ from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportS
 from simfoundry.capture.frames.reduced import enlarged
 from simfoundry.capture.segment import merge_by_color, merge_regions
 from simfoundry.capture.segment.constraints import constrained
+from simfoundry.capture.segment.hidden_middles import join_parts
 from simfoundry.capture.segment.learned_merging import divide_regions, join_regions
 from simfoundry.capture.segment.levels import segmentation_on_levels, without_support
 from simfoundry.capture.segment.masks import Labels, Mask, Plan, components, disk, grown, shrunk
@@ -43,8 +44,8 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
 
     If ``frame.instances`` is set, its masks are cleaned and used. Otherwise, the surface above the support is cut at
     depth steps and inward creases. Outward bends do not separate objects. Parts separated by an occluder are joined
-    again if they are coplanar, and unsupported parts are joined to the parts that they touch. Finally, the constraints
-    in ``frame.decomposition`` are applied.
+    again if they are coplanar or alike, and unsupported parts are joined to the parts that they touch. Finally, the
+    constraints in ``frame.decomposition`` are applied.
 
     Raises:
         CaptureError: The depth is unusable, or no object is found.
@@ -55,13 +56,17 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
         others, more = _on_surface(without_support(frame, labels, support, level), support.at(level))
         marks += more
         labels = np.where(others > 0, others + int(labels.max()), labels).astype(np.int32)
+    joins: list[tuple[int, int]] = []
+    if frame.instances is None:
+        labels, joins = join_parts(labels, frame, support.X_WC.apply(frame.points))
     labels, pieces, unmet = constrained(labels, frame)
     if not labels.any():
         message = f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support"
         hint = "check that the objects are in view and have valid depth; glass and dark glossy surfaces often have none"
         raise CaptureError("SF504", message, hint)
-    doubted = {int(labels[mark]) for mark in marks} - {0, *pieces.values()}
-    return replace(segmentation_on_levels(labels, frame, support, pieces, unmet), doubted=tuple(sorted(doubted)))
+    doubted, joined = (sorted({int(labels[mark]) for mark in each} - {0, *pieces.values()}) for each in (marks, joins))
+    found = segmentation_on_levels(labels, frame, support, pieces, unmet)
+    return replace(found, doubted=tuple(doubted), joined=tuple(joined))
 
 
 def _on_surface(frame: Frame, support: SupportSurface) -> tuple[Labels, list[tuple[int, int]]]:
