@@ -22,6 +22,7 @@ of_the_checkout = pytest.mark.skipif(PACKAGE.parent != REPOSITORY, reason="it is
 # a robot's model name its files.
 os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "no_robots")
 os.environ.pop("SIMFOUNDRY_ROBOTS", None)
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 os.environ["SIMFOUNDRY_PROGRESS"] = "never"  # a slow machine would print lines that a fast one does not
 
 # The default run is the same everywhere and each time; `make proofs` searches at random, and longer. Slow examples are

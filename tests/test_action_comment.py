@@ -180,6 +180,7 @@ def request_(tmp_path: Path) -> PullRequest:
     return PullRequest(tmp_path)
 
 
+@pytest.mark.slow  # 4 s: several commands
 def test_one_comment_says_what_the_request_changes_and_is_updated(request_: PullRequest) -> None:
     request_.push(table=EDITED)
     assert request_.run() == ""

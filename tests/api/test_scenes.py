@@ -72,6 +72,7 @@ def test_ten_lines_load_edit_save_compile_step_and_judge(tmp_path: Path) -> None
     assert (tmp_path / "desk.scene.yaml").read_text() == edited.replace("[0.42,0.12,0.0475]", "[0.4, 0.1, 0.0475]")
 
 
+@pytest.mark.slow  # 7 s: mypy
 def test_the_script_passes_strict_types(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SCRIPT + "model = scene.to_mujoco()\nscene.relations.append('Open(mug)')\n")
     (tmp_path / "wrong.py").write_text("import simfoundry as sf\nsf.load('a').objects['mug'].mas = 1\n")

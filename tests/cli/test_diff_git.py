@@ -13,6 +13,7 @@ def _attributes(repository: Repository) -> None:
     repository.commit("attributes")
 
 
+@pytest.mark.slow  # 3 s: several commands
 def test_git_diff_speaks_in_the_words_of_the_scene(repository: Repository) -> None:
     _attributes(repository)
     repository.write("table.scene.yaml", EDITED)

@@ -94,6 +94,7 @@ def names(entries: list[tuple[str, list[str]]]) -> list[str]:
 # -- what the commit touches ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # 2 s: several commands
 def test_both_files_in_one_commit(repository: Repository) -> None:
     commit(repository, "pin", table=MOVED, moved=PINNED)
     assert compared("HEAD~1..HEAD") == shown(repository) == {"moved.scene.yaml": SAME, "table.scene.yaml": MOVES}
@@ -110,6 +111,7 @@ def test_the_base_only(repository: Repository) -> None:
     assert compared("HEAD~1..HEAD", "moved.scene.yaml") == {"moved.scene.yaml": MOVES}
 
 
+@pytest.mark.slow  # 2 s: several commands
 def test_the_overlay_only(repository: Repository) -> None:
     commit(repository, "pin", moved=PINNED)
     assert compared("HEAD~1..HEAD") == shown(repository) == {"moved.scene.yaml": SAME}
@@ -128,6 +130,7 @@ def test_the_mug_is_let_go_again(repository: Repository) -> None:
     assert "mug moved" not in "\n".join(said)
 
 
+@pytest.mark.slow  # 2 s: several commands
 def test_the_base_is_renamed_in_the_same_commit(repository: Repository) -> None:
     repository.git("mv", "table.scene.yaml", "desk.scene.yaml")
     commit(repository, "rename", desk=MOVED, moved=PINNED.replace("table.scene", "desk.scene"))

@@ -44,6 +44,7 @@ def push_out(env: TaskEnv) -> tuple[float, bool, bool, dict[str, object], int]:
     raise AssertionError("neither done nor cut off")
 
 
+@pytest.mark.slow  # 3 s: its checker
 def test_gymnasium_finds_no_fault(push_file: Path) -> None:
     from gymnasium.utils.env_checker import check_env
 

@@ -304,6 +304,7 @@ def test_a_thin_visual_offset_in_its_link_and_a_turned_object_compose() -> None:
     np.testing.assert_allclose(raycast(scene, camera).depth, expected, atol=1e-12)
 
 
+@pytest.mark.slow  # 2 s: two processes
 def test_two_processes_draw_the_same_bytes() -> None:
     code = (
         "import hashlib; from tests.tabletop import *; from simfoundry.render.raycast import raycast;"

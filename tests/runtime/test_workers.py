@@ -86,6 +86,7 @@ def test_a_crash_is_told_with_what_was_done(worker: Worker) -> None:
     assert worker.call(f"{HERE}:pid") > 0  # a new process serves
 
 
+@pytest.mark.slow  # 2 s: it waits for a timeout
 def test_a_hang_is_ended(worker: Worker) -> None:
     before = worker.call(f"{HERE}:pid")
     worker.limits = Limits(2.0, worker.limits.memory)
@@ -95,6 +96,7 @@ def test_a_hang_is_ended(worker: Worker) -> None:
     assert not Path(f"/proc/{before}").exists()
 
 
+@pytest.mark.slow  # 7 s: it waits for a timeout
 def test_a_sign_of_life_is_enough(worker: Worker) -> None:
     worker.call(f"{HERE}:pid")
     worker.limits = Limits(5.0, worker.limits.memory)

@@ -350,6 +350,7 @@ def digest(scene: Scene) -> str:
     return h.hexdigest()
 
 
+@pytest.mark.slow  # 4 s: two processes
 def test_two_processes_lower_to_the_same_bytes(tmp_path: Path) -> None:
     import trimesh
 

@@ -110,6 +110,7 @@ def test_what_is_known_is_of_engines_and_behaviors_that_exist_and_is_not_the_ans
         )
 
 
+@pytest.mark.slow  # 2 s: two engines
 def test_mujoco_and_pybullet_behave() -> None:
     engines = {name: find_engine(name) for name in ("mujoco", "pybullet")}
     found = [f for f in find_installed(engines, interpreters([], (), {})).values() if f]

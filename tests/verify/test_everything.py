@@ -158,6 +158,7 @@ def readings_of_yam(yam: Scene, tmp_path_factory: pytest.TempPathFactory) -> Rea
     )
 
 
+@pytest.mark.slow  # 5 s: a robot
 @pytest.mark.parametrize("name", ENGINES)
 def test_two_arms_are_read_back(name: str, readings_of_yam: Readings) -> None:
     found = readings_of_yam(name)[""]
@@ -165,6 +166,7 @@ def test_two_arms_are_read_back(name: str, readings_of_yam: Readings) -> None:
     assert found.compared > 40
 
 
+@pytest.mark.slow  # 5 s: a robot
 @pytest.mark.parametrize("name", ENGINES)
 def test_a_robot_is_read_back(name: str, droid: Scene, tmp_path: Path) -> None:
     found = read(droid, name, tmp_path, {})[""]

@@ -26,6 +26,7 @@ def loader(folder: Path, body: str) -> EngineJob:
     return EngineJob(folder)
 
 
+@pytest.mark.slow  # 7 s: it waits for a timeout
 def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> None:
     good = EngineJob(built("good", primitives_scene(), [MUJOCO], tmp_path / "good").builds["mujoco"])
     crash = loader(
