@@ -29,6 +29,7 @@ class ProcessPair:
         self._free, self._waiting = {_HERE}, 0
         self._change = threading.Condition()
         self._worker = Worker(Limits.shared(SILENCE_S, 2))
+        self._starting: threading.Thread | None = None
         self.size = 1
 
     def __enter__(self) -> Self:
@@ -38,12 +39,16 @@ class ProcessPair:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._worker.close()
+        while self._starting is not None and self._starting.is_alive():
+            self._starting.join(0.05)
+            self._worker.close()  # the process may have been started after it was closed
 
     def start(self, modules: Sequence[str]) -> None:
         """Start the other process, which first imports ``modules``. It is not free until then, but nothing waits."""
         if self.size < min(2, usable_cores()):
             self.size = 2
-            threading.Thread(target=self._start, args=(tuple(modules),), daemon=True).start()
+            self._starting = threading.Thread(target=self._start, args=(tuple(modules),), daemon=True)
+            self._starting.start()
 
     def run(self, call: Callable[[], R], beside: bool = False) -> R:
         """Return the result of a call in the process that is free first.
@@ -71,9 +76,11 @@ class ProcessPair:
         """Wait for a process that is free, and return it, or None if there is only this one, which needs no turns."""
         with self._change:
             self._waiting += not beside
-            self._change.wait_for(lambda: self.size == 1 or self._free_for(beside))
-            self._waiting -= not beside
-            self._change.notify_all()
+            try:
+                self._change.wait_for(lambda: self.size == 1 or self._free_for(beside))
+            finally:
+                self._waiting -= not beside
+                self._change.notify_all()
             if self.size == 1:
                 return None
             process = min(self._free_for(beside))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -63,6 +64,19 @@ def test_nothing_waits_for_a_process_that_does_not_start() -> None:
     with ProcessPair() as alone:
         alone.start(("no_such_module",))
         assert alone.run(pid, beside=True) == os.getpid()
+
+
+def test_a_process_that_is_not_needed_ends(pair: ProcessPair) -> None:
+    before = children()
+    for _ in range(10):
+        with ProcessPair() as unused:
+            unused.start(("json",))
+    assert children() == before != set()
+
+
+def children() -> set[str]:
+    """The processes that this one has started and that have not ended."""
+    return {pid for file in Path("/proc/self/task").glob("*/children") for pid in file.read_text().split()}
 
 
 def test_errors_are_raised_and_crashes_are_made_up_for(pair: ProcessPair) -> None:
