@@ -27,6 +27,7 @@ from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.recordings.unpack import is_recording, unpack_recording
 from simfoundry.capture.settling.settle_stage import resting_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
+from simfoundry.capture.stages.stage import stage_index
 from simfoundry.capture.stages.status import write_source
 from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
@@ -54,7 +55,8 @@ class CaptureRun:
 
     It consists of the scene document and a report that describes how well the scene fits and settles. ``findings``
     lists what is doubtful about the scene, including what the caller accepts. ``states`` tells which stages ran, by
-    stage and object. ``accuracy`` compares the scene with the ground truth, if one was given.
+    stage and object, in the order of the stages. ``accuracy`` compares the scene with the ground truth, if one was
+    given.
     """
 
     document: Loaded
@@ -174,7 +176,8 @@ def run_capture(
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.states, accuracy)
+    states = dict(sorted(stages.states.items(), key=lambda item: (stage_index(item[0][0]), item[0][1])))
+    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, states, accuracy)
 
 
 def _opened(path: Path, out: Path, force: bool, progress: Progress) -> Loaded:

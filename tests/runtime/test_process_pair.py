@@ -66,7 +66,8 @@ def test_nothing_waits_for_a_process_that_does_not_start() -> None:
         assert alone.run(pid, beside=True) == os.getpid()
 
 
-def test_a_process_that_is_not_needed_ends(pair: ProcessPair) -> None:
+@pytest.mark.usefixtures("pair")
+def test_a_process_that_is_not_needed_ends() -> None:
     before = children()
     for _ in range(10):
         with ProcessPair() as unused:
