@@ -186,7 +186,7 @@ class Segmentation:
     ``surfaces`` contains the numbers that are levels of the support and not objects, with the index of the level.
     ``pieces`` contains the numbers of the objects that the capture names in its decomposition, by name. ``unmet`` lists
     the constraints that could not be respected, as sentences. ``doubted`` are the objects that may be several, and
-    ``joined`` those of parts between which something else hides them.
+    ``joined`` are those whose visible parts were joined although what is between them is hidden.
     """
 
     labels: NDArray[np.int32]

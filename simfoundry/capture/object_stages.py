@@ -34,7 +34,6 @@ from simfoundry.capture.statements.stated import placed_shape, stated_segmentati
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.tasks.scenes import SceneEstimate
-from simfoundry.runtime.parallel import in_background
 from simfoundry.scene.lower import pose
 from simfoundry.spec.models.origin import ModelUse
 
@@ -218,8 +217,8 @@ def textured_objects(
 
     inputs = {**view.seen, "support": digest_of(support), "labels": digest_of(labels)}
     paint = partial(painted_support, frame, support, labels)
-    with in_background(partial(view.stages.run, "texture", inputs, paint, SUPPORT_NAME, shared=True)) as painted:
-        meshes = painted_meshes(view, shapes, given, progress)
+    painted = view.stages.begin(partial(view.stages.run, "texture", inputs, paint, SUPPORT_NAME, shared=True))
+    meshes = painted_meshes(view, shapes, given, progress)
     thickness, top = painted().value
     return TexturedObjects(shapes, carriers, meshes, support, thickness, top)
 

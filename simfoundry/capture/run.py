@@ -27,7 +27,6 @@ from simfoundry.capture.reconstruct import Progress, Reconstruction
 from simfoundry.capture.recordings.unpack import is_recording, unpack_recording
 from simfoundry.capture.settling.settle_stage import resting_scene
 from simfoundry.capture.stages.runner import StageRunner, StageState
-from simfoundry.capture.stages.stage import stage_index
 from simfoundry.capture.stages.status import write_source
 from simfoundry.capture.tasks import TaskRequest, write_tasks
 from simfoundry.models.setup import ModelSetup, load_setup
@@ -144,40 +143,37 @@ def run_capture(
             write_source(store.folder, loaded.path, frame_name, options.cad)
             source = load_stage(loaded, frame_name, stages, models)
             views = partial(posed_views, loaded, frame_name, models)
-            stated = statements(loaded, frame_name, previous, source.value)
-            known = replace(stated, setup=models, cad=library, views=views)
+            known = statements(loaded, frame_name, previous, source.value)
+            known = replace(known, setup=models, cad=library, views=views)
             built = reconstruct(name, source, known, lambda stage, share: progress(stage, 0.6 * share), stages)
             with staged_output(previous) as staging:
                 resting = resting_scene(built, source.value, staging / scene_name, cache, progress, stages)
-                built, merged = resting.reconstruction, write_merged(previous, staging / scene_name)
-                rendered, settled = resting.rendered, resting.settled
+                built, rendered, settled = resting.reconstruction, resting.rendered, resting.settled
+                merged = write_merged(previous, staging / scene_name)
                 if merged.is_edited and not merged.is_broken:
                     rendered, settled = _edited_rest(staging / scene_name, cache, progress)
                 progress("pictures", 0.95)
                 color, shown = source.value.color, {"image": source.digest, **resting.shown}
                 draw = partial(comparison_picture, color, built.segmentation.labels, rendered)
-                picture = draw() if merged.is_edited else stages.run("pictures", shown, draw).value
-                write_file(staging / "compare.png", picture)
+                drawn = draw() if merged.is_edited else stages.run("pictures", shown, draw).value
+                write_file(staging / "compare.png", drawn)
                 accuracy = None if real is None else real.judge(rendered, color, staging)
                 edited = write_masks(staging, previous, known, built.segmentation.labels, built.names)
-                edited += (scene_name,) * merged.is_edited
                 written = write_tasks(options.tasks, staging / scene_name, color, previous, progress)
-                doubts = (*built.findings, *_restless(settled), *merged.findings, *written.findings)
-                findings = ordered_findings(doubts)
-                report = _report(built, settled, findings, options.accepted)
-                report |= {
+                findings = ordered_findings((*built.findings, *_restless(settled), *merged.findings, *written.findings))
+                report = {
+                    **_report(built, settled, findings, options.accepted),
                     "source": f"{loaded.spec.name}/{frame_name}",
-                    "edited": [*edited, *written.edited],
+                    "edited": [*edited, *[scene_name] * merged.is_edited, *written.edited],
                     **written.to_json(),
-                    **_accuracy_json(accuracy),
+                    **({} if accuracy is None else {"accuracy": accuracy.to_json()}),
                 }
                 write_files(staging, built.candidates)
                 report = _write_report(report, options.page, staging)
                 store.prune()
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    states = dict(sorted(stages.states.items(), key=lambda item: (stage_index(item[0][0]), item[0][1])))
-    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, states, accuracy)
+    return CaptureRun(loaded, out / scene_name, built, settled, report, findings, stages.ordered_states(), accuracy)
 
 
 def _opened(path: Path, out: Path, force: bool, progress: Progress) -> Loaded:
@@ -185,10 +181,6 @@ def _opened(path: Path, out: Path, force: bool, progress: Progress) -> Loaded:
     if is_recording(path):
         path = unpack_recording(path, out.with_name(f"{out.name}_capture"), force, progress)
     return open_capture(path)
-
-
-def _accuracy_json(accuracy: SceneAccuracy | None) -> dict[str, Any]:
-    return {} if accuracy is None else {"accuracy": accuracy.to_json()}
 
 
 @dataclass(frozen=True, eq=False)

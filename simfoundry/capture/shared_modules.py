@@ -1,6 +1,6 @@
 """The modules that a second process imports before it takes over long stages of a reconstruction.
 
-They are what these stages use and no more, so that the process is ready early.
+The list contains only what these stages use, so that the process is ready early.
 """
 
 SHARED_MODULES = (

@@ -101,7 +101,7 @@ def capture_command(
     from simfoundry.runtime.process_pair import ProcessPair
 
     with ProcessPair() as pair:
-        pair.start(SHARED_MODULES)  # before this process imports as much
+        pair.start(SHARED_MODULES)  # it imports these modules while this process imports its own
         from simfoundry.assets.cache import Cache
         from simfoundry.capture.findings import accepted_codes
         from simfoundry.capture.run import CaptureOptions, run_capture

@@ -14,8 +14,8 @@ from simfoundry import __version__
 
 # Pydantic's plugin search imports a slow module, which would take a tenth of the run time of `check`.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-# NumPy starts a pool of BLAS threads on import, which takes a tenth of the run time of `compile`. They wait busily, in
-# `capture` for a twentieth of its run time, and no command multiplies matrices that are large enough to gain from them.
+# NumPy starts a pool of BLAS threads on import, which takes a tenth of the run time of `compile`. While they wait, they
+# keep cores busy, which slows `capture` down by a twentieth. No command multiplies matrices large enough to need them.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 gc.set_threshold(100_000)  # there are tens of thousands of long-lived objects, so collecting more often is useless
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from simfoundry.errors import SimfoundryError
@@ -84,19 +83,6 @@ def _map_in_processes(
     finally:
         pool.close()
     return [result for k in range(len(chunks)) for result in found[k]]
-
-
-@contextmanager
-def in_background(function: Callable[[], R]) -> Iterator[Callable[[], R]]:
-    """Run ``function`` in a thread beside the block, and yield a function that waits for its result.
-
-    The block ends after the thread, also if it fails, so that nothing is written later. Threads take turns except in
-    NumPy, OpenCV and MuJoCo, and while they read and write files.
-    """
-    from concurrent.futures import ThreadPoolExecutor  # `simfoundry check` must start at once
-
-    with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(function).result
 
 
 def map_chunk(function: Callable[[T], R], chunk: Sequence[T]) -> list[R]:

@@ -44,7 +44,7 @@ class ProcessPair:
             self._worker.close()  # the process may have been started after it was closed
 
     def start(self, modules: Sequence[str]) -> None:
-        """Start the other process, which first imports ``modules``. It is not free until then, but nothing waits."""
+        """Start the other process, which first imports ``modules``. It takes calls once this is done."""
         if self.size < min(2, usable_cores()):
             self.size = 2
             self._starting = threading.Thread(target=self._start, args=(tuple(modules),), daemon=True)
@@ -57,8 +57,8 @@ class ProcessPair:
 
         Args:
             call: A partial of a module-level function, which does not use the pair itself.
-            beside: True to leave the call to the other process, if there is one, when no other call waits for it. It
-                is for results that are not needed soon, or that this process does not wait for.
+            beside: True if the result is not needed soon. If there is another process, it then runs the call when no
+                other call waits.
         """
         process = self._take(beside)
         if process is None:
@@ -73,7 +73,7 @@ class ProcessPair:
             self._release(process)
 
     def _take(self, beside: bool) -> int | None:
-        """Wait for a process that is free, and return it, or None if there is only this one, which needs no turns."""
+        """Wait for a free process and return it, or return None if there is only this one, where calls run at once."""
         with self._change:
             self._waiting += not beside
             try:

@@ -121,8 +121,8 @@ def settle(
 ) -> SettleResult:
     """Settle a scene from ``state``, or from its initial state, and leave the world in the settled state.
 
-    ``is_hopeless`` is called when overlapping objects have been separated as far as they can be. If it returns
-    something true, the result is that of this moment, without dynamics.
+    ``is_hopeless`` is called once overlapping objects have been separated as far as possible. If it returns something
+    true, settling ends there, and no dynamics are simulated.
     """
     options = options or SettleOptions()
     world.reset(state)

@@ -72,7 +72,7 @@ def test_a_camera_may_be_a_matrix(tmp_path: Path, matrix: str) -> None:
         ("[[150, 0], [79.5, 0], [150, 59.5, 0, 0, 1]]", "nine numbers"),
         ("[150, 0, 79.5, 0, 150, 59.5, 0, 0, x]", "nine numbers"),
         ("[150, 2, 79.5, 0, 150, 59.5, 0, 0, 1]", "without skew"),
-        ("{K: [150, 0, 79.5, 0, 150, 59.5, 0, 0, 1]}", "no key of its own"),
+        ("{K: [150, 0, 79.5, 0, 150, 59.5, 0, 0, 1]}", "without a key"),
         ("{fx: 150, fy: 150, cx: 79.5, cy: 59.5, distortion: [0.1, 0.2]}", "has 2 values; OpenCV knows 0, 4, 5"),
     ],
 )

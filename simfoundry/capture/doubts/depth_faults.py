@@ -28,7 +28,7 @@ REPEATING = 0.14  # maximum correlation of edges with themselves at another plac
 
 
 def depth_faults(frame: Frame, support: SupportSurface) -> tuple[CaptureFinding, ...]:
-    """Return a finding for each fault of a depth image, which does not depend on its division into objects."""
+    """Return a finding for each fault of a depth image that can be seen without its division into objects."""
     frame = frame.cleaned()
     return (*_noise(frame, support), *_repetition(frame.depth), *steps_doubt(frame.depth))
 

@@ -45,7 +45,7 @@ def image_doubts(frame: Frame, support: SupportSurface, segmentation: Segmentati
 def segmentation_doubts(
     frame: Frame, support: SupportSurface, segmentation: Segmentation
 ) -> tuple[CaptureFinding, ...]:
-    """Return what is doubtful about the division of an image into objects, or about the image given this division."""
+    """Return findings about the division of an image into objects, and those about the image that depend on it."""
     frame = frame.cleaned()
     labels, objects = segmentation.labels, segmentation.objects
     normals = object_normals(frame, objects)
@@ -208,7 +208,7 @@ def _merged(segmentation: Segmentation) -> Iterator[CaptureFinding]:
 def _joined(segmentation: Segmentation) -> Iterator[CaptureFinding]:
     """Yield a finding for each object of several parts, which may be several objects."""
     for k in segmentation.joined:
-        message = f"the object with the number {k} in segments.png may be several: what joins its parts is hidden"
+        message = f"the object with the number {k} in segments.png may be several: what is between its parts is hidden"
         hint = "if so, state pixels on each of them under `pieces` in `decomposition`"
         yield CaptureFinding(JOINED, message, hint, outline=outline_of(segmentation.labels == k))
 

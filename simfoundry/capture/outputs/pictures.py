@@ -26,8 +26,8 @@ TINT = 0.45  # Opacity of the colors of objects: half, so that edges in the imag
 class RenderedScene:
     """A scene in a state, which is lowered and rendered only if needed, and then once.
 
-    ``lower`` returns the scene, whose first camera is that of the image. ``drawing`` waits for its picture, if someone
-    draws it already.
+    ``lower`` returns the scene, whose first camera is that of the image. ``drawing`` waits for its picture if
+    a thread already draws it.
     """
 
     lower: Callable[[], Scene]
@@ -46,12 +46,12 @@ class RenderedScene:
 
     @cached_property
     def picture(self) -> Image:
-        """What :func:`first_view` returns for the scene."""
+        """The picture of the scene from its first camera; see :func:`first_view`."""
         return first_view(self.scene, self.state) if self.drawing is None else self.drawing()
 
 
 def first_view(scene: Scene, state: SceneState) -> Image:
-    """Return what the first camera of a scene sees, with the pixels that :func:`reduced` leaves of a large image."""
+    """Return a picture of a scene from its first camera; a large one has the resolution of :func:`reduced` images."""
     camera = scene.cameras[0]
     step = reduction((camera.height, camera.width))
     middle = step // 2

@@ -77,7 +77,8 @@ def settle_objects(
     solids lies where it fell. One that does not rest with any of them is held in place by ``fixed``, so that nothing
     that was seen is missing, and reported as a finding.
 
-    ``draw`` is called with each scene that rests, and starts to draw it while a simulation finds out if it remains.
+    ``draw`` is called with each scene that rests, and starts to draw it; meanwhile, a simulation checks that
+    it stays at rest.
     ``processes`` decompose meshes into convex parts.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld

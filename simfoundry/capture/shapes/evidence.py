@@ -278,7 +278,7 @@ def smooth_gaps(x: Array, values: Array) -> Array:
     filled = np.interp(x, x[good], values[good])
     before, after = np.append(filled[0], filled[:-1]), np.append(filled[1:], filled[-1])
     low, high = np.minimum(before, after), np.maximum(before, after)
-    return np.asarray(np.minimum(np.maximum(filled, low), high))  # the median, without the import of a filter
+    return np.asarray(np.minimum(np.maximum(filled, low), high))  # the median of three
 
 
 def _ray_grid(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

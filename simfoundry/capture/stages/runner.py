@@ -93,7 +93,8 @@ class StageRunner:
             quick: True if the result takes so little time that a runner that only examines computes it too.
             provisional: Tells whether a result is to be computed again by the next run. The default keeps all results.
             shared: True if ``compute`` is long, and a partial of a module-level function, which any process can run.
-            beside: True to leave what is shared to the second process, because nothing needs it soon.
+            beside: True if the result is not needed soon; the second process then computes it when it has nothing else
+                to do.
 
         Raises:
             StaleStageError: The runner only examines, and there is no earlier result with equal inputs.
@@ -118,15 +119,19 @@ class StageRunner:
         return StageResult(value, digest)
 
     def begin(self, function: Callable[[], T]) -> Callable[[], T]:
-        """Start a function in a thread beside this one, and return one that waits for its result.
+        """Start a function in a thread, and return a function that waits for its result.
 
-        Threads take turns except in NumPy, OpenCV and MuJoCo, in the second process, and while they use files.
+        Threads take turns, except in NumPy, OpenCV and MuJoCo, while they use files, and in the second process.
         """
         pool = ThreadPoolExecutor(1)
         future = pool.submit(function)
         pool.shutdown(wait=False)
         self._begun.append(future)
         return future.result
+
+    def ordered_states(self) -> dict[tuple[str, str], StageState]:
+        """Return the states in the order of the stages, and of the labels in each."""
+        return dict(sorted(self.states.items(), key=lambda item: (stage_index(item[0][0]), item[0][1])))
 
     def _is_redone(self, name: str, label: str) -> bool:
         if self.redo_from is None or stage_index(name) < stage_index(self.redo_from):

@@ -50,7 +50,7 @@ class Intrinsics(Model):
 def _of_matrix(value: Any) -> Any:
     """Return the intrinsics that a matrix `K` contains, given as nine numbers or as three rows, as a mapping."""
     if isinstance(value, dict) and "K" in value and "fx" not in value:
-        raise fault("sf103", "a camera matrix has no key of its own: `camera: [fx, 0, cx, 0, fy, cy, 0, 0, 1]`")
+        raise fault("sf103", "a camera matrix is stated without a key: `camera: [fx, 0, cx, 0, fy, cy, 0, 0, 1]`")
     if not isinstance(value, tuple | list):
         return value
     rows = [row if isinstance(row, tuple | list) else (row,) for row in value]
